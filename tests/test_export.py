@@ -161,8 +161,9 @@ def test_c_of_a_yielding_force_equals_python(n: float, tmp_path: Path) -> None:
     assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
 
 
-def test_c_of_a_magnetization_equals_python(tmp_path: Path) -> None:
-    model = hf.JilesAtherton(Ms=1.4, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1)
+@pytest.mark.parametrize("variant", [{}, {"curve": "tanh", "q": [1.5], "p": [0.6], "r": [3.0]}])
+def test_c_of_a_magnetization_equals_python(tmp_path: Path, variant: dict) -> None:
+    model = hf.JilesAtherton(Ms=1.4, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1, **variant)
     program, u = build(model, tmp_path, limits=(-1.5, 1.5)), path(-1.0, 1.0)
     expected = np.asarray(hf.simulate(model, u)[0])
     np.testing.assert_allclose(run(program, "f", float(u[0]), u, 0.0)[:, 0], expected, atol=1e-12)

@@ -40,6 +40,8 @@ from hystfit.models import (
     simulate,
 )
 from hystfit.models.bracketed import Root
+from hystfit.models.jiles_atherton_field import JilesAthertonField
+from hystfit.models.rate import Excess
 from hystfit.models.simulation import run
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
@@ -107,6 +109,10 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         hystfit.JilesAtherton(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1),
         {},
     ),
+    "jiles-atherton driven by B": (
+        JilesAthertonField(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, q=[1.0], slope=0.5, offset=0.1),
+        {},
+    ),
     "relaxation": (hystfit.Relaxation(), {}),
     "oscillator": (BoucWenOscillator(m=0.01, c=0.05, r_unl=0.7, n=1.5, between="linear"), {}),
     "oscillator, hardening, held": (BoucWenOscillator(m=0.01, c=0.05, r_load=-0.5, r_unl=0.7, between="hold"), {}),
@@ -131,6 +137,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "second order": (SecondOrder(omega=60.0, zeta=0.2), {}),
     "viscous": (Viscous(c=0.1), {}),
     "saturating": (SaturatingRate(F=0.3, v0=2.0), {}),
+    "excess": (Excess(g=0.3, e=0.5), {}),
     "log creep": (LogCreep(gamma=(0.01, 0.002), tau=(0.05, 0.5), weights=(0.9, 0.8)), {}),
     "linear creep": (LinearCreep(a=(0.01, 0.05), tau=(0.03, 0.4), low=-1.0, high=1.0), {}),
     "offset": (Offset(value=0.3), {}),
@@ -140,7 +147,8 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-SLOW = ("density", "cells", "cells of either sign", "everett table")  # their relays keep the laws in the quick form
+# The relays and `jiles-atherton` keep the laws in the quick form.
+SLOW = ("density", "cells", "cells of either sign", "everett table", "jiles-atherton driven by B")
 
 
 @pytest.mark.parametrize(

@@ -214,6 +214,7 @@ def export(
     s_function: bool = False,
     mat: Path | None = None,
     opensees: Path | None = None,
+    magnetic: Path | None = None,
     tag: int = 1,
     name: str = "hysteresis",
     limits: Limits = None,
@@ -227,13 +228,15 @@ def export(
         s_function: with --c, also a level-2 C MEX S-function of the model for Simulink.
         mat: .mat file for parameters, errors and predictions.
         opensees: folder for the uniaxialMaterial line (Tcl and openseespy) and the covariance.
+        magnetic: folder for files of field and circuit programs (COMSOL, Flux, Ansys, JMAG, LTspice, SPICE, Modelica), of B(H) or M(H).
         tag: of the material.
         name: prefix of files and functions.
     """
     from hystfit.control.export import export_c
+    from hystfit.control.field_programs import export_field_programs
     from hystfit.control.opensees import export_opensees
 
-    if c is None and ((mat is None and opensees is None) or s_function):
+    if c is None and ((mat is None and opensees is None and magnetic is None) or s_function):
         other = "" if s_function else ", a MATLAB file: --mat FILE, or a folder for OpenSees: --opensees FOLDER"
         raise DataError(f"name the folder for the C code: --c FOLDER{other}")
     span = input_limits(limits)
@@ -244,6 +247,9 @@ def export(
         files = export_opensees(result, opensees, name=name, tag=tag)
         print(written(opensees, [file.name for file in files]).lstrip())
         print(files[0].read_text(encoding="utf-8").splitlines()[-1])
+    if magnetic is not None:
+        for program, file in export_field_programs(result, magnetic, name=name).items():
+            print(f"{program}: {file}" if isinstance(file, Path) else f"{program}: no file; {file}")
     if c is None:
         return 0
     files = export_c(result, c, name=name, limits=span, s_function=s_function)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from cyclopts import Group, Parameter
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
 from hystfit.cli.records import load
@@ -16,10 +18,78 @@ from hystfit.outcome import Status
 
 if TYPE_CHECKING:
     from hystfit.results.force_loops import ForceLoops
+    from hystfit.results.magnetic_sample import Sample
+
+SAMPLE = Group("Sample and corrections of magnetic loops", sort_key=4)
+Property = Annotated[float | None, Parameter(group=SAMPLE)]
+Words = Annotated[str | None, Parameter(group=SAMPLE)]
 
 
-def quantities(*loops: Loop, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SampleOptions:
+    """What is known of the sample of a magnetic loop, beside the header of its file.
+
+    Args:
+        size: three lengths of a prism in mm, such as 1.98,1.99,2.70; the field is along the last.
+        size_error: standard error of each length in mm.
+        volume: volume in mm3.
+        mass: mass in mg.
+        density: density in g/cm3.
+        demagnetization: demagnetizing factor, 0 in a closed circuit; default: that of the prism.
+        image_factor: number by which the moment is divided for its images in the poles of the magnet.
+        correct: corrections to apply besides volume, image and demagnetization: drift, offset, slope.
+    """
+
+    size: Words = None
+    size_error: Property = None
+    volume: Property = None
+    mass: Property = None
+    density: Property = None
+    demagnetization: Property = None
+    image_factor: Property = None
+    correct: Words = None
+
+    def sample(self) -> Sample:
+        """The sample in SI units.
+
+        Raises:
+            DataError: a property is no positive number.
+        """
+        from hystfit.errors import DataError
+        from hystfit.results.magnetic_sample import Sample
+
+        scaled = lambda value, factor: None if value is None else factor * value
+        try:
+            size = None if self.size is None else tuple(1e-3 * float(part) for part in self.size.split(","))
+        except ValueError as error:
+            raise DataError(f"--size takes three lengths in mm, such as 1.98,1.99,2.70, got {self.size!r}") from error
+        return Sample(
+            size=size,  # type: ignore[arg-type]
+            size_stderr=scaled(self.size_error, 1e-3),
+            volume=scaled(self.volume, 1e-9),
+            mass=scaled(self.mass, 1e-6),
+            density=scaled(self.density, 1e3),
+            demagnetization=self.demagnetization,
+            image=self.image_factor,
+        )
+
+    @property
+    def corrections(self) -> tuple[str, ...]:
+        """Names of the corrections to apply."""
+        return tuple(part.strip() for part in (self.correct or "").split(",") if part.strip())
+
+
+NO_SAMPLE = SampleOptions()
+
+
+def quantities(
+    *loops: Loop, reading: Reading = DEFAULT_READING, sample: SampleOptions = NO_SAMPLE, output: Output = STDOUT
+) -> int:
     """Read coercivity, remanence, loss, stiffness or (BH)max off measured loops, with standard errors and without a model.
+
+    Of magnetic loops also the numbers of data sheets (HcJ, HcB, Br, Js, (BH)max, permeability), after corrections that are listed in their
+    order. A moment becomes a polarization by the size or volume of the sample, or by its mass and density.
 
     Of a force and a displacement also energy, stiffness and damping of each cycle, the backbone and the failure. With --out, the folder
     holds result.json and quantities.csv, and of forces cycles.csv, backbone.csv and backbone.png. Exit status 1: no record has a loop or
@@ -31,9 +101,12 @@ def quantities(*loops: Loop, reading: Reading = DEFAULT_READING, output: Output 
 
     output.check()
     data = load(loops, reading)
-    values, forces = of_loops(data), force_loops(data)
+    values = of_loops(data, sample.sample(), sample.corrections)
+    forces = force_loops(data)
     status = Status.OK if any(values.rows.values()) or forces else Status.NO_LOOP
     content = {"schema": "hystfit.quantities/1", "status": str(status), "quantities": values.to_dict()}
+    if remarks := values.remarks():
+        content["remarks"] = remarks
     if forces:
         content["force_loops"] = {name: one.to_dict() for name, one in forces.items()}
     content["provenance"] = provenance(data, None)
@@ -41,9 +114,13 @@ def quantities(*loops: Loop, reading: Reading = DEFAULT_READING, output: Output 
     def save(folder: Path) -> None:
         with (folder / "quantities.csv").open("w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file)
-            rows.writerow(["record", "quantity", "value", "stderr", "unit", "instrument", "read_from"])
+            rows.writerow(
+                ["record", "quantity", "value", "stderr", "size_stderr", "spread", "unit", "instrument", "read_from"]
+            )
             for record, found in values.rows.items():
-                rows.writerows([record, q.name, q.value, q.stderr, q.unit, q.stated, q.count] for q in found)
+                rows.writerows(
+                    [record, q.name, q.value, q.stderr, q.scale, q.spread, q.unit, q.stated, q.count] for q in found
+                )
         if forces:
             _save_forces(folder, forces)
 

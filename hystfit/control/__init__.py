@@ -12,6 +12,7 @@ from hystfit.control.feedback import Design as Design
 from hystfit.control.feedback import assess as assess
 from hystfit.control.feedback import design as design
 from hystfit.control.feedback import pd_lead_lag as pd_lead_lag
+from hystfit.control.field_programs import export_field_programs as export_field_programs
 from hystfit.control.inverse import Inverse as Inverse
 from hystfit.control.inverse import invert as invert
 from hystfit.control.lead import lead as lead

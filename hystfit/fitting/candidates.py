@@ -19,6 +19,7 @@ from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.quality.summary import speeds_of
+from hystfit.results.loop_kinds import LoopKind
 
 # An area has a direction from five of its standard errors, and from a thousandth of the box around it: the narrowest loops of piezo
 # actuators have ten thousandths.
@@ -66,13 +67,14 @@ def candidates(data: Dataset) -> Candidates:
         return Candidates(curves or (SEARCH,))
     timed = all(record.t is not None for record in data)
     speeds = len(distinct((speed for record in data for speed in speeds_of(record)), SPEEDS_APART))
-    contrary = _contrary(data)
+    contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
     able = {
         name: model
         for name, model in models.items()
         if not model.from_saturation
         and (timed or model.rate_independent)
         and speeds >= _speeds_needed(name)
+        and (magnetic or not any(need.magnetic for need in _needs(name)))
         and contrary not in {need.direction for need in _needs(name)}
     }
     # Signed weights need no negation, and some models are tried both ways.

@@ -7,6 +7,8 @@ from .base import run_stream as run_stream
 from .bias import NoiseBias as NoiseBias
 from .bias import noise_bias as noise_bias
 from .duhem_regression import DuhemRegressor as DuhemRegressor
+from .field_from_induction import FieldFromInduction as FieldFromInduction
+from .field_from_induction import FluxSequence as FluxSequence
 from .gradient_correction import GradientCorrection as GradientCorrection
 from .identification import Identification as Identification
 from .identification import as_fit as as_fit
@@ -22,3 +24,5 @@ from .smoother import smooth as smooth
 from .staged import Phase as Phase
 from .staged import identify_in_stages as identify_in_stages
 from .ukf import Ukf as Ukf
+from .vector_hysteresis import VectorHysteresis as VectorHysteresis
+from .vector_hysteresis import VectorRecord as VectorRecord

@@ -1,4 +1,4 @@
-"""Forces of the input's rate: viscous and saturating damping, added to a hysteresis (dampers, friction)."""
+"""Outputs of the input's rate, added to a hysteresis: viscous and saturating damping (dampers, friction), excess loss (magnetics)."""
 
 from __future__ import annotations
 
@@ -97,6 +97,38 @@ class SaturatingRate(_AbstractRate):
     def c_part(self) -> CPart:
         """A difference quotient."""
         return CPart(template("rate.c"), 1, {"FORCE": self.F, "V0": self.v0, "SATURATES": 1})
+
+
+class Excess(_AbstractRate):
+    """Excess loss:  y = g v / (v^2 + e^2)^(1/4), the root of the rate v = du/dt with its sign (Bertotti 1988).
+
+    Over a flux density u the output is a field, and g is the root of sigma G V0 S, with conductivity sigma, G = 0.1356, V0 the field of
+    the statistics of walls and S the section. The classical eddy field is that of `Viscous`, with c = sigma d^2 / 12 of a sheet of
+    thickness d.
+    """
+
+    g: Scalar = param(
+        0.0, bounds=(0.0, np.inf), unit="y*s^0.5/u^0.5", linear=True, doc="output over the root of the rate"
+    )
+    e: Scalar = param(1e-6, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="rate below which the root is rounded")
+
+    def force(self, rate: Array) -> Array:
+        """The root of the rate, without the infinite slope at zero."""
+        return self.g * rate / (rate**2 + self.e**2) ** 0.25
+
+    def start(self, records: Sequence[Record]) -> Excess:
+        """None; it follows from the fit. The root is rounded at a thousandth of the largest rate."""
+        rates = [np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records]
+        largest = max((float(one.max()) for one in rates if one.size), default=1.0)
+        return type(self)(g=0.0, e=1e-3 * largest or 1e-6)
+
+    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
+        """Steepest at rest, falling towards none."""
+        return Slopes.of(float(self.g / self.e**0.5) / dt, 0.0) if dt else None
+
+    def c_part(self) -> CPart:
+        """A difference quotient."""
+        return CPart(template("rate.c"), 1, {"FORCE": self.g, "V0": self.e, "SATURATES": 2})
 
 
 def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:

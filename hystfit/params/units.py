@@ -279,6 +279,34 @@ def conversion(source: str, target: str) -> float | None:
     return float(f"{one.factor / other.factor:.15g}")
 
 
+_ENERGIES = ("J", "J/m2", "J/m3", "J/kg")
+_VACUUM = 4e-7 * math.pi  # mu0 [T m/A]: a field times a moment is an energy after multiplication by it
+
+
+def loop_energy(one: str, other: str) -> tuple[str, float]:
+    """Unit of an area over two columns as an energy or energy density, and the factor to it; the product of both elsewhere.
+
+    Args:
+        one, other: units of input and output.
+    """
+    first, second = parse_unit(one), parse_unit(other)
+    plain = f"{other} {one}".strip()
+    if first is None or second is None:
+        return plain, 1.0
+    powers = dict(first.powers)
+    for base, power in second.powers:
+        powers[base] = powers.get(base, 0.0) + power
+    vacuum = {"kg": 1.0, "m": 1.0, "s": -2.0, "A": -2.0}
+    for extra, factor in (({}, 1.0), (vacuum, _VACUUM)):
+        total = {base: powers.get(base, 0.0) + extra.get(base, 0.0) for base in {*powers, *extra} - {"rad"}}
+        key = tuple(sorted((base, power) for base, power in total.items() if power))
+        for unit in _ENERGIES:
+            known = parse_unit(unit)
+            if known is not None and known.powers == key:
+                return unit, factor * first.factor * second.factor
+    return plain, 1.0
+
+
 def integral_unit(unit: str) -> str:
     """Unit of the integral over seconds: "uC" for "uA", "uC/cm2" for "uA/cm2", else the unit times s; "" if unknown."""
     if match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit):

@@ -23,6 +23,7 @@ class Needs:
         direction: of the loops that it describes with its default bounds.
         rate: its output depends on the speed of the input.
         speeds: number of speeds of the input, a factor of 3 apart.
+        magnetic: it is a law of magnetization, which a comparison tries on a field and what it magnetizes alone.
         damage: it describes loops that lose strength or stiffness.
         too_few: what remains undetermined where amplitudes, frequencies or turning pairs are too few.
         regularized: a penalty decides between parameters that the data leave open, so that there may be more of them than samples.
@@ -39,6 +40,7 @@ class Needs:
     direction: Literal["any", "counter-clockwise", "clockwise"] = "any"
     rate: bool = False
     speeds: int = 1
+    magnetic: bool = False
     damage: bool = False
     too_few: str = ""
     regularized: bool = False

@@ -7,24 +7,49 @@ static double @f@_langevin(double x)
     return 1 / tanh(x) - 1 / x;
 }
 
+static double @f@_curve(double x)
+{
+    return @M@_TANH ? tanh(x) : @f@_langevin(x);
+}
+
+static double @f@_anhysteretic(double field)
+{
+    const double x = field / @M@_A;
+    return @M@_DOUBLE ? @M@_P * @f@_curve(x) + (1 - @M@_P) * @f@_curve(x / @M@_R) : @f@_curve(x);
+}
+
+static double @f@_pinning(double m)
+{
+    return @M@_K * exp(-@M@_Q * m * m);
+}
+
+/* Pinning half way to an effective field, by a rough step there. */
+static double @f@_pinning_between(const double *s, double sign, double field, double g0, double g1)
+{
+    const double m = @M@_C * g0 + (1 - @M@_C) * s[1], z = fabs(field - s[0]) / @f@_pinning(m);
+    const double follows = sign * fmax(sign * (0.5 * (g0 + g1) - s[1]), 0) * z / (1 + z);
+    return @f@_pinning(0.5 * (m + @M@_C * g1 + (1 - @M@_C) * (s[1] + follows)));
+}
+
 /* Irreversible part at an effective field, with the anhysteretic curve straight on the way there. */
 static double @f@_irreversible(const double *s, double sign, double field)
 {
-    const double g0 = @f@_langevin(s[0] / @M@_A), g1 = @f@_langevin(field / @M@_A), ahead = s[1] - g0;
-    double resting = 0, begin = g0;
+    const double g0 = @f@_anhysteretic(s[0]), g1 = @f@_anhysteretic(field), ahead = s[1] - g0;
+    double resting = 0, begin = g0, z, mean;
     if (sign * ahead > 0) {
         resting = g1 == g0 ? 1 : fmin(fmax(ahead / (g1 - g0), 0), 1);
         begin = s[1];
     }
     if (resting >= 1 || field == s[0])
         return s[1];
-    const double z = (1 - resting) * fabs(field - s[0]) / @M@_K, mean = z > 0 ? -expm1(-z) / z : 1;
+    z = (1 - resting) * fabs(field - s[0]) / (@M@_Q == 0 ? @M@_K : @f@_pinning_between(s, sign, field, g0, g1));
+    mean = z > 0 ? -expm1(-z) / z : 1;
     return g1 - (g1 - begin) * mean - (begin - s[1]) * exp(-z);
 }
 
 static double @f@_total(const double *s, double sign, double field)
 {
-    return @M@_C * @f@_langevin(field / @M@_A) + (1 - @M@_C) * @f@_irreversible(s, sign, field);
+    return @M@_C * @f@_anhysteretic(field) + (1 - @M@_C) * @f@_irreversible(s, sign, field);
 }
 
 /* The new effective field, where He - alpha M is the input: regula falsi with halving, in a bracket that cannot lose the root. */
@@ -77,5 +102,5 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
         next[0] = moved[0];
         next[1] = moved[1];
     }
-    return @M@_OFFSET + @M@_SLOPE * u1 + @M@_MS * (@M@_C * @f@_langevin(moved[0] / @M@_A) + (1 - @M@_C) * moved[1]);
+    return @M@_OFFSET + @M@_SLOPE * u1 + @M@_MS * (@M@_C * @f@_anhysteretic(moved[0]) + (1 - @M@_C) * moved[1]);
 }

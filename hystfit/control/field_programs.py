@@ -1,0 +1,251 @@
+"""Fitted magnetic materials as files that field and circuit programs read: Jiles-Atherton parameters in their conventions, and branches.
+
+Every text states its units and its convention. A program that lacks a term of the model gets no file, and the reason is listed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hystfit.errors import ModelError
+from hystfit.models.jiles_atherton import MU0, JilesAtherton
+from hystfit.params.units import parse_unit
+
+if TYPE_CHECKING:
+    from hystfit.results.result import FitResult
+
+_POINTS = 401  # of each branch
+_CYCLES = 3  # until the loop is steady
+_LINE = 0.8  # of the largest field, from which the straight line is taken whose intercept is the Bs of LTspice
+_CONVENTION = (
+    "dM/dHe = max(s (Man - M), 0) / k + c dMan/dHe, He = H + alpha M, Man = Ms (coth(He/a) - a/He), s = sign(dH)"
+)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Material:
+    """A fitted material in SI units.
+
+    Attributes:
+        h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T],
+            shape (2, _POINTS).
+        law: parameters of Jiles-Atherton by name: Ms, a, k [A/m], alpha, c; None for other models.
+        lacking: terms of the law besides these, such as pinning that falls.
+    """
+
+    h: np.ndarray
+    b: np.ndarray
+    law: dict[str, float] | None
+    lacking: str = ""
+
+    @classmethod
+    def of(cls, result: FitResult) -> Material:
+        """The material of a fit.
+
+        Raises:
+            ModelError: the input is no field in A/m, Oe or T, the output no flux density, polarization or magnetization, or the model
+                depends on time.
+        """
+        first = result.data[0]
+        powers = lambda unit: getattr(parse_unit(unit), "powers", None)
+        field, output = parse_unit(first.u_unit), parse_unit(first.y_unit)
+        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
+        per_output = {powers("T"): 1.0, powers("A/m"): MU0}.get(output.powers) if output else None
+        if field is None or output is None or per_field is None or per_output is None:
+            raise ModelError(
+                "a field program needs H in A/m, Oe or T and B, J or M in T or A/m; "
+                f"the fit has {first.u_unit or 'no unit'} and {first.y_unit or 'no unit'}: give --units, or divide the moment by the volume"
+            )
+        if not result.model.rate_independent:
+            raise ModelError("these programs read static loops: fit a model without terms of time")
+        per_field, per_output = per_field * field.factor, per_output * output.factor
+        low, high = result.input_range
+        rise = np.linspace(low, high, _POINTS)
+        cycle = np.concatenate([rise, rise[-2:0:-1]])
+        u = np.concatenate([np.tile(cycle, _CYCLES), rise[:1]])
+        last = result.model.free_run(u)[-cycle.size - 1 :]
+        rising, falling = last[:_POINTS], last[_POINTS - 1 :][::-1]
+        has_vacuum = (
+            isinstance(result.model, JilesAtherton)
+            and float(result.model.slope) == 0.0
+            and output.powers == powers("A/m")
+        )
+        flux = per_output * np.stack([rising, falling]) + (MU0 * per_field * rise if has_vacuum else 0.0)
+        if not isinstance(result.model, JilesAtherton):
+            return cls(
+                np.stack([per_field * rise] * 2),
+                flux,
+                None,
+                f"{type(result.model).__name__} is no Jiles-Atherton model",
+            )
+        return cls(np.stack([per_field * rise] * 2), flux, *_law(result.model, per_field, per_output))
+
+
+def _law(model: JilesAtherton, per_field: float, per_output: float) -> tuple[dict[str, float], str]:
+    """Parameters in A/m, and what the textbook law lacks."""
+    saturation = per_output / MU0 * float(model.Ms)
+    law = {
+        "Ms": saturation,
+        "a": per_field * float(model.a),
+        "k": per_field * float(model.k),
+        "alpha": per_field * float(model.mean_field) / saturation,
+        "c": float(model.c),
+    }
+    terms = {
+        "pinning that falls (q)": model.q.size > 0 and float(model.q[0]) != 0.0,
+        "a second anhysteretic curve (p, r)": model.p.size > 0,
+        "the curve tanh": model.curve != "langevin",
+    }
+    return law, ", ".join(name for name, present in terms.items() if present)
+
+
+def _needs_law(material: Material) -> dict[str, float]:
+    if material.law is None or material.lacking:
+        raise ModelError(f"{material.lacking}: refit jiles-atherton without variants")
+    return material.law
+
+
+def _comsol(material: Material) -> str:
+    """COMSOL: parameters as a text file of name, expression, description."""
+    law = _needs_law(material)
+    rows = [
+        ("Ms", f"{law['Ms']:.9g}[A/m]", "saturation magnetization"),
+        ("a_JA", f"{law['a']:.9g}[A/m]", "domain wall density"),
+        ("kp_JA", f"{law['k']:.9g}[A/m]", "pinning loss"),
+        ("cr_JA", f"{law['c']:.9g}", "magnetization reversibility"),
+        ("alpha_JA", f"{law['alpha']:.9g}", "inter-domain coupling, H and M in A/m"),
+    ]
+    return "\n".join([f'{name} {value} "{text}"' for name, value, text in rows]) + "\n"
+
+
+def _flux(material: Material) -> str:
+    """Altair Flux and others: the same numbers as a table with units and the convention."""
+    law = _needs_law(material)
+    units = {"Ms": "A/m", "a": "A/m", "k": "A/m", "alpha": "1", "c": "1"}
+    rows = [f"{name},{law[name]:.9g},{unit}" for name, unit in units.items()]
+    return (
+        "\n".join(
+            [
+                f"# {_CONVENTION}",
+                "# B = mu0 (H + M); matrices of anisotropic programs are diagonal",
+                "name,value,unit",
+                *rows,
+            ]
+        )
+        + "\n"
+    )
+
+
+def _spice(material: Material) -> str:
+    """SPICE, CORE model: A/m; without alpha, c in the convention of 1984."""
+    law = _needs_law(material)
+    if law["alpha"] != 0.0:
+        raise ModelError("the CORE model has no alpha: refit with --fix coupling=0")
+    if law["c"] >= 1.0:
+        raise ModelError("c = 1 has no irreversible part")
+    c84, k84 = law["c"] / (1 - law["c"]), law["k"] * (1 - law["c"])
+    head = [
+        "* Jiles-Atherton 1984: dM/dH = (Man - M) / (s K (1 + C)) + C / (1 + C) dMan/dH, without alpha; fields in A/m",
+        "* set AREA [cm^2], PATH and GAP [cm] of the core",
+    ]
+    line = f".MODEL material CORE (MS={law['Ms']:.9g} A={law['a']:.9g} K={k84:.9g} C={c84:.9g} AREA=1 PATH=1 GAP=0)"
+    return "\n".join([*head, line, ""])
+
+
+def _ltspice(material: Material) -> str:
+    """LTspice: Chan's model by Hc, Br and Bs of the steady loop."""
+    h, (rising, falling) = material.h[0], material.b
+    if not (rising[0] < 0 < rising[-1] and h[0] < 0 < h[-1]):
+        raise ModelError("the loop does not pass through zero")
+    coercive = 0.5 * (float(np.interp(0.0, rising, h)) - float(np.interp(0.0, falling, h)))
+    remanent = 0.5 * (float(np.interp(0.0, h, falling)) - float(np.interp(0.0, h, rising)))
+    far = h >= _LINE * h[-1]
+    _, intercept = np.polyfit(h[far], 0.5 * (rising[far] + falling[far]), 1)
+    if not 0 < remanent < intercept:
+        raise ModelError("the intercept of the line at high fields is not above the remanence")
+    head = [
+        "* Chan's model: Hc [A/m], Br [T], Bs [T], the intercept of the line at high fields; area, length and gap in m^2 and m"
+    ]
+    line = f"Lcore 1 0 Hc={coercive:.9g} Br={remanent:.9g} Bs={intercept:.9g} A={{area}} Lm={{length}} Lg={{gap}} N={{turns}}"
+    return "\n".join([*head, ".param area=1e-4 length=0.1 gap=0 turns=1", line, ""])
+
+
+def _ansys(material: Material) -> str:
+    """Ansys Maxwell: the falling branch of the major loop as a tab-separated table."""
+    h, b = material.h[1], material.b[1]
+    rows = [f"{x:.9g}\t{y:.9g}" for x, y in zip(h, b, strict=True)]
+    return "\n".join(['"H (A_per_meter)"\t"B (tesla)"', *rows, ""])
+
+
+def _jmag(material: Material) -> str:
+    """JMAG: both branches as columns."""
+    rows = [f"{h:.9g},{up:.9g},{down:.9g}" for h, up, down in zip(material.h[0], *material.b, strict=True)]
+    return "\n".join(["H (A/m),B rising (T),B falling (T)", *rows, ""])
+
+
+def _modelica(material: Material) -> str:
+    """Modelica, FluxTubes: tables of the rising and the falling branch, which must not cross."""
+    h, (rising, falling) = material.h[0], material.b
+    if (
+        (np.diff(rising) <= 0).any()
+        or (np.diff(falling) <= 0).any()
+        or (rising > falling + 1e-9 * np.ptp(falling)).any()
+    ):
+        raise ModelError("the branches cross or do not rise")
+    table = lambda b: "{" + ", ".join(f"{{{x:.9g}, {y:.9g}}}" for x, y in zip(h, b, strict=True)) + "}"
+    lines = [
+        "// Modelica.Magnetic.FluxTubes.Material.HysteresisTableMaterial: H [A/m], B [T]",
+        "record Material",
+        "  extends Modelica.Magnetic.FluxTubes.Material.HysteresisTableMaterial.General(",
+        f"    tabris={table(rising)},",
+        f"    tabfal={table(falling)});",
+        "end Material;",
+    ]
+    return "\n".join([*lines, ""])
+
+
+PROGRAMS: dict[str, tuple[str, Callable[[Material], str]]] = {
+    "COMSOL": ("comsol_parameters.txt", _comsol),
+    "Flux": ("jiles_atherton.csv", _flux),
+    "SPICE": ("spice_core.lib", _spice),
+    "LTspice": ("ltspice_chan.net", _ltspice),
+    "Ansys": ("ansys_bh.tab", _ansys),
+    "JMAG": ("jmag_bh.csv", _jmag),
+    "Modelica": ("modelica.mo", _modelica),
+}
+
+
+def export_field_programs(result: FitResult, folder: str | Path, *, name: str = "material") -> dict[str, Path | str]:
+    """Write a magnetic fit for every program that can take it.
+
+    Args:
+        result: a fit of B, J or M over H.
+        folder: made where it does not exist.
+        name: before the names of the files, a word.
+
+    Returns:
+        For each program its file, or the reason why there is none.
+
+    Raises:
+        ModelError: units that are not those of a field and what it magnetizes, a bad name, or no program that can take the fit.
+    """
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        raise ModelError(f"name must be a word of letters, digits and underscores, got {name!r}")
+    material, place = Material.of(result), Path(folder)
+    found: dict[str, Path | str] = {}
+    for program, (file, text) in PROGRAMS.items():
+        try:
+            content = text(material)
+        except ModelError as error:
+            found[program] = str(error)
+            continue
+        place.mkdir(parents=True, exist_ok=True)
+        found[program] = place / f"{name}_{file}"
+        (place / f"{name}_{file}").write_text(content, encoding="utf-8")
+    return found

@@ -1,0 +1,128 @@
+"""Jiles-Atherton driven by the flux density: the field of field programs and loss models."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.bracketed import solve_rising
+from hystfit.models.jiles_atherton import FIRST_CURVE, JilesAtherton
+from hystfit.models.shapes import Scalar, State
+from hystfit.params.param import param
+from hystfit.quality.needs import Needs
+
+_STEEPEST = 1e-9  # slope dB/dHe over its largest one, from which the derivative of the field counts as that of a jump
+
+
+class JilesAthertonField(AbstractHysteresis):
+    """`JilesAtherton` the other way round: input B, output H, with B = mu0 H + M where M is a polarization.
+
+    A step solves for the effective field He at which slope (He - alpha M) + M = B. The left side rises with He for every alpha that
+    magnets have, also where M(H) has a jump: there is no singular denominator. Eddy currents and excess loss are terms beside it:
+    `jiles-atherton-b+viscous+excess`.
+    """
+
+    rate_independent: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs(
+        amplitudes=2,
+        symmetry="symmetric",
+        direction="clockwise",
+        magnetic=True,
+        too_few="a, coupling and k are nearly redundant below saturation",
+    )
+
+    Ms: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", scale=2.0, doc="saturation polarization")
+    a: Scalar = param(0.3, bounds=(0.0, np.inf), unit="y", scale=0.3, doc="shape of the anhysteretic curve")
+    coupling: Scalar = param(0.5, bounds=(0.0, 1.0), doc="mean field, alpha Ms / (3 a)")
+    k: Scalar = param(0.3, bounds=(0.0, np.inf), unit="y", scale=0.3, doc="pinning, nearly the coercive field")
+    c: Scalar = param(0.2, bounds=(0.0, 1.0), doc="reversible part of the magnetization")
+    q: Float[Array, " falling"] = param(
+        (), bounds=(-5.0, 5.0), vector=True, doc="fall of the pinning with the magnetization, k exp(-q (M / Ms)^2)"
+    )
+    slope: Scalar = param(0.1, bounds=(0.0, np.inf), unit="u/y", fixed=True, doc="mu0, output without material")
+    offset: Scalar = param(0.0, unit="y", per_record=True, doc="field of the demagnetized state", linear=True)
+    curve: str = eqx.field(default="langevin", static=True)
+
+    @classmethod
+    def of(cls, curve: str = "langevin", pinning: bool = False) -> JilesAthertonField:
+        """The model with one of its variants.
+
+        Args:
+            curve: "langevin" or "tanh", the anhysteretic curve.
+            pinning: pinning that falls with the magnetization.
+        """
+        return cls(curve=curve, q=[0.0] if pinning else ())
+
+    def settings(self) -> dict[str, int | bool | str]:
+        """As of `of`."""
+        return {"curve": self.curve, "pinning": self.q.size > 0}
+
+    @property
+    def magnet(self) -> JilesAtherton:
+        """The same law with the field as input."""
+        return JilesAtherton(
+            Ms=self.Ms,
+            a=self.a,
+            coupling=self.coupling,
+            k=self.k,
+            c=self.c,
+            q=self.q,
+            slope=self.slope,
+            curve=self.curve,
+        )
+
+    def init(self, u0: Scalar) -> State:
+        """State: effective field and irreversible part of the magnetization over Ms, shape (2,), on the first curve."""
+        path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
+        begin = jnp.zeros(2) + 0.0 * u0
+        return jax.lax.scan(lambda s, ends: (self._moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+
+    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
+        """One sample: the effective field at which the flux density is u1, less the mean field."""
+        new, law = self._moved(state, u0, u1), self.magnet
+        return new, self.offset + new[0] - law.mean_field * law.total(new)
+
+    def _moved(self, state: State, u0: Scalar, u1: Scalar) -> State:
+        law, s = self.magnet, jnp.sign(u1 - u0)
+        rest = (
+            self.Ms - self.slope * law.mean_field
+        )  # what the polarization adds beside the part that its own field takes away
+        steepest = self.slope + rest * (law.initial_slope / self.a)
+        flux = lambda field: self.slope * field + rest * law.total(law.at_field(state, s, field))
+        miss = lambda field: (flux(field) - u1) / steepest
+        width = jnp.abs(rest) / jnp.maximum(self.slope, jnp.finfo(u1.dtype).tiny)
+        low, high = jnp.minimum(u1 / self.slope - width, state[0]), jnp.maximum(u1 / self.slope + width, state[0])
+        search = lambda function, start: solve_rising(function, start, low, high).x
+        divided = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
+        moved = law.at_field(state, s, jax.lax.custom_root(miss, state[0], search, divided))
+        return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
+
+    def derived(self) -> tuple[Derived, ...]:
+        """The mean field parameter in the form of the literature."""
+        return (
+            Derived("alpha", "y/u", "mean field parameter, He = H + alpha M", lambda m: m.magnet.mean_field / m.Ms),
+        )
+
+    def start(self, records: Sequence[Record]) -> JilesAthertonField:
+        """That of `JilesAtherton` on the records with input and output exchanged."""
+        law = JilesAtherton.of(self.curve, self.q.size > 0)
+        if {(record.u_unit, record.y_unit) for record in records} != {("T", "A/m")}:
+            law = dataclasses.replace(law, slope=self.slope)
+        found = law.start([_exchanged(record) for record in records])
+        shared = ("Ms", "a", "coupling", "k", "c", "q", "slope")
+        return dataclasses.replace(self, **{name: getattr(found, name) for name in shared})
+
+
+def _exchanged(record: Record) -> Record:
+    """A record without its unmeasured samples, with input and output exchanged."""
+    kept = record.used
+    return Record(record.y[kept], record.u[kept], u_unit=record.y_unit, y_unit=record.u_unit, name=record.name)

@@ -1,0 +1,135 @@
+"""Branches of a measured loop, between the turning points of its input: area, crossings, and medians over branches."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+_LARGE = 0.9  # of the input's range that a branch of the largest loops covers
+_GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
+_OPEN = 4.0  # standard errors by which an area differs from zero where there is a loop
+_ABOUT = 4.0  # standard deviations of the noise, within which samples are averaged about a crossing
+_WITHIN = 0.9  # of the largest input that both branches reach, within which they are compared
+_GRID = 400  # inputs of that comparison
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Branch:
+    """Samples between two turning points of the input, in the order of time."""
+
+    u: np.ndarray
+    y: np.ndarray
+
+    @property
+    def rises(self) -> bool:
+        """Whether the input ends above where it began."""
+        return bool(self.u[-1] > self.u[0])
+
+
+def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
+    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one branch."""
+    edges = [0, *turns.tolist(), u.size - 1]
+    parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
+    span = float(np.ptp(u))
+    large = [part for part in parts if np.ptp(part.u) >= _LARGE * span]
+    first, last = parts[0], parts[-1]
+    if (
+        len(parts) > 2
+        and first.rises == last.rises
+        and abs(u[-1] - u[0]) <= _GAP * span
+        and first not in large
+        and last not in large
+    ):
+        joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
+        if np.ptp(joined.u) >= _LARGE * span:
+            large.append(joined)
+    return large
+
+
+def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
+    """Whether two branches end where they began."""
+    return bool(abs(other.y[-1] - one.y[0]) <= _GAP * float(np.ptp(y)))
+
+
+def area(one: Branch, other: Branch) -> float:
+    """Signed area between two branches, positive counter-clockwise."""
+    u, y = np.append(one.u, other.u), np.append(one.y, other.y)
+    u, y = u - u.mean(), y - y.mean()
+    return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
+
+
+def area_error(sigma: float | None, u: np.ndarray) -> float | None:
+    """Standard error of the area of a loop over inputs u by white noise."""
+    return None if sigma is None else sigma * float(np.sqrt(np.sum(np.gradient(u) ** 2)))
+
+
+def is_open(areas: np.ndarray, sigma: float | None, u: np.ndarray) -> bool:
+    """Whether areas differ from zero by more than the noise makes them."""
+    error = area_error(sigma, u) or 0.0
+    return bool(abs(np.median(areas)) > _OPEN * error / np.sqrt(areas.size))
+
+
+def crossing(
+    level: np.ndarray, values: np.ndarray, sigma: float | None, of_values: float | None = None
+) -> tuple[float, float | None] | None:
+    """Value where a level passes zero, and its standard error; None where it does not, or more than once beyond the noise.
+
+    Args:
+        level: along a branch, shape (n,).
+        values: at the same samples, shape (n,).
+        sigma: noise of the level; of_values: noise of the values; None where unknown.
+    """
+    passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
+    if not passed.size:
+        return None
+    k = int(passed[len(passed) // 2])
+    step, run = level[k + 1] - level[k], values[k + 1] - values[k]
+    near = np.flatnonzero(np.abs(level) <= _ABOUT * (sigma or 0.0))
+    if near.size < 5 or abs(step) > _ABOUT * (sigma or 0.0):
+        error = of_values if sigma is None else sigma * abs(run / step)
+        return float(values[k] - level[k] * run / step), None if error is None else float(error)
+    # Noise crosses zero several times: a straight line through the samples about it.
+    slope, offset = np.polyfit(values[near], level[near], 1)
+    at = -offset / slope
+    spread = 1.0 / near.size + (at - values[near].mean()) ** 2 / max(
+        float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
+    )
+    return float(at), float((sigma or 0.0) / abs(slope) * np.sqrt(spread))
+
+
+def combined(found: list[tuple[float, float | None] | None]) -> tuple[float, float | None, int] | None:
+    """Median over branches and its standard error: by the noise of each, or their scatter where that is larger."""
+    known = [one for one in found if one is not None and np.isfinite(one[0])]
+    if not known:
+        return None
+    values = np.array([value for value, _ in known])
+    errors = [error for _, error in known if error is not None]
+    stated = float(np.sqrt(np.mean(np.square(errors)) / values.size)) if len(errors) == values.size else None
+    scatter = float(np.std(values, ddof=1) / np.sqrt(values.size)) if values.size > 2 else None
+    both = [error for error in (stated, scatter) if error is not None]
+    return float(np.median(values)), max(both, default=None), values.size
+
+
+def asymmetry(branches: list[Branch]) -> float | None:
+    """Standard deviation of the output by which a loop is no reflection of itself in its center; None without both branches.
+
+    Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
+    not show.
+
+    Args:
+        branches: of the largest loops.
+    """
+    falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
+    if falling is None or rising is None:
+        return None
+    most = _WITHIN * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    if not most > 0:
+        return None
+    grid = np.linspace(-most, most, _GRID)
+    at = lambda u, y: np.interp(grid, u[np.argsort(u, kind="stable")], y[np.argsort(u, kind="stable")])
+    one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)
+    columns = np.column_stack([np.ones(_GRID), np.gradient(0.5 * (one + other), grid) * most])
+    left = one - other - columns @ np.linalg.lstsq(columns, one - other, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2) / 2))

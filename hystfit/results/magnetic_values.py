@@ -1,0 +1,260 @@
+"""Quantities of magnetic data sheets, read off a measured loop or demagnetization curve without a model (IEC 60404).
+
+A branch that rises is mirrored, so that every definition is that of a branch falling from positive saturation. A loop has both branches:
+values are their means, and half their difference is given beside the standard error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from hystfit.models.jiles_atherton import MU0
+from hystfit.results.loop_branches import Branch, area, area_error, closes, crossing
+from hystfit.results.magnetic_loop import MagneticLoop
+from hystfit.results.measured_value import LoopValue
+
+_HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically hard (IEC 60404-1); soft ones have no energy product
+_KNEE = 0.9  # of Jr, at the knee field Hk
+_RAYLEIGH = 0.3  # of the coercivity, up to which the first curve follows the Rayleigh law
+_REST = 0.02  # of the ranges, within which a record begins demagnetized
+_REMANENT = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
+_NEIGHBORS = 7  # samples of a local quadratic of a switching field distribution, at least
+_LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at least
+Found = tuple[float, float | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Row:
+    """A quantity of one falling branch.
+
+    Attributes:
+        name, label: of the row.
+        kind: "field", "induction", "energy product" or "" for a ratio, which tells its unit.
+        of_branch: value and standard error, from the branch and the noise; None where the branch does not have it.
+        hard: whether only hard materials have it.
+        absolute: whether it needs the polarization in T.
+    """
+
+    name: str
+    label: str
+    kind: str
+    of_branch: Callable[[Branch, float | None], Found | None]
+    hard: bool = False
+    absolute: bool = True
+
+
+def _opposing(level: np.ndarray, field: np.ndarray, noise: float | None) -> Found | None:
+    """Opposing field where a level passes zero, and its error by the slope there: that of one sample, as the noise is correlated."""
+    found = crossing(level, field, noise)
+    if found is None:
+        last = int(np.argmin(field))  # a curve that was taken or listed up to its zero has no sample beyond
+        ends = field[last] < 0 and 0 <= level[last] <= _REST * float(np.abs(level).max())
+        return (-float(field[last]), None) if ends else None
+    near = np.argsort(np.abs(field - found[0]), kind="stable")[:_NEIGHBORS]
+    slope = np.polyfit(field[near] - found[0], level[near], 1)[0] if np.ptp(field[near]) > 0 else 0.0
+    return -found[0], None if noise is None or slope == 0 else noise / abs(float(slope))
+
+
+def _coercivity(b: Branch, noise: float | None) -> Found | None:
+    return _opposing(b.y, b.u, noise)
+
+
+def _flux_coercivity(b: Branch, noise: float | None) -> Found | None:
+    return _opposing(b.y + MU0 * b.u, b.u, noise)
+
+
+def _remanence(b: Branch, noise: float | None) -> Found | None:
+    return crossing(b.u, b.y, None, noise)
+
+
+def _squareness_field(b: Branch, noise: float | None) -> Found | None:
+    remanence = _remanence(b, noise)
+    return None if remanence is None else _opposing(b.y - _KNEE * remanence[0], b.u, noise)
+
+
+def _knee_ratio(b: Branch, noise: float | None) -> Found | None:
+    knee, width = _squareness_field(b, noise), _coercivity(b, noise)
+    if knee is None or width is None or not width[0] > 0:
+        return None
+    ratio = knee[0] / width[0]
+    known = knee[1] is not None and width[1] is not None
+    return ratio, abs(ratio) * float(np.hypot((knee[1] or 0) / knee[0], (width[1] or 0) / width[0])) if known else None
+
+
+def energy_product(b: Branch, noise: float | None) -> Found | None:
+    """(BH)max [J/m^3]: the top of a parabola through the largest product in the second quadrant and its neighbors.
+
+    Args:
+        b: falling branch, field [A/m] and polarization [T].
+        noise: of the polarization [T].
+    """
+    order = np.argsort(-b.u, kind="stable")
+    field, flux = -b.u[order], b.y[order] + MU0 * b.u[order]
+    inside = (field >= 0) & (flux >= 0)
+    if inside.sum() < 3:
+        return None
+    field, product = field[inside], (field * flux)[inside]
+    k = int(np.clip(np.argmax(product), 1, product.size - 2))
+    three, best = slice(k - 1, k + 2), float(product[k])
+    if np.unique(field[three]).size == 3:
+        p2, p1, p0 = np.polyfit(field[three] - field[k], product[three], 2)
+        best = float(p0 - p1**2 / (4 * p2)) if p2 < 0 and abs(p1 / (2 * p2)) <= np.ptp(field[three]) else best
+    return best, None if noise is None else noise * float(field[k])
+
+
+def switching_distribution(b: Branch, noise: float | None) -> Found | None:
+    """Full width at half maximum of dJ/dH over HcJ, the derivative by local quadratics; without an error.
+
+    Args:
+        b: falling branch.
+        noise: not used: the width is one of a smoothed curve.
+    """
+    order = np.argsort(b.u, kind="stable")
+    u, y = b.u[order], b.y[order]
+    width = 2 * (max(_NEIGHBORS, int(_LOCAL * u.size)) // 2) + 1
+    coercive = _coercivity(b, noise)
+    if u.size < 3 * width or coercive is None or not coercive[0] > 0:
+        return None
+    at = np.arange(u.size - width + 1)[:, None] + np.arange(width)
+    center = u[at].mean(1)
+    x = u[at] - center[:, None]
+    size = np.maximum(np.abs(x).max(1, keepdims=True), np.finfo(float).tiny)
+    columns = np.stack([np.ones_like(x), x / size, (x / size) ** 2], axis=-1)
+    slope = (np.linalg.pinv(columns) @ y[at][..., None])[:, 1, 0] / size[:, 0]
+    peak = int(np.argmax(slope))
+    half = 0.5 * slope[peak]
+    left = np.flatnonzero(slope[:peak] < half)
+    right = peak + np.flatnonzero(slope[peak:] < half)
+    if not left.size or not right.size:
+        return None
+    edge = lambda k: center[k] + (half - slope[k]) / (slope[k + 1] - slope[k]) * (center[k + 1] - center[k])
+    return float((edge(right[0] - 1) - edge(left[-1])) / coercive[0]), None
+
+
+_ROWS = (
+    _Row("HcJ", "coercivity HcJ (J = 0)", "field", _coercivity),
+    _Row("HcB", "coercivity HcB (B = 0)", "field", _flux_coercivity),
+    _Row("Br", "remanence Br", "induction", _remanence),
+    _Row("energy_product", "(BH)max", "energy product", energy_product, hard=True),
+    _Row("knee_field", f"knee field Hk (J = {_KNEE} Jr)", "field", _squareness_field, hard=True),
+    _Row("knee_ratio", "Hk/HcJ", "", _knee_ratio, hard=True),
+    _Row("switching_distribution", "SFD: width of dJ/dH over HcJ", "", switching_distribution, absolute=False),
+)
+
+
+def magnetic_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
+    """The rows of the data sheet.
+
+    Args:
+        loop: after its corrections.
+        field_unit: unit of fields, and its size in A/m.
+        output_unit: of the output, where it is not in T.
+    """
+    falling = [b if not b.rises else Branch(-b.u, -b.y) for b in loop.branches]
+    return _of_branches(loop, falling, [b.rises for b in loop.branches], field_unit, output_unit)
+
+
+def quadrant_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
+    """The same of a curve in one direction: half a loop, or a demagnetization curve.
+
+    Args:
+        loop, field_unit, output_unit: as of `magnetic_values`.
+    """
+    h, j = loop.h, loop.j
+    rest = float(j[np.argmin(np.abs(h))])
+    branch = Branch(np.sign(rest) * h, np.sign(rest) * j)
+    if abs(rest) < _REMANENT * np.abs(j).max() or branch.u.min() >= -_REST * np.abs(h).max():
+        return ()
+    return _of_branches(loop, [branch], [False], field_unit, output_unit)
+
+
+def _of_branches(
+    loop: MagneticLoop, falling: list[Branch], mirrored: list[bool], field_unit: tuple[str, float], output_unit: str
+) -> tuple[LoopValue, ...]:
+    units = {"field": field_unit, "induction": ("T", 1.0), "energy product": ("kJ/m3", 1e3), "": ("", 1.0)}
+    width = [found[0] for b in falling if (found := _coercivity(b, loop.noise)) is not None]
+    hard = float(np.median(width) if width else np.abs(loop.h).max()) >= _HARD
+    rows, sigma = [], loop.sigma
+    for row in _ROWS:
+        if (row.hard and not hard) or (row.absolute and not loop.absolute):
+            continue
+        found = [(side, one) for side, b in zip(mirrored, falling, strict=True) if (one := row.of_branch(b, sigma))]
+        rows.extend(_mean(row.name, row.label, found, units[row.kind]))
+    if any(one.name == "volume" for one in loop.corrections):
+        rows.extend(_loss(loop))
+    rows.extend(_saturation(loop, falling, output_unit))
+    if loop.absolute and not hard:
+        rows.extend(_permeabilities(loop, width))
+    return tuple(rows)
+
+
+def _mean(name: str, label: str, found: list[tuple[bool, Found]], unit: tuple[str, float]) -> Iterator[LoopValue]:
+    """Mean over both branches, with half their difference."""
+    sides = [[one for which, one in found if which == side] for side in (False, True)]
+    sides = [side for side in sides if side]
+    if not sides:
+        return
+    values = [float(np.median([value for value, _ in side])) for side in sides]
+    errors = [error for side in sides for _, error in side]
+    known = len([error for error in errors if error is not None]) == len(errors)
+    error = float(np.sqrt(np.mean(np.square(errors)) / len(errors))) if known else None  # type: ignore[arg-type]
+    spread = 0.5 * abs(values[0] - values[1]) / unit[1] if len(values) == 2 else None
+    value = float(np.mean(values)) / unit[1]
+    yield LoopValue(name, label, value, None if error is None else error / unit[1], unit[0], len(errors), spread=spread)
+
+
+def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
+    """Loss per cycle and volume, of loops that were measured as moments."""
+    pairs = [pair for pair in itertools.pairwise(loop.branches) if pair[0].rises != pair[1].rises]
+    areas = [abs(area(*pair)) for pair in pairs if closes(*pair, loop.j)]
+    if areas:
+        error = area_error(loop.sigma, loop.h)
+        yield LoopValue("W", "hysteresis loss per cycle", float(np.median(areas)), error, "J/m3", len(areas))
+
+
+def _saturation(loop: MagneticLoop, falling: list[Branch], output_unit: str) -> Iterator[LoopValue]:
+    """Js by the law of approach, and the squareness that follows."""
+    law, unit = loop.saturation, "T" if loop.absolute else output_unit
+    if law is None or not law.settled:
+        return
+    yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, unit, spread=law.spread)
+    remanent = [found[0] for b in falling if (found := _remanence(b, loop.noise)) is not None]
+    if remanent:
+        ratio = float(np.mean(remanent)) / law.value
+        error = abs(ratio) * law.stderr / law.value
+        spread = abs(ratio) * law.spread / law.value
+        yield LoopValue("squareness", "squareness Jr/Js", ratio, error, "", len(remanent), spread=spread)
+
+
+def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValue]:
+    """Amplitude permeability at the tips; initial and maximum permeability where the record begins demagnetized."""
+    flux = loop.j + MU0 * loop.h
+    tips = [(b.u[k], b.y[k] + MU0 * b.u[k]) for b in loop.branches for k in (0, -1)]
+    if tips:
+        values = [b / (MU0 * h) for h, b in tips if h != 0]
+        spread = 0.5 * float(np.ptp(values))
+        yield LoopValue(
+            "mu_a", "amplitude permeability at the tip", float(np.mean(values)), None, "", len(values), spread=spread
+        )
+    if abs(loop.h[0]) > _REST * np.ptp(loop.h) or abs(flux[0]) > _REST * np.ptp(flux) or not width:
+        return
+    rising = loop.h[-1] if not loop.branches else loop.h[int(np.argmax(np.abs(loop.h)))]
+    sign = 1.0 if rising > 0 else -1.0
+    last = int(np.argmax(sign * loop.h)) + 1
+    h, b = sign * loop.h[:last], sign * flux[:last]
+    low = (h > 0) & (h <= _RAYLEIGH * float(np.median(width)))
+    if low.sum() >= _NEIGHBORS:
+        columns = np.column_stack([h[low], h[low] ** 2])
+        theta, square = np.linalg.lstsq(columns, b[low], rcond=None)[:2]
+        variance = float(square[0]) / (low.sum() - 2) if square.size else 0.0
+        error = float(np.sqrt(variance * np.linalg.inv(columns.T @ columns)[0, 0])) / MU0
+        yield LoopValue("mu_i", "initial permeability (Rayleigh law)", float(theta[0]) / MU0, error, "", int(low.sum()))
+    away = h > 0
+    if away.any():
+        yield LoopValue(
+            "mu_max", "maximum permeability, first curve", float((b[away] / (MU0 * h[away])).max()), None, ""
+        )

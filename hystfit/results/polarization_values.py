@@ -1,0 +1,88 @@
+"""Quantities of ferroelectric loops beside coercivity, remanence and loss: imprint, polarization at the end, leakage at the tips."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.params.units import parse_unit
+from hystfit.results.measured_value import LoopValue
+
+_TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
+_FEWEST = 3  # samples on each side of a tip
+_BACK = 0.1  # of the range of the input, up to which a record that ends there has come back to its first input
+
+
+def polarization_values(record: Record, rows: list[LoopValue], noise: float | None) -> Iterator[LoopValue]:
+    """The rows besides those of every loop.
+
+    Args:
+        record: input a voltage or an electric field, output a charge or polarization.
+        rows: those of every loop.
+        noise: standard deviation of the output's noise.
+    """
+    at = {row.name: row for row in rows}
+    sides = at.get("coercive_input_rising"), at.get("coercive_input_falling")
+    if sides[0] is not None and sides[1] is not None:
+        errors = [side.stderr for side in sides if side is not None]
+        error = None if None in errors else 0.5 * float(np.hypot(*errors))  # type: ignore[arg-type]
+        value = 0.5 * (sides[0].value + sides[1].value)
+        yield LoopValue("offset_input", "offset (half sum of Vc+ and Vc-)", value, error, sides[0].unit)
+    u, y = record.u[record.used], record.y[record.used]
+    if abs(u[-1] - u[0]) <= _BACK * np.ptp(u) and abs(u[-1]) <= _BACK * np.ptp(u):
+        label = "polarization at the end of the loop"
+        yield LoopValue("remanence_end", label, float(y[-1]), noise, record.y_unit)
+    yield from _leakage(record)
+
+
+def _leakage(record: Record) -> Iterator[LoopValue]:
+    """Current that does not change its sign with the direction of the input: mean of those before and after a tip.
+
+    Capacitance and ferroelectric polarization reverse their current with dV/dt where nothing switches, and conduction does not. Domains
+    that still switch behind the tip add to it, so that it is an upper bound.
+    """
+    if record.t is None:
+        return
+    u, y, t = record.u[record.used], record.y[record.used], record.t[record.used]
+    found, errors = [], []
+    for sign in (1.0, -1.0):
+        tip = int(np.argmax(sign * u))
+        near = sign * (u[tip] - u) <= _TIP * np.ptp(u)
+        before, after = tip, tip
+        while before > 0 and near[before - 1]:
+            before -= 1
+        while after < u.size - 1 and near[after + 1]:
+            after += 1
+        if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
+            return
+        slopes = [_slope(t[a : b + 1], y[a : b + 1]) for a, b in ((before, tip), (tip, after))]
+        found.append(sign * 0.5 * (slopes[0][0] + slopes[1][0]))
+        errors.append(0.5 * float(np.hypot(slopes[0][1], slopes[1][1])))
+    unit, factor = _current(record)
+    value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
+    spread = factor * 0.5 * abs(found[0] - found[1])
+    yield LoopValue("leakage", "leakage at the tips (upper bound)", value, error, unit, 2, spread=spread)
+
+
+def _slope(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Slope of a straight line through samples, and its standard error."""
+    x = t - t.mean()
+    columns = np.column_stack([np.ones_like(x), x])
+    theta, square = np.linalg.lstsq(columns, y, rcond=None)[:2]
+    variance = float(square[0]) / max(x.size - 2, 1) if square.size else 0.0
+    return float(theta[1]), float(np.sqrt(variance / np.sum(x**2)))
+
+
+def _current(record: Record) -> tuple[str, float]:
+    """Unit of the output per time as a current (density), and the factor to it."""
+    unit, time = parse_unit(record.y_unit), parse_unit(record.t_unit)
+    for text in ("A/m2", "A"):
+        target = parse_unit(text)
+        if unit is not None and time is not None and target is not None:
+            powers = dict(unit.powers)
+            powers["s"] = powers.get("s", 0.0) - 1
+            if tuple(sorted((b, p) for b, p in powers.items() if p)) == target.powers:
+                return text, unit.factor / time.factor
+    return f"{record.y_unit}/{record.t_unit}".strip("/"), 1.0

@@ -1,0 +1,143 @@
+"""Exports for field programs: every written file is read again by code of its own and simulated by the equations of its program."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import hystfit as hf
+from hystfit.control.field_programs import export_field_programs
+from hystfit.models.jiles_atherton import MU0
+
+TURN = 300.0
+SHAPE = {"Ms": 1.5, "a": 40.0, "coupling": 0.6, "k": 45.0, "c": 0.25, "slope": MU0}
+
+
+def fitted(**changes):
+    """What an export reads of a fit: its model, the units of its data and the range of its input."""
+    model = hf.JilesAtherton(**{**SHAPE, **changes})
+    return SimpleNamespace(model=model, data=[SimpleNamespace(u_unit="A/m", y_unit="T")], input_range=(-TURN, TURN))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("programs")
+    result = fitted()
+    return result, export_field_programs(result, folder, name="ferrite")
+
+
+def loop_of(result):
+    """Steady loop of a fit by the library: fields, rising and falling branch."""
+    h = np.linspace(-TURN, TURN, 201)
+    u = np.concatenate([h, h[-2:0:-1]])
+    y = np.asarray(hf.simulate(result.model, np.concatenate([u, u, u, h[:1]]))[0])[-u.size - 1 :]
+    return h, y[:201], y[200:][::-1]
+
+
+def law_of(alpha, a, saturation, pinned, reversible):
+    """dM/dH = chi / (1 - alpha chi) with chi = pinned (Man - M)+ + reversible dMan/dHe, as programs write it, for a sign of dH."""
+
+    def slope(sign):
+        def of(h, m):
+            x = (h + alpha * m[0]) / a
+            man = saturation * (1 / np.tanh(x) - 1 / x if abs(x) > 1e-4 else x / 3)
+            bend = saturation / a * (1 / x**2 - 1 / np.sinh(x) ** 2 if abs(x) > 1e-2 else 1 / 3 - x**2 / 15)
+            chi = pinned * max(sign * (man - m[0]), 0.0) + reversible * bend
+            return [chi / (1 - alpha * chi)]
+
+        return of
+
+    return slope
+
+
+def simulated(slope):
+    """Steady loop of a law: two cycles from the demagnetized state."""
+    m, turns, branches = 0.0, [0, TURN, -TURN, TURN, -TURN], []
+    for k in range(4):
+        at = np.linspace(turns[k], turns[k + 1], 201)
+        found = solve_ivp(
+            slope(np.sign(turns[k + 1] - turns[k])), (turns[k], turns[k + 1]), [m], t_eval=at, rtol=1e-8, atol=1e-2
+        )
+        branches.append(MU0 * (at + found.y[0]))
+        m = found.y[0][-1]
+    return branches[2], branches[3][::-1]
+
+
+def assert_same(found, expected):
+    span = np.ptp(expected[1])
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-3 * span)
+
+
+def test_parameters_for_comsol_and_flux_give_the_loop_again(written):
+    result, files = written
+    _, rising, falling = loop_of(result)
+    words = [line.split() for line in Path(files["COMSOL"]).read_text().splitlines()]
+    comsol = {row[0]: float(row[1].partition("[")[0]) for row in words}
+    assert_same(
+        simulated(law_of(comsol["alpha_JA"], comsol["a_JA"], comsol["Ms"], 1 / comsol["kp_JA"], comsol["cr_JA"])),
+        (rising, falling),
+    )
+    assert comsol["alpha_JA"] == pytest.approx(3 * 40.0 * 0.6 / (1.5 / MU0), rel=1e-6)
+    rows = [line.split(",") for line in Path(files["Flux"]).read_text().splitlines() if line[0] != "#"]
+    flux = {row[0]: float(row[1]) for row in rows[1:]}
+    assert flux == pytest.approx(
+        {
+            "Ms": comsol["Ms"],
+            "a": comsol["a_JA"],
+            "k": comsol["kp_JA"],
+            "alpha": comsol["alpha_JA"],
+            "c": comsol["cr_JA"],
+        }
+    )
+
+
+def test_branches_for_ansys_jmag_and_modelica_are_those_of_the_loop(written):
+    result, files = written
+    h, rising, falling = loop_of(result)
+    ansys = np.loadtxt(files["Ansys"], skiprows=1)
+    np.testing.assert_allclose(np.interp(h, *ansys.T), falling, atol=1e-3)
+    jmag = np.loadtxt(files["JMAG"], delimiter=",", skiprows=1)
+    assert_same((np.interp(h, jmag[:, 0], jmag[:, 1]), np.interp(h, jmag[:, 0], jmag[:, 2])), (rising, falling))
+    text = Path(files["Modelica"]).read_text()
+    for name, expected in (("tabris", rising), ("tabfal", falling)):
+        body = re.search(name + r"=\{(.*)\}[,)]", text)[1]
+        table = np.array([[float(cell) for cell in pair.split(",")] for pair in re.findall(r"\{([^{}]*)\}", body)])
+        assert (np.diff(table, axis=0) > 0).all()
+        np.testing.assert_allclose(np.interp(h, *table.T), expected, atol=1e-3 * np.ptp(falling))
+
+
+def test_chan_has_the_coercivity_and_the_remanence_of_the_loop(written):
+    """Chan et al. (1991): B = Bs (H -+ Hc) / (|H -+ Hc| + Hc (Bs/Br - 1)) + mu0 H."""
+    result, files = written
+    h, rising, falling = loop_of(result)
+    values = {
+        key: float(value) for key, value in re.findall(r"(Hc|Br|Bs)=([-\d.e+]+)", Path(files["LTspice"]).read_text())
+    }
+    falls = lambda x: (
+        values["Bs"] * (x + values["Hc"]) / (abs(x + values["Hc"]) + values["Hc"] * (values["Bs"] / values["Br"] - 1))
+        + MU0 * x
+    )
+    assert falls(0.0) == pytest.approx(np.interp(0.0, h, falling), rel=1e-3)
+    assert abs(falls(np.interp(0.0, falling, h))) < 1e-3 * values["Br"]
+    assert values["Br"] < values["Bs"] < 1.02 * rising.max()
+
+
+def test_spice_has_the_law_of_1984_without_alpha(tmp_path, written):
+    assert "coupling=0" in written[1]["SPICE"]
+    result = fitted(coupling=0.0)
+    line = Path(export_field_programs(result, tmp_path)["SPICE"]).read_text()
+    core = {key: float(value) for key, value in re.findall(r"\b(MS|A|K|C)=([-\d.e+]+)", line)}
+    slope = law_of(0.0, core["A"], core["MS"], 1 / (core["K"] * (1 + core["C"])), core["C"] / (1 + core["C"]))
+    assert_same(simulated(slope), loop_of(result)[1:])
+
+
+def test_programs_without_a_term_of_the_model_get_no_file(tmp_path):
+    files = export_field_programs(fitted(q=[1.0]), tmp_path)
+    assert all("q" in files[program] for program in ("COMSOL", "Flux", "SPICE"))
+    assert all(Path(files[program]).exists() for program in ("Ansys", "JMAG", "Modelica", "LTspice"))
+    with pytest.raises(hf.HystfitError, match="name"):
+        export_field_programs(fitted(), tmp_path, name="a b")

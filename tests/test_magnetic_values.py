@@ -1,0 +1,245 @@
+"""Data-sheet quantities of magnetic and ferroelectric loops: closed forms, units, corrections, instruments' own results."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+import hystfit as hf
+from hystfit.outcome import Code
+from hystfit.results.loop_values import quantities
+from hystfit.results.magnetic_sample import Sample, prism_factor
+
+MU0 = 4e-7 * np.pi
+JS, HC, WIDTH, SIZE = 1.1, 400e3, 120e3, (2e-3, 2e-3, 4e-3)
+
+
+def branch(h):
+    """Falling branch of a hard magnet [T]."""
+    return JS * np.tanh((h + HC) / WIDTH)
+
+
+def loop(turn=2.4e6, count=1201):
+    """Internal field [A/m] and polarization [T], both branches from the positive tip."""
+    h = np.linspace(turn, -turn, count)
+    falling, rising = branch(h), -branch(-h[::-1])
+    return np.append(h, h[::-1]), np.append(falling, rising)
+
+
+def values_of(record, **options):
+    found = quantities(record, **options)
+    return {one.name: one for one in found.rows[record.name]}
+
+
+def magnet(h, j, factor=0.0, noise=0.0, **labels):
+    """The loop as a magnetometer of moments measures it, in the units of the labels."""
+    m = j / MU0 * np.prod(SIZE)
+    applied = h + factor * j / MU0
+    labels = {"u_unit": "A/m", "y_unit": "A*m2", "u_name": "Field", "y_name": "Moment"} | labels
+    scale = {"A/m": 1.0, "Oe": 4e-3 * np.pi, "T": MU0, "kA/m": 1e-3}[labels["u_unit"]]
+    size = {"A*m2": 1.0, "emu": 1e3}[labels["y_unit"]]
+    return hf.Record(scale * applied, size * m + np.random.default_rng(0).normal(0, noise, m.size), **labels)
+
+
+def test_a_hard_magnet_has_the_values_of_its_closed_form():
+    h, j = loop()
+    found = values_of(hf.Record(h, j + MU0 * h, u_unit="A/m", y_unit="T", u_name="H", y_name="B"))
+    product = minimize_scalar(lambda h: h * (branch(h) + MU0 * h), bounds=(-HC, 0), method="bounded")
+    knee = minimize_scalar(lambda h: (branch(h) - 0.9 * branch(0.0)) ** 2, bounds=(-HC, 0), method="bounded")
+    assert found["HcJ"].value == pytest.approx(HC, rel=1e-5)
+    assert found["Br"].value == pytest.approx(branch(0.0), rel=1e-5)
+    assert found["energy_product"].value == pytest.approx(-1e-3 * product.fun, rel=1e-5)
+    assert found["knee_field"].value == pytest.approx(-knee.x, rel=1e-4)
+    assert branch(-found["HcB"].value) == pytest.approx(MU0 * found["HcB"].value, rel=1e-3)
+    assert found["switching_distribution"].value == pytest.approx(
+        2 * np.arccosh(np.sqrt(2)) * WIDTH / HC, rel=2e-2
+    )  # of the smoothed derivative
+    assert found["loop_area"].value == pytest.approx(
+        4 * JS * HC, rel=1e-4
+    )  # of two tanh, 2 HC apart, far from the turns
+    assert "mu_a" not in found  # of soft materials alone
+
+
+@pytest.mark.parametrize("u_unit", ["A/m", "Oe", "T", "kA/m"])
+@pytest.mark.parametrize("y_unit", ["A*m2", "emu"])
+def test_moments_become_polarizations_in_any_units(u_unit, y_unit):
+    factor = prism_factor(SIZE)
+    record = magnet(*loop(), factor, u_unit=u_unit, y_unit=y_unit)
+    found = values_of(record, sample=Sample(size=SIZE))
+    field = MU0 if u_unit == "T" else 1.0 if u_unit == "A/m" else 1e-3
+    assert found["HcJ"].value == pytest.approx(field * HC, rel=1e-4)
+    assert found["Br"].value == pytest.approx(branch(0.0), rel=1e-4)
+    assert found["W"].value == pytest.approx(4 * JS * HC, rel=1e-3)
+    assert found["loop_area"].value == pytest.approx(4 * JS * HC * np.prod(SIZE), rel=1e-3)  # J, of the whole sample
+    stated = values_of(record, sample=Sample(volume=float(np.prod(SIZE)), demagnetization=factor))
+    assert stated["energy_product"].value == pytest.approx(found["energy_product"].value)
+    assert "Br" not in values_of(record)  # no volume
+
+
+def test_prisms_have_their_demagnetizing_factors():
+    assert prism_factor((1, 1, 1)) == pytest.approx(1 / 3)
+    assert sum(prism_factor(p) for p in ((1, 2, 3), (2, 3, 1), (3, 1, 2))) == pytest.approx(1)
+    assert prism_factor((1e3, 1e3, 1)) == pytest.approx(1, abs=0.01)
+    for bad in ({"size": (1, 0, 1)}, {"demagnetization": 1.2}, {"mass": -1.0}):
+        with pytest.raises(hf.HystfitError):
+            Sample(**bad)
+
+
+def test_the_header_tells_the_sample():
+    stated = Sample().with_header({"SAMPLE_SIZE": "(1, 2, 3)", "SAMPLE_MASS": "50", "mass (g)": "0.05", "Age": "7"})
+    assert stated.size == pytest.approx((1e-3, 2e-3, 3e-3))
+    assert stated.mass == pytest.approx(50e-6)
+    assert Sample(volume=1.0).with_header({"SAMPLE_SIZE": "(1, 2, 3)"}).size is None
+
+
+def test_saturation_follows_the_law_of_approach():
+    h = np.linspace(3e6, -3e6, 2001)
+    approach = lambda h: np.sign(h) * (JS - 3e4 / np.maximum(np.abs(h), 5e5)) + 2e-8 * h
+    j = np.append(approach(h), approach(h[::-1])) + np.repeat([1e-3, -1e-3], h.size)
+    record = hf.Record(np.append(h, h[::-1]), j, u_unit="A/m", y_unit="T", u_name="H", y_name="J")
+    found = values_of(record)
+    assert found["Js"].value == pytest.approx(JS, rel=1e-4)
+    assert found["Js"].spread > 10 * found["Js"].stderr  # the laws differ by more than the windows of the right one
+    slope = next(one for one in quantities(record).corrections["record"] if one.name == "slope")
+    assert slope.value == pytest.approx(2e-8 / MU0, rel=1e-3)
+
+
+def test_a_field_that_does_not_saturate_gives_no_saturation():
+    x = np.linspace(0, 2 * np.pi, 801)
+    record = hf.Record(100 * np.cos(x), np.cos(x - 0.2), u_unit="A/m", y_unit="T", u_name="H", y_name="B")
+    found = quantities(record)
+    assert "Js" not in {one.name for one in found.rows["record"]}
+    assert Code.EXTRAPOLATION in {note.code for note in found.notes["record"]}
+
+
+def test_an_open_loop_has_no_loss():
+    h, j = loop()
+    gap = np.linspace(0, 0.8 * JS, h.size)
+    found = quantities(hf.Record(h, j + gap, u_unit="A/m", y_unit="T", u_name="H", y_name="J"))
+    assert "loop_area" not in {one.name for one in found.rows["record"]}
+    assert Code.NOT_CLOSED in {note.code for note in found.notes["record"]}
+
+
+def test_corrections_are_listed_in_order_and_undo_their_errors():
+    h, j = loop()
+    drift, shift, level = 0.02 * np.linspace(0, 1, h.size), 5e3, 0.03
+    record = hf.Record(h + shift, j + level + drift, u_unit="A/m", y_unit="T", u_name="H", y_name="J")
+    listed = {one.name: one for one in quantities(record).corrections["record"]}
+    assert not any(one.applied for one in listed.values())
+    found = values_of(record, correct=("drift", "offset"))
+    assert found["HcJ"].value == pytest.approx(HC, rel=1e-4)
+    assert found["HcJ"].spread < 1e-4 * HC
+    done = quantities(record, correct=("drift", "offset")).corrections["record"]
+    assert [one.name for one in done] == ["drift", "offset", "offset", "slope"]
+    assert done[0].value == pytest.approx(0.02, rel=0.01)
+    assert done[2].value == pytest.approx(shift, rel=0.01)
+    with pytest.raises(hf.HystfitError, match="drift, offset, slope"):
+        quantities(record, correct=("tilt",))
+
+
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])
+def test_half_a_loop_has_the_values_of_a_loop(mirrored):
+    h = np.linspace(2.4e6, -2.4e6, 1201)
+    record = hf.Record(mirrored * h, mirrored * branch(h), u_unit="A/m", y_unit="T", u_name="H", y_name="J")
+    found = values_of(record)
+    assert found["HcJ"].value == pytest.approx(HC, rel=1e-4)
+    assert found["Br"].value == pytest.approx(branch(0.0), rel=1e-4)
+    first = np.linspace(0, 1e4, 200)
+    assert not values_of(record.replace(u=first, y=JS * np.tanh(first / 3e3), weight=None))
+
+
+def test_errors_are_the_scatter_of_correlated_noise():
+    """Noise that drifts over 40 samples: its differences show less than a tenth of it."""
+    h, j = loop()
+    draws = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        slow = np.convolve(rng.normal(0, 1, h.size + 200), np.hanning(60), "same")[100:-100]
+        record = hf.Record(h, j + 3e-3 * slow / slow.std(), u_unit="A/m", y_unit="T", u_name="H", y_name="J")
+        found = values_of(record)
+        draws.append([(found[name].value, found[name].stderr) for name in ("HcJ", "Br")])
+    draws = np.array(draws)
+    ratio = np.median(draws[:, :, 1], axis=0) / draws[:, :, 0].std(axis=0)
+    assert ((0.5 < ratio) & (ratio < 2)).all(), ratio
+
+
+def test_leakage_is_that_of_a_resistor():
+    """A capacitor with a resistor beside it: P = C V + the integral of V / R."""
+    t = np.linspace(0, 1, 4001)
+    v = 10 * (1 - 2 * np.abs(2 * ((t + 0.25) % 1) - 1))
+    charge = 2e-3 * v + 5e-4 * np.concatenate([[0], np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))])
+    charge -= 0.5 * (charge.max() + charge.min())
+    record = hf.Record(v, charge, t, u_unit="V", y_unit="C/m2", u_name="V", y_name="P")
+    found = values_of(record)
+    assert found["leakage"].value == pytest.approx(5e-4 * 10 * (1 - 0.05), rel=0.03)  # mean voltage near the tip
+    assert found["leakage"].unit == "A/m2"
+    assert found["offset_input"].value == pytest.approx(0, abs=1e-2)
+
+
+def test_soft_materials_have_permeabilities():
+    """A first curve by the Rayleigh law, B = mu_i H + nu H^2, then a loop."""
+    first, h = np.linspace(0, 20, 401), np.linspace(20, -20, 401)
+    falling = lambda h: MU0 * (3000 * h + 25 * (400 - h**2))
+    u = np.concatenate([first, h[1:], -h[1:]])
+    y = np.concatenate([MU0 * (2000 * first + 50 * first**2), falling(h[1:]), -falling(h[1:])])
+    found = values_of(hf.Record(u, y, u_unit="A/m", y_unit="T", u_name="H", y_name="B"))
+    assert found["mu_i"].value == pytest.approx(2000, rel=1e-3)
+    assert found["mu_max"].value == pytest.approx(3000, rel=1e-3)
+    assert found["mu_a"].value == pytest.approx(3000, rel=1e-3)
+    assert "energy_product" not in found
+
+
+@pytest.mark.parametrize(
+    "name", ["A4.hys", "PIOX.loop", "LV23C.hyst", "Conc_40_C3B.hys", "A1c_d200_200.hys", "Noise_test_c100.000"]
+)
+def test_results_of_a_magnetometer_are_met(name, measured):
+    """Coercivity, remanence and saturation in the headers of MicroMag files, within 1 % or two standard errors."""
+    record = hf.Dataset.of(hf.read(measured / f"wild/{name}"))[0]
+    beside = [one for one in values_of(record).values() if one.stated is not None]
+    assert {one.name.removesuffix("_corrected") for one in beside} == {"coercive_input", "remanence", "saturation"}
+    for one in beside:
+        assert abs(one.value - one.stated) <= max(0.01 * abs(one.stated), 2 * one.stderr if one.stderr else 0.0), one
+
+
+def test_results_of_a_ferroelectric_tester_are_met(measured):
+    """Vc+, Vc-, Pr+, Pr- and the loss of all ten tables of an aixACCT file."""
+    data = hf.read(measured / "wild/pnzt_RMN_TRAP_SLOW.dat")
+    for record in data:
+        beside = {one.name: one for one in values_of(record).values() if one.stated is not None}
+        assert {
+            "coercive_input_rising",
+            "coercive_input_falling",
+            "remanence_falling",
+            "remanence_end",
+        } <= beside.keys()
+        assert "loop_area" in beside
+        for one in beside.values():
+            assert one.value == pytest.approx(one.stated, rel=1e-3), (record.name, one)
+
+
+def test_a_magnetometer_file_gives_a_data_sheet_without_options(measured):
+    record = hf.Dataset.of(hf.read(measured / "vsm_magmeas/VSM_MH.DAT"))[0]
+    found = values_of(record)
+    expected = {
+        "HcJ": (245.8, 0.5),
+        "HcB": (192.0, 0.3),
+        "Br": (0.496, 1e-3),
+        "energy_product": (33.9, 0.4),
+        "Js": (0.6955, 2e-3),
+    }
+    for name, (value, within) in expected.items():
+        assert found[name].value == pytest.approx(value, abs=within), name
+    assert found["W"].value == pytest.approx(547e3, rel=2e-3)
+    closed = values_of(record, sample=Sample(demagnetization=0.0))
+    assert (closed["Br"].value, closed["HcB"].value) == (pytest.approx(0.453, abs=1e-3), pytest.approx(160.6, abs=0.3))
+    sized = values_of(record, sample=Sample(size_stderr=1e-5))
+    assert sized["Br"].scale == pytest.approx(0.004, abs=5e-4)
+    assert sized["HcB"].scale == pytest.approx(0.7, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "coercivity", "product"), [("Ansys.AlNiCo_5-7", 59300, 55.6), ("VegaTechnik.LNGT92", 119300, 85.8)]
+)
+def test_a_catalog_curve_gives_its_energy_product(name, coercivity, product, measured):
+    found = values_of(hf.Dataset.of(hf.read(measured / f"wild/B(H).{name}.tab"))[0])
+    assert found["energy_product"].value == pytest.approx(product, rel=5e-3)
+    assert found["HcB"].value == pytest.approx(coercivity, rel=1e-3)
