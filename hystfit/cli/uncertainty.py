@@ -50,7 +50,7 @@ def sample(
         draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
         warmup: warm-up steps of nuts (300).
-        target_accept: target acceptance rate of nuts (0.65); a higher rate takes smaller steps.
+        target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.
         walkers: walkers of emcee, an even number (64).
         live: live points of nested (400).
         seed: random seed.

@@ -11,6 +11,7 @@ class Status(enum.StrEnum):
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
+    DIVERGING = "diverging"
     ROUGH = "rough"
     POOR = "poor"
     NO_LOOP = "no-loop"
@@ -71,6 +72,10 @@ _ADVICE = {
         "squares (method='lm')"
     ),
     Status.DIVERGED: "the estimate diverged: raise the floor or lower mu (gradient correction), or decimate by input increment",
+    Status.DIVERGING: (
+        "parts of the posterior may be missing: fix the parameters that the data do not determine or give them a prior, or draw "
+        "with sampler='emcee' or 'nested', which use no gradients"
+    ),
     Status.FAILED: "nothing could be fitted: see the notes, and fix parameters that the data do not determine",
     Status.OPEN: "the data do not bound some parameters: measure at other amplitudes (hystfit design), or fix them",
     Status.MISCALIBRATED: (
