@@ -77,7 +77,7 @@ class Work:
         if work.searches and work.model == AUTO:
             chosen.check_search()
         if not work.searches:
-            space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free)
+            space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free, tie=chosen.tie)
             if not len(space):
                 raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
         return work

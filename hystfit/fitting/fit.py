@@ -47,6 +47,7 @@ def fit(
     seed: int = 0,
     loss: Loss = "linear",
     noise: str | type[AbstractNoise] = "auto",
+    tie: Mapping[str, str] | None = None,
     test: Any = None,
     **settings: Any,
 ) -> FitResult:
@@ -81,6 +82,7 @@ def fit(
             independent noise), "ar1", "student-t", "discrepancy" (model error that recurs every loop), my_noise.py:MyNoise or a
             class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
             standard errors with recurring errors need "discrepancy" (the notes say when).
+        tie: parameters that follow from others: a number times a parameter plus a number ({"k2": "2*k1", "gamma[1]": "gamma[0]"}).
         test: records to report the error on, never fitted; or a data frame with the same columns.
         **settings: of a sequential identifier, see `hystfit.identify`.
 
@@ -100,7 +102,7 @@ def fit(
         )
     records = records_of(data, y, t, u=u)
     tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
-    options = FitOptions(method, fix, free, start, starts, seed, loss, noise)
+    options = FitOptions(method, fix, free, start, starts, seed, loss, noise, tie)
     if isinstance(model, str) and model == "auto" and is_sequential(method):
         model = _OF_SEQUENTIAL
     if isinstance(model, str) and model == "auto":

@@ -32,6 +32,7 @@ class FitOptions:
     seed: int = 0
     loss: Loss = "linear"
     noise: str | type[AbstractNoise] = "auto"
+    tie: Mapping[str, str] | None = None
     spacing: int = 1  # set by a comparison: samples over which the errors of its models are correlated
 
     @property

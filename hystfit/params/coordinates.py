@@ -53,6 +53,7 @@ class Coordinates(eqx.Module):
         lower, upper, scale: of each free element, shape (p,).
         kinds: map of each free element.
         layout: for each leaf with free elements (leaf index, flat positions, whether it differs between records).
+        ties: elements that follow from others: (leaf index, flat position, those of the source, factor, constant).
     """
 
     leaves: tuple[Any, ...]
@@ -63,6 +64,7 @@ class Coordinates(eqx.Module):
     layout: tuple[tuple[int, tuple[int, ...], bool], ...] = eqx.field(static=True)
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
+    ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
     @property
     def own(self) -> np.ndarray:
@@ -149,6 +151,15 @@ class Coordinates(eqx.Module):
             else:
                 flat = flat.at[np.asarray(positions)].set(values)
             leaves[index] = (place if host else jnp.asarray)(flat.reshape(leaf.shape))
+        for index, k, source, j, factor, constant in self.ties:
+            xp = np if host else jnp
+            value = factor * xp.asarray(leaves[source]).reshape(-1)[j] + constant
+            flat = xp.array(leaves[index]).reshape(-1)
+            if host:
+                flat[k] = value
+            else:
+                flat = flat.at[k].set(value)
+            leaves[index] = (place if host else jnp.asarray)(flat.reshape(xp.shape(leaves[index])))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:

@@ -48,6 +48,7 @@ class Study:
         priors: the user's own, by name.
         fix: parameters that are not fitted.
         free: fitted parameters that the model fixes by default.
+        tie: parameters that follow from others.
         seed: of everything.
     """
 
@@ -60,6 +61,7 @@ class Study:
     priors: Mapping[str, AbstractPrior]
     fix: tuple[str, ...]
     free: tuple[str, ...]
+    tie: Mapping[str, str]
     seed: int
 
 
@@ -80,7 +82,7 @@ class Spaces:
     """
 
     def __init__(self, study: Study):
-        problem = Problem(study.model, study.data, fix=study.fix, free=study.free)
+        problem = Problem(study.model, study.data, fix=study.fix, free=study.free, tie=study.tie)
         same = NOISES.find(study.assumed) is type(study.truth)
         noise = study.truth if same else typical_noise(study.assumed, problem)
         model = problem.space
