@@ -260,7 +260,7 @@ def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
 
 def test_chains_that_diverge_are_drawn_again_for_a_higher_acceptance(fitted, monkeypatch, tmp_path):
     setup = dataclasses.replace(prepare(fitted, noise="iid"), target=of_kind(Funnel, fitted, [1.0] * 5))
-    nuts = Nuts(chains=2, draws=150, warmup=50, target_accept=0.3)
+    nuts = Nuts(chains=2, draws=150, warmup=50, extend=1, target_accept=0.3)
     run = lambda folder=None: nuts.run(setup, 0, folder, lambda text, fraction: None)
     again = run(tmp_path)
     acceptance, steps = again.stats["acceptance"].mean(), again.stats["steps"].mean()
@@ -271,6 +271,18 @@ def test_chains_that_diverge_are_drawn_again_for_a_higher_acceptance(fitted, mon
     assert once.stats["diverging"].sum() > again.stats["diverging"].sum()
     assert acceptance > once.stats["acceptance"].mean() + 0.1
     assert steps > once.stats["steps"].mean()
+
+
+def test_chains_go_on_until_they_have_converged_and_their_first_draws_stay(fitted, tmp_path):
+    settings = {"noise": "iid", "chains": 2, "draws": 60, "warmup": 50, "folder": tmp_path}
+    longer = sample(fitted, extend=16, **settings)
+    assert longer.status is Status.OK
+    count = longer.draws.shape[1]
+    assert count in (120, 240, 480, 960)
+    half = Convergence.of(longer.draws[:, : count // 2])
+    assert half.problems(longer.names)  # no longer than necessary
+    again = sample(fitted, extend=16, **settings)  # from the files
+    np.testing.assert_array_equal(again.draws, longer.draws)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -387,7 +399,7 @@ def test_chains_apart_and_chains_too_short_are_told():
 
 
 def test_a_short_run_is_not_called_converged(fitted):
-    short = sample(fitted, "nuts", noise="iid", chains=2, draws=50, warmup=200)
+    short = sample(fitted, "nuts", noise="iid", chains=2, draws=50, extend=1, warmup=200)
     assert short.status == "not-converged"
     assert has(short.notes, Code.CHAINS)
 
@@ -476,7 +488,7 @@ result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
 sample(result, sys.argv[1], noise="iid", folder=sys.argv[2], seed=4, **ENDLESS[sys.argv[1]])
 """
 ENDLESS = {
-    "nuts": {"chains": 1, "warmup": 100, "draws": 200_000},
+    "nuts": {"chains": 1, "warmup": 100, "extend": 1, "draws": 200_000},
     "emcee": {"walkers": 16, "check": 50, "draws": 200_000},
 }
 
@@ -570,7 +582,7 @@ def test_a_finished_emcee_run_asked_again_is_what_it_was(fitted, tmp_path):
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"no archive"])
 def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
-    settings = {"noise": "iid", "chains": 1, "draws": 100, "warmup": 50, "folder": tmp_path / "run"}
+    settings = {"noise": "iid", "chains": 1, "draws": 100, "extend": 1, "warmup": 50, "folder": tmp_path / "run"}
     first = sample(fitted, **settings)
     for name in ("nuts-0-00001.npz", "nuts-0-warm.npz"):
         (tmp_path / "run" / name).write_bytes(damage)
@@ -642,7 +654,7 @@ def test_bad_settings_priors_and_names_are_refused(fitted):
 
 def test_a_prior_that_contradicts_the_data_is_told_and_one_that_they_narrow_is_not(fitted, posterior):
     own = {"tau": priors.LogNormal(1.2, 0.01)}  # of the kind of the default: the sampler is compiled already
-    told = sample(fitted, noise="iid", chains=1, draws=100, warmup=200, priors=own)
+    told = sample(fitted, noise="iid", chains=1, draws=100, extend=1, warmup=200, priors=own)
     assert has(told.notes, Code.PRIOR)
     assert not has(posterior.notes, Code.PRIOR), posterior.notes
 
@@ -677,7 +689,7 @@ def test_parameters_with_one_prior_share_a_note_and_a_line(fitted, posterior):
 
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
     poor = dataclasses.replace(fitted, status=Status.POOR)
-    told = sample(poor, noise="iid", chains=4, draws=400, warmup=200)
+    told = sample(poor, noise="iid", chains=4, draws=400, extend=1, warmup=200)
     assert not told.convergence.problems(told.names)
     assert told.status == "poor-fit"
     assert not told.usable
@@ -690,7 +702,7 @@ def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
     y = record.y + np.asarray(hf.simulate(LogCreep(gamma=(0.06,)), record.u, 0.01)[0]) - record.u
     fit = hf.fit(model, record.replace(y=y), starts=1, fix={"rho": 0.5})
     assert fit.usable
-    drawn = sample(fit, noise="iid", chains=4, draws=400, warmup=200)
+    drawn = sample(fit, noise="iid", chains=4, draws=400, extend=1, warmup=200)
     assert not drawn.convergence.problems(drawn.names)
     assert abs(drawn["c"].mean() - 1.0) > 5 * drawn["c"].std()
     assert drawn.status is Status.INCOMPLETE

@@ -47,7 +47,8 @@ def sample(
         sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
+        draws: draws per chain of nuts (1000; up to eight times as many until the chains have converged) or per run of nested (2000);
+            largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
         warmup: warm-up steps of nuts (300).
         target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.

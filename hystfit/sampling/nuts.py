@@ -23,7 +23,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import to_device
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.diagnostics import effective_size
+from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
@@ -39,7 +39,8 @@ class Nuts(AbstractSampler):
     """Settings of NUTS.
 
     Attributes:
-        chains, draws: number of chains, and of draws in each.
+        chains, draws: number of chains, and least number of draws in each.
+        extend: chains that have not converged are continued to at most so many times `draws`.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
         target_accept: acceptance for which the step size is tuned at first. 0.65 is best for Gaussian posteriors (Beskos et al. 2013),
             but transitions diverge in curved ones; 0.9 costs about as many gradients per effective draw. Where transitions still
@@ -50,12 +51,13 @@ class Nuts(AbstractSampler):
     name: ClassVar[str] = "nuts"
     chains: int = 4
     draws: int = 1000
+    extend: int = 8
     warmup: int = 300
     target_accept: float = 0.9
     max_depth: int = 8
 
     def __post_init__(self) -> None:
-        self.check_counts({"chains": 1, "draws": 4, "warmup": 50, "max_depth": 1})
+        self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
 
@@ -72,7 +74,7 @@ class Nuts(AbstractSampler):
         ]
         report("compilation and warm-up", 0.0)
         for last in [False] * _AGAIN + [True]:
-            joined = self._draw(chains, report, to_the_end=last)
+            joined = self._converged(chains, report, to_the_end=last)
             if joined is not None:
                 break
             chains = [chain.again() for chain in chains]
@@ -86,11 +88,25 @@ class Nuts(AbstractSampler):
             notes = (warn(Code.DIVERGENCES, text),)
         return Raw(z, density, joined, notes)
 
-    def _draw(self, chains: list[_Chain], report: Progress, *, to_the_end: bool) -> dict[str, np.ndarray] | None:
+    def _converged(self, chains: list[_Chain], report: Progress, *, to_the_end: bool) -> dict[str, np.ndarray] | None:
+        """All chains, joined, twice as long as before until they have converged; None where `_draw` gives None."""
+        draws = self.draws
+        while True:
+            joined = self._draw(chains, draws, report, to_the_end=to_the_end)
+            if joined is None or draws >= self.extend * self.draws:
+                return joined
+            convergence = Convergence.of(joined["z"])
+            if convergence.good or convergence.apart:
+                return joined
+            draws = min(2 * draws, self.extend * self.draws)
+
+    def _draw(
+        self, chains: list[_Chain], draws: int, report: Progress, *, to_the_end: bool
+    ) -> dict[str, np.ndarray] | None:
         """All chains, joined; None, once a transition diverges, unless they are wanted to the end."""
         drawn: dict[str, list[np.ndarray]] = {chain.label: [] for chain in chains}
         reporting, halted, diverged = threading.Lock(), threading.Event(), threading.Event()
-        total = self.chains * self.draws
+        total = self.chains * draws
 
         def collect(label: str, chunk: dict[str, np.ndarray]) -> bool:
             with reporting:
@@ -105,7 +121,7 @@ class Nuts(AbstractSampler):
         _ = chains[0].warm  # compiles what all chains run
         with ThreadPoolExecutor(min(self.chains, os.cpu_count() or 1)) as pool:
             try:
-                parts = list(pool.map(lambda chain: chain.draw(lambda c: collect(chain.label, c)), chains))
+                parts = list(pool.map(lambda chain: chain.draw(draws, lambda c: collect(chain.label, c)), chains))
             except BaseException:
                 halted.set()
                 raise
@@ -155,6 +171,7 @@ class _Chain:
         key: of this chain.
         folder, label: where it is kept, and the first part of the files' names; nothing is kept where the folder is None.
         before: the end of the warm-up of the chain before it, whose transitions diverged.
+        chunks: drawn so far.
     """
 
     nuts: Nuts
@@ -164,6 +181,7 @@ class _Chain:
     folder: Path | None
     label: str
     before: dict[str, np.ndarray] | None = None
+    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
 
     @functools.cached_property
     def warm(self) -> dict[str, np.ndarray]:
@@ -175,21 +193,23 @@ class _Chain:
     def again(self) -> _Chain:
         """A chain that continues from the warm-up of this one, for a higher acceptance."""
         label, key = f"{self.label}-again", jax.random.fold_in(self.key, 10**7)
-        return dataclasses.replace(self, goal=_closer(self.goal), key=key, label=label, before=self.warm)
+        return dataclasses.replace(self, goal=_closer(self.goal), key=key, label=label, before=self.warm, chunks=[])
 
-    def draw(self, collect: Callable[[dict[str, np.ndarray]], bool]) -> dict[str, np.ndarray]:
+    def draw(self, draws: int, collect: Callable[[dict[str, np.ndarray]], bool]) -> dict[str, np.ndarray]:
         """All draws after the warm-up; `collect` is given each chunk, and ends the chain where it returns true."""
-        q, chunks, draws = jnp.asarray(self.warm["q"]), [], self.nuts.draws
         for k, first in enumerate(range(0, draws, CHUNK)):
-            advance = lambda k=k, q=q: self.nuts.chunk(self.target, self.warm, q, jax.random.fold_in(self.key, k))
-            chunk = stored(self.folder, f"{self.label}-{k:05d}.npz", advance)
-            q = jnp.asarray(chunk["q"][-1])
-            chunks.append({name: rows[: draws - first] for name, rows in chunk.items()})
-            if collect(chunks[-1]):
+            if k == len(self.chunks):
+                self.chunks.append(stored(self.folder, f"{self.label}-{k:05d}.npz", lambda k=k: self._chunk(k)))
+            if collect({name: rows[: draws - first] for name, rows in self.chunks[k].items()}):
                 break
-        rows = {name: np.concatenate([c[name] for c in chunks]) for name in chunks[0]}
+        rows = {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in self.chunks[0]}
         rows["z"] = np.asarray(adapted(self.target, self.warm).unwhitened(jnp.asarray(rows.pop("q"))))
         return rows
+
+    def _chunk(self, k: int) -> dict[str, np.ndarray]:
+        """Chunk number k, after those before it."""
+        q = self.chunks[-1]["q"][-1] if k else self.warm["q"]
+        return self.nuts.chunk(self.target, self.warm, jnp.asarray(q), jax.random.fold_in(self.key, k))
 
 
 class _Adaptation:
