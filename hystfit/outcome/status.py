@@ -101,6 +101,14 @@ _OF_VERB = {
     ("identify", Status.POOR): (
         "the simulation does not follow the record: use output-error least squares (method='lm') or another model"
     ),
+    (
+        "population",
+        Status.PARTIAL,
+    ): "some devices have no usable fit and are left out: the notes give the reason for each",
+    (
+        "population",
+        Status.NOT_CONVERGED,
+    ): "the chains have not converged: draw more, or fix parameters in which devices do not differ",
     ("batch", Status.FAILED): "no loop has a usable fit: the table gives the reason for each",
     (
         "calibrate",

@@ -1,0 +1,1 @@
+"""Populations: how much devices of one kind differ, and what the next one will do."""
