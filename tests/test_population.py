@@ -1,5 +1,7 @@
 """Populations: the second stage against a grid and closed forms, device fits, bad input, priors for the next device, and the verb."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,8 +9,8 @@ import pytest
 import hystfit as hf
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Status
-from hystfit.population.files import load_population_priors
 from hystfit.population.hierarchy import Pool, draw_hierarchy
+from hystfit.population.population_files import load_population_priors
 
 FIX = {"rho": 0.5, "mu": 0.5}
 COUNT = 8
@@ -45,7 +47,7 @@ def test_a_pool_of_draws_stands_for_the_likelihood_it_comes_from():
     pooled = draw_hierarchy(means, precisions, ones, pools={0: pool}, draws=1500)
     for a, b in ((plain.z[:, :, 0], pooled.z[:, :, 0]), (np.log(plain.covariance), np.log(pooled.covariance))):
         assert abs(np.median(a) - np.median(b)) < 0.12 * a.std()
-        assert b.std() == pytest.approx(a.std(), rel=0.12)
+        np.testing.assert_allclose(np.quantile(b, [0.25, 0.75]), np.quantile(a, [0.25, 0.75]), atol=0.12 * a.std())
 
 
 def test_a_covariate_moves_the_mean():
@@ -67,7 +69,7 @@ def devices() -> tuple[list[hf.Record], np.ndarray]:
     records = []
     for k, (c, tau) in enumerate(x):
         y = np.asarray(hf.simulate(hf.BoucWen(c=c, tau=tau, **FIX), U)[0])
-        records.append(hf.Record(u=U, y=y + 0.02 * rng.normal(size=U.size), name=f"device {k}"))
+        records.append(hf.Record(u=U, y=y + (0.08 if k % 2 else 0.02) * rng.normal(size=U.size), name=f"device {k}"))
     return records, x
 
 
@@ -86,7 +88,8 @@ def test_mean_scatter_and_devices_are_those_of_the_simulation(population):
     for k, row in enumerate(rows):
         assert row["mean_lower"] < x[:, k].mean() < row["mean_upper"]
         assert row["sd_lower"] < [0.05, 0.2][k] < row["sd_upper"]
-        assert row["sd_here"] < row["sd_of_fits"]  # the errors of the fits are taken out
+    true = x[:, 1].std(ddof=1)  # of tau, whose errors are as large as its scatter
+    assert abs(rows[1]["sd_here"] - true) < 0.5 * abs(rows[1]["sd_of_fits"] - true)
     fitted, (better, sd) = fit.fitted, fit.shrunken
     assert np.sum(((better - x) / x) ** 2) < np.sum(((fitted - x) / x) ** 2)
     assert np.mean(np.abs(better - x) < 3 * sd) > 0.9
@@ -102,7 +105,7 @@ def test_the_next_device_and_its_band(population):
     low, middle, high = fit.bands(record, count=60)
     typical = np.asarray(hf.simulate(hf.BoucWen(c=1.0, tau=2.0, **FIX), U)[0])
     assert np.mean((low <= typical) & (typical <= high)) > 0.9
-    assert np.abs(middle - typical).max() < 0.15
+    assert np.abs(middle - typical).max() < 0.2
     with pytest.raises(ParameterError, match="level"):
         fit.bands(record, level=2)
     with pytest.raises(ParameterError, match="no covariate"):
@@ -135,8 +138,6 @@ def test_views(population):
 
 def test_a_device_apart_is_outlying(population):
     fit, _ = population
-    import dataclasses
-
     odd = dataclasses.replace(fit.devices[0], name="odd", mean=fit.devices[0].mean + jnp.asarray([2.0, 0.0]))
     drawn = dataclasses.replace(fit, devices=(*fit.devices[1:], odd))
     assert drawn.outlying == ("odd",)

@@ -15,6 +15,7 @@ EXAMPLES = {
     "fit": ("hystfit fit loop.csv --out fit", "hystfit fit loop.csv --model bouc-wen+creep --window 5:25 --out fit"),
     "compare": ("hystfit compare loop.csv", "hystfit compare loop.csv --models bouc-wen,duhem --left-out future"),
     "batch": ("hystfit batch 'loops/*.csv' --model bouc-wen --out fits",),
+    "population": ("hystfit population 'loops/*.csv' --model bouc-wen --out pop",),
     "check": ("hystfit check loop.csv", "hystfit check loop.csv --input u_V --output y_um"),
     "forc": ("hystfit forc curves.csv --by curve --out forc",),
     "quantities": ("hystfit quantities loop.csv", "hystfit quantities loop.csv --out loop"),

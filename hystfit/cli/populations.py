@@ -87,7 +87,7 @@ def population(
         )
 
     def save(folder: Path) -> None:
-        from hystfit.population.files import write_devices
+        from hystfit.population.population_files import write_devices
 
         write_devices(result, folder / "devices.csv")
         for kind in ("forest", "correlation", "shrinkage"):

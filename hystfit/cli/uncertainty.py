@@ -87,7 +87,7 @@ def _priors_of(folder: Path | None, result: FitResult) -> dict[str, Any]:
     """Priors of the fit's free parameters from a population."""
     if folder is None:
         return {}
-    from hystfit.population.files import load_population_priors
+    from hystfit.population.population_files import load_population_priors
 
     free = {name.partition("@")[0] for name in result.free_names}
     priors = {name: prior for name, prior in load_population_priors(folder).items() if name in free}

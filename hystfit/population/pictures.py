@@ -59,6 +59,7 @@ def _forest(population: PopulationFit) -> Any:
         ax.scatter(mean[:, k], place, c=colors, s=12, zorder=3)
         ax.set_xlabel(axis_label(population.names[k], population.units[k]))
         ax.invert_yaxis()
+        ax.locator_params(axis="x", nbins=4)
         if count <= _NAMED and k % _ACROSS == 0:
             ax.set_yticks(place, [_short(device.name) for device in population.devices], fontsize=7)
         else:

@@ -268,9 +268,7 @@ class PopulationFit(WithStatus):
 
     def __str__(self) -> str:
         lines = [self.headline(), *self.summary().lines()]
-        lines.append(
-            "sd: standard deviation from device to device; sd of fits: of the fitted values, which adds their errors."
-        )
+        lines.append(MEANING)
         if (correlations := self.correlation_table()).rows:
             lines += correlations.lines()
         lines.append(f"outlying devices: {', '.join(self.outlying) or 'none'}")
@@ -345,7 +343,7 @@ class PopulationFit(WithStatus):
         Raises:
             HystfitError: the folder cannot be written.
         """
-        return attribute("hystfit.population.files:save")(self, folder)
+        return attribute("hystfit.population.population_files:save")(self, folder)
 
 
 @eqx.filter_jit
