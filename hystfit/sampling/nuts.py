@@ -81,6 +81,7 @@ class Nuts(AbstractSampler):
             text = f"transitions diverged for an acceptance of {goal:.3g}: the draws are those for {_closer(goal):.3g}"
             goal, notes = _closer(goal), (Note(Code.DIVERGENCES, text),)
             report(f"transitions diverged: drawing again for an acceptance of {goal:.3g}", 0.0)
+        assert joined is not None  # the last attempt is drawn to the end
         z, density, count = joined.pop("z"), joined.pop("log_density"), int(joined["diverging"].sum())
         if count:
             which = "1 divergent transition" if count == 1 else f"{count} divergent transitions"
