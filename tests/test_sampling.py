@@ -843,6 +843,6 @@ def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):
 def test_a_missing_package_is_named_before_the_compilation(kind, monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
     reported = []
-    with pytest.raises(MissingExtraError, match=r"hystfit\[bayes\]"):
+    with pytest.raises(MissingExtraError, match=r"hystfit-jax\[bayes\]"):
         SAMPLERS[kind]().run(object.__new__(Setup), 0, None, lambda *words: reported.append(words))
     assert reported == []
