@@ -84,7 +84,7 @@ VERBS = [  # arguments, exit status, status in result.json, files beside it
     (["errors", "fit"], 0, "ok", {"errors.txt"}),
     (["profile", "fit", "--parameter", "tau"], 0, "ok", {"profiles.png", "report.html"}),
     pytest.param(
-        ["sample", "fit", "--noise", "iid", "--chains", "2", "--draws", "40", "--warmup", "60"],
+        ["sample", "fit", "--noise", "iid", "--chains", "2", "--draws", "10", "--warmup", "60"],
         1,
         "not-converged",
         {

@@ -33,7 +33,7 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
         "--chains",
         "2",
         "--draws",
-        "60",
+        "10",
         "--prior",
         "tau=log-normal(2,0.5)",
     ]
@@ -44,7 +44,7 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
     assert printed["status"] == "not-converged"
     assert printed["priors"]["tau"].startswith("log-normal, median 2")
     assert {"posterior.nc", "corner.png", "bands.png"} <= {file.name for file in out.iterdir()}
-    assert hf.load_posterior(out).draws.shape == (2, 60, 5)
+    assert hf.load_posterior(out).draws.shape[1] in (10, 20, 40, 80)  # continued to eight times as many at most
 
 
 def test_profile_writes_limits(fitdir, tmp_path, capsys):

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -138,3 +139,17 @@ def test_commands_of_promises_name_tests_that_exist(page):
         names = re.findall(r"def (test_\w+)", (ROOT / path).read_text(encoding="utf-8"))
         for word in re.findall(r"\w+", chosen):
             assert word in ("or", "and", "not") or any(word in name for name in names), f"{path} -k {word}"
+
+
+@pytest.mark.slow
+def test_samplers_by_hand_agree_with_the_errors_of_the_fit():
+    """The guide on `Problem.density`: every block runs, and NUTS and emcee by hand have the standard errors of least squares."""
+    names: dict[str, Any] = {}
+    for block in blocks("docs/guide/density.md", "python"):
+        exec(block, names)
+    errors = [names["fit"][name].stderr for name in names["fit"].free_names]
+    for draws in ("by_nuts", "by_emcee"):
+        np.testing.assert_allclose(names[draws].std(axis=0)[: len(errors)], errors, rtol=0.3)
+    assert (
+        abs(names["by_laplace"][:, -1].mean() - 0.02 * np.sqrt(2 / np.pi)) < 0.003
+    )  # mean absolute value of the normal noise

@@ -143,7 +143,7 @@ def test_a_fault_while_a_posterior_is_replaced_mixes_nothing(old, new, tmp_path,
 
 
 RUNS = {
-    "nuts": {"sampler": "nuts", "chains": 1, "draws": 60, "warmup": 50},
+    "nuts": {"sampler": "nuts", "chains": 1, "draws": 60, "extend": 1, "warmup": 50},
     "emcee": {"sampler": "emcee", "walkers": 14, "draws": 60},
 }
 

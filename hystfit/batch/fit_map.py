@@ -60,7 +60,7 @@ def fit_map(
         folder: keeps finished parts, from which the same call resumes.
         workers: threads; by default one for each core.
         progress: called with a line of text and the fraction done.
-        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise.
+        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise, tie.
 
     Returns:
         The parameters, their errors and the status of every loop, in the shape of the array.
@@ -81,7 +81,9 @@ def fit_map(
         done += len(some)
         if progress:
             progress(f"{done} of {len(parts)} parts", done / len(parts))
-    space = ParameterSpace.of(make_model(work.model), fix=work.options.fix, free=work.options.free)
+    space = ParameterSpace.of(
+        make_model(work.model), fix=work.options.fix, free=work.options.free, tie=work.options.tie
+    )
     name = str(work.model) if isinstance(work.model, str) else model_name(work.model)
     return LoopMap.of(found, np.shape(y)[:-1], space.names, name, frame, work)
 

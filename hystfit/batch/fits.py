@@ -14,7 +14,8 @@ import numpy as np
 
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
-from hystfit.batch.work import Work, fit_alone
+from hystfit.batch.work import Work, fit_alone, record_of
+from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.outcome.table import write_csv
@@ -124,6 +125,16 @@ class Fits(WithStatus):
         """
         number = self._number(name)
         return fit_alone(self.work, self.sources[number], self.rows[number])
+
+    def record(self, name: str) -> Record:
+        """The record of one loop, in the units of the table.
+
+        Raises:
+            KeyError: no loop of this name.
+            HystfitError: the loop cannot be read.
+        """
+        number = self._number(name)
+        return record_of(self.work, self.sources[number], self.rows[number])
 
     def columns(self) -> dict[str, list[Any]]:
         """All rows as columns of text and numbers; NaN and "" where unknown."""

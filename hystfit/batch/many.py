@@ -54,7 +54,7 @@ def fit_many(
         scheduler: address of a Dask scheduler to use instead.
         reading: arguments of `hystfit.read`, for files.
         progress: called with a line of text and the fraction done.
-        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise.
+        **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise, tie.
 
     Returns:
         A table with one row for each loop.

@@ -79,7 +79,7 @@ class Work:
         if work.searches and work.model == AUTO:
             chosen.check_search()
         if not work.searches:
-            space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free)
+            space = ParameterSpace.of(make_model(work.model), fix=chosen.fix, free=chosen.free, tie=chosen.tie)
             if not len(space):
                 raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
         return work
@@ -279,12 +279,21 @@ def _judge(work: Work, loop: _Loop) -> None:
     loop.fit_setup = loop.task = loop.estimate = None  # arrays of the record are not kept
 
 
+def record_of(work: Work, source: Source, row: Row) -> Record:
+    """The record of a row, in the units of the batch.
+
+    Raises:
+        HystfitError: it cannot be read.
+    """
+    return dict(source.loops(work.reading))[row.name].in_units(**work.units)
+
+
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
     """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
 
     Raises:
         HystfitError: the loop cannot be read or fitted.
     """
-    record = dict(source.loops(work.reading))[row.name].in_units(**work.units)
+    record = record_of(work, source, row)
     model = row.model if work.searches and row.model else work.model
     return fit(model, record, **work.options.of_fit())

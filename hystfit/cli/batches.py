@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists, named_values
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists, named_values, tied_values
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width
 from hystfit.config import use_device
@@ -37,6 +37,7 @@ def batch(
     method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,
+    tie: list[str] | None = None,
     noise: str = "auto",
     loss: str = "linear",
     start: Literal["data", "model"] = "data",
@@ -61,6 +62,7 @@ def batch(
         method: auto (suits the model), {methods}.
         fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model fixes by default; repeatable.
+        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER; repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
         loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
         start: starting values estimated from the data, or those of the model.
@@ -84,7 +86,13 @@ def batch(
             optional(package, "frames", f"--table {form}")
     found = len(sources_of(list(loops)))
     options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
-    options |= {"starts": starts, "seed": seed, "fix": named_values(fix or []), "free": free or []}
+    options |= {
+        "starts": starts,
+        "seed": seed,
+        "fix": named_values(fix or []),
+        "free": free or [],
+        "tie": tied_values(tie or []),
+    }
     run = None if output.out is None else output.out / RUN
     processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
     with progress(f"fitting {model}") as update, resumable(run):

@@ -23,6 +23,7 @@ from hystfit.cli.options import (
     command_words,
     lists,
     named_values,
+    tied_values,
 )
 from hystfit.cli.records import train_and_test
 from hystfit.cli.verbs import as_options
@@ -47,6 +48,7 @@ def fit(
     method: str = "auto",
     fix: list[str] | None = None,
     free: list[str] | None = None,
+    tie: list[str] | None = None,
     noise: str = "auto",
     loss: str = "linear",
     start: Literal["data", "model"] = "data",
@@ -69,6 +71,7 @@ def fit(
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
         fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model fixes by default; repeatable.
+        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER ("k2=2*k1", "gamma[1]=gamma[0]"); repeatable.
         noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
             does not; the other noise models refine the fit by their likelihood.
         loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
@@ -87,7 +90,7 @@ def fit(
             f"--{next(iter(settings))} is a setting of the sequential methods: add, for example, --method rls"
         )
     options = {
-        "fix": named_values(fix or []), "free": free or [], "noise": noise, "loss": loss, "starts": starts,
+        "fix": named_values(fix or []), "free": free or [], "tie": tied_values(tie or []), "noise": noise, "loss": loss, "starts": starts,
         "start": named_values(at, "--at") if at else start, "covariates": covariate or (), **settings,
     }  # fmt: skip
     train, test = train_and_test(loops, reading, split)

@@ -16,6 +16,7 @@ EXAMPLES = {
     "compare": ("hystfit compare loop.csv", "hystfit compare loop.csv --models bouc-wen,duhem --left-out future"),
     "batch": ("hystfit batch 'loops/*.csv' --model bouc-wen --out fits",),
     "map": ("hystfit map scan.h5 --model bouc-wen --out maps",),
+    "population": ("hystfit population 'loops/*.csv' --model bouc-wen --out pop",),
     "check": ("hystfit check loop.csv", "hystfit check loop.csv --input u_V --output y_um"),
     "forc": ("hystfit forc curves.csv --by curve --out forc",),
     "quantities": ("hystfit quantities loop.csv", "hystfit quantities loop.csv --out loop"),

@@ -317,5 +317,17 @@ def named_values(pairs: list[str], needed_by: str = "") -> dict[str, float | Non
         try:
             values[name] = float(value) if mark else None
         except ValueError:
-            raise ParameterError(f"{pair!r}: {value!r} is not a number") from None
+            remedy = "" if needed_by else f"; to tie {name} to another parameter use --tie {pair!r}"
+            raise ParameterError(f"{pair!r}: {value!r} is not a number{remedy}") from None
+    return values
+
+
+def tied_values(pairs: list[str]) -> dict[str, str]:
+    """Expressions by parameter from NAME=EXPRESSION."""
+    values: dict[str, str] = {}
+    for pair in pairs:
+        name, mark, expression = (part.strip() for part in pair.partition("="))
+        if not (name and mark and expression) or name in values:
+            raise ParameterError(f"--tie takes NAME=EXPRESSION, each name once, such as --tie 'k2=2*k1'; got {pair!r}")
+        values[name] = expression
     return values

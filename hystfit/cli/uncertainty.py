@@ -27,6 +27,7 @@ def sample(
     sampler: str = "nuts",
     noise: str = "auto",
     prior: list[str] | None = None,
+    prior_from: Path | None = None,
     draws: int | None = None,
     chains: int | None = None,
     warmup: int | None = None,
@@ -47,10 +48,12 @@ def sample(
         sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        draws: draws per chain of nuts (1000) or per run of nested (2000); largest number of steps of emcee (5000).
+        prior_from: folder written by `hystfit population --out`, whose next device is the prior; --prior replaces single ones.
+        draws: draws per chain of nuts (1000; up to eight times as many until the chains have converged) or per run of nested (2000);
+            largest number of steps of emcee (5000).
         chains: chains of nuts (4); runs of nested (2).
         warmup: warm-up steps of nuts (300).
-        target_accept: target acceptance rate of nuts (0.65); a higher rate takes smaller steps.
+        target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.
         walkers: walkers of emcee, an even number (64).
         live: live points of nested (400).
         seed: random seed.
@@ -65,7 +68,7 @@ def sample(
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
     run = None if output.out is None else output.out / "run"
-    priors = parse_priors(prior or [])
+    priors = _priors_of(prior_from, result) | parse_priors(prior or [])
     with progress("sampling") as update, resumable(run):
         posterior = draw(
             result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
@@ -78,6 +81,19 @@ def sample(
 
     page = lambda folder: sample_page(posterior, folder)
     return finish(str(posterior), posterior.to_dict(), output, save, page=page)
+
+
+def _priors_of(folder: Path | None, result: FitResult) -> dict[str, Any]:
+    """Priors of the fit's free parameters from a population."""
+    if folder is None:
+        return {}
+    from hystfit.population.population_files import load_population_priors
+
+    free = {name.partition("@")[0] for name in result.free_names}
+    priors = {name: prior for name, prior in load_population_priors(folder).items() if name in free}
+    if not priors:
+        raise ParameterError(f"the population in {folder} has none of the fit's parameters: {', '.join(sorted(free))}")
+    return priors
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:

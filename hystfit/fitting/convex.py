@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 
-from hystfit.errors import ModelError
+from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.blocks import parts, spread
 from hystfit.inference.problem import Problem
@@ -253,7 +253,10 @@ class Convex(AbstractEstimator):
 
         Raises:
             ModelError: no free parameter enters linearly, or one has bounds that this method does not serve.
+            ParameterError: tied parameters.
         """
+        if problem.space.ties:
+            raise ParameterError("tied parameters need another method than 'convex': choose method='lm'")
         at = linear_positions(problem)
         if not at.size:
             raise ModelError(f"{type(problem.model).__name__} has no linear weights: use method='lm' or 'trf'")

@@ -48,6 +48,7 @@ def fit(
     loss: Loss = "linear",
     noise: str | type[AbstractNoise] = "auto",
     covariates: Mapping[str, str | Sequence[str]] | Sequence[str] = (),
+    tie: Mapping[str, str] | None = None,
     test: Any = None,
     **settings: Any,
 ) -> FitResult:
@@ -85,6 +86,7 @@ def fit(
         covariates: parameters that are linear in a constant of the records, {"T_degC": ["kappa_x", "c"]} or "T_degC:kappa_x,c". Its value
             comes from the metadata of each record (constant columns of a file are among them) or from the record's name; see
             `hystfit.models.Varying`. The result has the parameters at the mean of the covariate, and their slopes ("kappa_x/T_degC").
+        tie: parameters that follow from others: a number times a parameter plus a number ({"k2": "2*k1", "gamma[1]": "gamma[0]"}).
         test: records to report the error on, never fitted; or a data frame with the same columns.
         **settings: of a sequential identifier, see `hystfit.identify`.
 
@@ -104,7 +106,7 @@ def fit(
         )
     records = records_of(data, y, t, u=u)
     tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
-    options = FitOptions(method, fix, free, start, starts, seed, loss, noise, covariates)
+    options = FitOptions(method, fix, free, start, starts, seed, loss, noise, covariates, tie)
     if isinstance(model, str) and model == "auto" and is_sequential(method):
         model = _OF_SEQUENTIAL
     if isinstance(model, str) and model == "auto":

@@ -228,7 +228,7 @@ def _errors(problem: Problem, x: np.ndarray) -> tuple[Metrics, list[np.ndarray]]
 
 
 def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tuple[ParameterEstimate, ...]:
-    """Every parameter, free ones first, for the report."""
+    """Every parameter for the report: free ones, those tied to them, fixed ones."""
     rows, variance, sides = parameter_estimates(problem.space, x), np.diag(errors.covariance), problem.at_bound(x)
     free = [
         dataclasses.replace(
@@ -239,4 +239,9 @@ def _parameters_of(problem: Problem, x: np.ndarray, errors: Uncertainty) -> tupl
         )
         for row, square, side, known in zip(rows, variance, sides, errors.determined, strict=False)
     ]
-    return (*free, *rows[len(free) :])
+    tied = []
+    for row, (tie, *_, k) in zip(rows[len(free) :], problem.space.tied(x), strict=False):
+        of = None if k is None else free[k]
+        error = None if of is None or of.stderr is None else abs(tie.factor) * of.stderr
+        tied.append(dataclasses.replace(row, stderr=error, identifiable=None if of is None else of.identifiable))
+    return (*free, *tied, *rows[len(free) + len(tied) :])

@@ -33,6 +33,7 @@ class FitOptions:
     loss: Loss = "linear"
     noise: str | type[AbstractNoise] = "auto"
     covariates: Mapping[str, str | Sequence[str]] | Sequence[str] = ()
+    tie: Mapping[str, str] | None = None
     spacing: int = 1  # set by a comparison: samples over which the errors of its models are correlated
 
     @property

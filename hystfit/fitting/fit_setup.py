@@ -59,7 +59,7 @@ def set_up_fit(
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
     points: tuple[AbstractHysteresis, ...] = (model,)
     fix, free, start = options.fix, options.free, options.start
-    common: dict[str, Any] = {"free": free, "loss": options.loss, "spacing": options.spacing}
+    common: dict[str, Any] = {"free": free, "tie": options.tie, "loss": options.loss, "spacing": options.spacing}
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
         problem, points = started_problem(model, data, fix=fix, **common)
@@ -113,7 +113,7 @@ def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, A
 
 def choose_method(problem: Problem) -> str:
     """The estimator that suits a model: a closed form for its weights where there are many, else Levenberg-Marquardt."""
-    if problem.objective.loss != "linear":
+    if problem.objective.loss != "linear" or problem.space.ties:
         return "lm"
     if problem.model.estimator is not None:
         return problem.model.estimator

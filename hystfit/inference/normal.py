@@ -47,7 +47,13 @@ def suits_one_scan(objective: Objective) -> bool:
     """Whether `normal_in_scan` can be used: one record, few parameters, and a model whose step is all that it needs."""
     p = len(objective.coordinates.kinds)
     model = objective.coordinates.assemble(jnp.zeros(p))
-    return objective.batch.u.shape[0] == 1 and 0 < p <= FEW and model.causal and model.one_scan
+    return (
+        objective.batch.u.shape[0] == 1
+        and 0 < p <= FEW
+        and model.causal
+        and model.one_scan
+        and not objective.coordinates.ties
+    )
 
 
 def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1) -> Normal:

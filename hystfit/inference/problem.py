@@ -66,6 +66,7 @@ class Problem:
         *,
         fix: Sequence[str] | Mapping[str, Any] = (),
         free: Sequence[str] = (),
+        tie: Mapping[str, str] | None = None,
         loss: Loss = "linear",
         spacing: int = 1,
     ):
@@ -76,6 +77,7 @@ class Problem:
             data: one record or several.
             fix: names of parameters to hold, or names with values.
             free: names of parameters to fit that the model fixes by default.
+            tie: parameters that follow from others, such as {"k2": "2*k1"}.
             loss: how large residuals count.
             spacing: samples over which errors are correlated, see `held_out`.
 
@@ -95,7 +97,9 @@ class Problem:
         self.scales = scales_of(self.data)
         records = [record.name for record in self.data]
         trees = [model.of_record(record) for record in self.data]
-        self.space = ParameterSpace.of(model, fix=fix, free=free, scales=self.scales, records=records, trees=trees)
+        self.space = ParameterSpace.of(
+            model, fix=fix, free=free, tie=tie, scales=self.scales, records=records, trees=trees
+        )
         pairs = zip(given, self.data, strict=True)
         self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
         self._spacing = spacing
@@ -206,10 +210,10 @@ class Problem:
         return self.space.units + (self.noise_space.units if self.noise_space else ())
 
     @property
-    def free_and_fixed(self) -> dict[str, list[str]]:
-        """Names of free and fixed parameters, each once for all records, as the arguments `free` and `fix`."""
+    def free_and_fixed(self) -> dict[str, Any]:
+        """Names of free and fixed parameters, each once for all records, and ties, as the arguments `free`, `fix` and `tie`."""
         free = list(dict.fromkeys(name.partition("@")[0] for name in self.space.names))
-        return {"free": free, "fix": [name for name, _, _ in self.space.fixed()]}
+        return {"free": free, "fix": [name for name, _, _ in self.space.fixed()], "tie": self.space.expressions}
 
     @property
     def used(self) -> np.ndarray:
@@ -275,7 +279,7 @@ class Problem:
     def _has_design(self) -> bool:
         """Whether derivatives come from design matrices: those of many weights, beside few other parameters."""
         linear = int(np.count_nonzero(self.space.linear))
-        if not self.model.has_fast_run or linear < _WEIGHTS * (len(self.space) - linear):
+        if self.space.ties or not self.model.has_fast_run or linear < _WEIGHTS * (len(self.space) - linear):
             return False
         return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.data.record import Record
+from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
 from hystfit.models.design import DesignMatrix
 from hystfit.models.preisach.smooth import Layout, Offsets, SmoothSystem
@@ -50,6 +51,8 @@ class Split:
 
         Values of x that are weights do not matter. `held` and `offsets` are those of `SmoothSystem.of`.
         """
+        if space.ties:
+            raise ParameterError("tied parameters need another method than 'preisach': choose method='lm'")
         system = SmoothSystem.of(_designs(space, records, x), records, held=held, offsets=offsets)
         place, record = _placed(space, system.layout, len(records))
         fixed = _fixed(space, system.layout)
@@ -92,7 +95,7 @@ def weighted_columns(
     designs = _designs(space, records, x)
     layout = Layout.of(first := next(designs), len(records))
     place, _ = _placed(space, layout, len(records))
-    values = _fixed(space, layout)
+    values = _fixed(space, layout, x)
     values[place[place >= 0]] = x[place >= 0]
     values[place[at]] = 0.0
     columns, target = [], []
@@ -114,9 +117,10 @@ def weighted_columns(
     return columns[0] if len(columns) == 1 else np.concatenate(columns), np.concatenate(target)
 
 
-def _fixed(space: ParameterSpace, layout: Layout) -> np.ndarray:
-    """The template's values of all weights."""
-    values, leaves = np.zeros(layout.starts[-1]), jax.tree_util.tree_leaves(space.template)
+def _fixed(space: ParameterSpace, layout: Layout, x: np.ndarray | None = None) -> np.ndarray:
+    """The template's values of all weights, with those of tied ones at x."""
+    tree = space.template if x is None or not space.ties else space.assembled(x)
+    values, leaves = np.zeros(layout.starts[-1]), jax.tree_util.tree_leaves(tree)
     for block, start, end in zip(layout.blocks, layout.starts, layout.starts[1:], strict=False):
         values[start:end] = np.resize(np.asarray(leaves[block.leaf], dtype=float), end - start)
     return values

@@ -11,6 +11,7 @@ class Status(enum.StrEnum):
 
     OK = "ok"
     NOT_CONVERGED = "not-converged"
+    DIVERGING = "diverging"
     ROUGH = "rough"
     POOR = "poor"
     NO_LOOP = "no-loop"
@@ -71,6 +72,10 @@ _ADVICE = {
         "squares (method='lm')"
     ),
     Status.DIVERGED: "the estimate diverged: raise the floor or lower mu (gradient correction), or decimate by input increment",
+    Status.DIVERGING: (
+        "parts of the posterior may be missing: fix the parameters that the data do not determine or give them a prior, or draw "
+        "with sampler='emcee' or 'nested', which use no gradients"
+    ),
     Status.FAILED: "nothing could be fitted: see the notes, and fix parameters that the data do not determine",
     Status.OPEN: "the data do not bound some parameters: measure at other amplitudes (hystfit design), or fix them",
     Status.MISCALIBRATED: (
@@ -96,6 +101,14 @@ _OF_VERB = {
     ("identify", Status.POOR): (
         "the simulation does not follow the record: use output-error least squares (method='lm') or another model"
     ),
+    (
+        "population",
+        Status.PARTIAL,
+    ): "some devices have no usable fit and are left out: the notes give the reason for each",
+    (
+        "population",
+        Status.NOT_CONVERGED,
+    ): "the chains have not converged: draw more, or fix parameters in which devices do not differ",
     ("batch", Status.FAILED): "no loop has a usable fit: the table gives the reason for each",
     (
         "calibrate",

@@ -54,6 +54,7 @@ class Coordinates(eqx.Module):
         kinds: map of each free element.
         layout: for each leaf with free elements (leaf index, flat positions, whether it differs between records).
         constants: values of leaves that are given for each record (covariates), shapes (R, ...), at the indices `constant_at`.
+        ties: elements that follow from others: (leaf index, flat position, those of the source, factor, constant).
     """
 
     leaves: tuple[Any, ...]
@@ -74,6 +75,8 @@ class Coordinates(eqx.Module):
             np.broadcast_to(leaves[k], np.shape(old)) for k, old in zip(self.constant_at, self.constants, strict=True)
         ]
         return eqx.tree_at(lambda c: c.constants, self, tuple(map(to_device, rows))) if rows else self
+
+    ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
     @property
     def own(self) -> np.ndarray:
@@ -162,6 +165,15 @@ class Coordinates(eqx.Module):
             else:
                 flat = flat.at[np.asarray(positions)].set(values)
             leaves[index] = (place if host else jnp.asarray)(flat.reshape(leaf.shape))
+        for index, k, source, j, factor, constant in self.ties:
+            xp = np if host else jnp
+            value = factor * xp.asarray(leaves[source]).reshape(-1)[j] + constant
+            flat = xp.array(leaves[index]).reshape(-1)
+            if host:
+                flat[k] = value
+            else:
+                flat = flat.at[k].set(value)
+            leaves[index] = (place if host else jnp.asarray)(flat.reshape(xp.shape(leaves[index])))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import re
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ from hystfit.errors import ParameterError
 from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import ParamInfo, leaves_of, short_names
+from hystfit.params.ties import Tie, narrowed, ties_of
 from hystfit.params.units import Scales
 from hystfit.registry import near
 
@@ -62,6 +64,7 @@ class ParameterSpace:
         *,
         fix: Sequence[str] | Mapping[str, Any] = (),
         free: Sequence[str] = (),
+        tie: Mapping[str, str] | None = None,
         scales: Scales | None = None,
         records: Sequence[str] = ("",),
         trees: Sequence[Any] = (),
@@ -73,11 +76,14 @@ class ParameterSpace:
         self._leaf_names = short_names([leaf.path for leaf in self.leaves])
         values = fix if isinstance(fix, Mapping) else dict.fromkeys(fix)
         self.template = self._set(template, {name: value for name, value in values.items() if value is not None})
+        self.ties = ties_of(dict(tie or {}), self.find, self._element)
         masks = self._masks(values, free)
         self.records = tuple(records)
         self.scales = scales
         self._constants = _constants(trees)
         self._collect(masks)
+        if self.ties:
+            self.template = self.assembled(self.vector(self.template))
 
     @classmethod
     def of(cls, template: Any, **options: Any) -> ParameterSpace:
@@ -85,8 +91,8 @@ class ParameterSpace:
 
         Args:
             template: tree with `param` fields.
-            **options: `fix` (names, or names with values), `free` (names), `scales`, `records` (names), `trees` (the tree of each
-                record where these differ in leaves that are no parameters).
+            **options: `fix` (names, or names with values), `free` (names), `tie` (expressions by name, see `hystfit.params.ties`),
+                `scales`, `records` (names), `trees` (the tree of each record where these differ in leaves that are no parameters).
 
         Raises:
             ParameterError: an unknown or ambiguous name (the message lists the names), a name both fixed and freed, a value
@@ -155,6 +161,10 @@ class ParameterSpace:
             number, positions = self.find(name)
             leaf = self.leaves[number]
             array = np.array(flat[leaf.index], dtype=float)
+            if isinstance(value, str):
+                raise ParameterError(
+                    f"fix= holds {name!r} at a number, got {value!r}: tie={{{name!r}: {value!r}}} ties it to another parameter"
+                )
             try:
                 array.reshape(-1)[positions] = np.asarray(value, dtype=float).reshape(-1)
             except ValueError as error:
@@ -174,7 +184,33 @@ class ParameterSpace:
                     if touched.setdefault((number, k), state) != state:
                         raise ParameterError(f"parameter {name!r} is listed as fixed and free at once: choose one")
                 masks[number][positions] = state
+        for tie in self.ties:
+            number, k = tie.target
+            if (number, k) in touched:
+                raise ParameterError(f"parameter {tie.name!r} is tied, and listed as fixed or free at once: choose one")
+            if self.leaves[number].info.per_record or self.leaves[tie.source[0]].info.per_record:
+                raise ParameterError(
+                    f"tie {tie.name}={tie.expression}: parameters with a value for each record cannot be tied"
+                )
+            masks[number][k] = False
         return masks
+
+    def _element(self, number: int, k: int) -> str:
+        """Name of one element of a leaf."""
+        return f"{self._leaf_names[number]}{self.leaves[number].element(k)}"
+
+    def _place(self, number: int, k: int) -> tuple[int, int]:
+        """Index of the leaf among all leaves of the tree, and flat position, of one element."""
+        return self.leaves[number].index, k
+
+    def _info(self, number: int, k: int) -> ParamInfo:
+        """Declaration of a free element; its bounds keep those that are tied to it within theirs."""
+        info = self.leaves[number].info
+        for tie in self.ties:
+            if tie.source == (number, k):
+                bounds = narrowed(info.bounds, tie, self.leaves[tie.target[0]].info.bounds)
+                info = dataclasses.replace(info, bounds=bounds)
+        return info
 
     def _collect(self, masks: list[np.ndarray]) -> None:
         flat, treedef = jax.tree_util.tree_flatten(self.template)
@@ -188,8 +224,8 @@ class ParameterSpace:
             for record in range(len(self.records)) if leaf.info.per_record else (0,):
                 for k in positions:
                     label = f"@{self.records[record]}" if several else ""
-                    names.append(f"{self._leaf_names[number]}{leaf.element(k)}{label}")
-                    infos.append(leaf.info)
+                    names.append(f"{self._element(number, k)}{label}")
+                    infos.append(self._info(number, k) if self.ties else leaf.info)
                     sources.append((number, k, record if several else None))
         self.names, self.infos = tuple(names), tuple(infos)
         self.sources = tuple(sources)
@@ -212,6 +248,9 @@ class ParameterSpace:
             n_records=len(self.records),
             constants=tuple(to_device(rows, dtype) for rows in self._constants.values()),
             constant_at=tuple(self._constants),
+            ties=tuple(
+                (*self._place(*tie.target), *self._place(*tie.source), tie.factor, tie.constant) for tie in self.ties
+            ),
         )
         self._check_values(flat)
 
@@ -237,7 +276,8 @@ class ParameterSpace:
         for number, k, record in self.sources:
             flat = flats[record if several and record is not None else 0]
             values.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
-        return np.array(values)
+        # Models to start from do not know the narrower bounds of parameters to which others are tied.
+        return self.clip(np.array(values)) if self.ties else np.array(values)
 
     def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
         """z from x; values on their bound are moved inside.
@@ -292,7 +332,7 @@ class ParameterSpace:
             info.linear and bool(leaf.shape) and (info.bounds[0] == 0.0 or leaf.size > _MANY)
             for info, leaf in zip(self.infos, leaves, strict=True)
         ]
-        return np.array(rows, dtype=bool)
+        return np.array(rows, dtype=bool) & ~self.sources_of_ties
 
     @property
     def offsets(self) -> np.ndarray:
@@ -302,8 +342,19 @@ class ParameterSpace:
 
     @property
     def linear(self) -> np.ndarray:
-        """In which free elements the output is linear, shape (p,), bool."""
-        return np.array([info.linear for info in self.infos], dtype=bool)
+        """In which free elements the output is linear, shape (p,), bool; those to which others are tied do not count."""
+        return np.array([info.linear for info in self.infos], dtype=bool) & ~self.sources_of_ties
+
+    @property
+    def sources_of_ties(self) -> np.ndarray:
+        """To which free elements others are tied, shape (p,), bool."""
+        sources = {tie.source for tie in self.ties}
+        return np.array([(number, k) in sources for number, k, _ in self.sources], dtype=bool)
+
+    @property
+    def expressions(self) -> dict[str, str]:
+        """The ties as the argument `tie`."""
+        return {tie.name: tie.expression for tie in self.ties}
 
     @property
     def per_record(self) -> np.ndarray:
@@ -320,15 +371,26 @@ class ParameterSpace:
         return np.clip(x, self.lower, self.upper)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
-        """Name, value and declaration of every fixed element."""
+        """Name, value and declaration of every fixed element; those that are tied are none."""
         flat = jax.tree_util.tree_leaves(self.template)
-        free = {(number, k) for number, k, _ in self.sources}
+        free = {(number, k) for number, k, _ in self.sources} | {tie.target for tie in self.ties}
         rows = []
         for number, leaf in enumerate(self.leaves):
             values = np.asarray(flat[leaf.index]).reshape(-1)
             for k in range(leaf.size):
                 if (number, k) not in free:
-                    rows.append((f"{self._leaf_names[number]}{leaf.element(k)}", float(values[k]), leaf.info))
+                    rows.append((self._element(number, k), float(values[k]), leaf.info))
+        return rows
+
+    def tied(self, x: Sequence[float] | np.ndarray) -> list[tuple[Tie, float, ParamInfo, int | None]]:
+        """Tie, value at x, declaration, and the number of the free element that it follows (None: a fixed one), of tied elements."""
+        flat = jax.tree_util.tree_leaves(self.assembled(x))
+        place = {source[:2]: k for k, source in enumerate(self.sources)}
+        rows = []
+        for tie in self.ties:
+            leaf = self.leaves[tie.target[0]]
+            value = float(np.asarray(flat[leaf.index]).reshape(-1)[tie.target[1]])
+            rows.append((tie, value, leaf.info, place.get(tie.source)))
         return rows
 
 

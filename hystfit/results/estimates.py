@@ -26,6 +26,7 @@ class ParameterEstimate:
         fixed: whether it was not fitted.
         at_bound: "lower" or "upper" where it reached a bound.
         identifiable: whether the data determine it; None where it was fixed.
+        tie: the expression that it follows from, such as "2*k1"; None where it is not tied.
     """
 
     name: str
@@ -38,6 +39,7 @@ class ParameterEstimate:
     at_bound: str | None
     identifiable: bool | None
     doc: str = ""
+    tie: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
@@ -45,17 +47,19 @@ class ParameterEstimate:
 
 
 def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[ParameterEstimate, ...]:
-    """Every parameter with its declaration, free ones first, without standard errors.
+    """Every parameter with its declaration, free ones first, then tied and fixed ones, without standard errors.
 
     Args:
         x: the free ones, physical, shape (p,).
     """
-    free = ((*row, False) for row in zip(space.names, x, space.infos, strict=True))
+    free = ((*row, False, None) for row in zip(space.names, x, space.infos, strict=True))
+    tied = ((tie.name, value, info, False, tie.expression) for tie, value, info, _ in space.tied(x))
+    fixed_ones = ((*row, True, None) for row in space.fixed())
     rows = []
-    for name, value, info, fixed in (*free, *((*row, True) for row in space.fixed())):
+    for name, value, info, fixed, tie in (*free, *tied, *fixed_ones):
         lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
         unit = space.scales.label(info.unit)
-        rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc))
+        rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc, tie))
     return tuple(rows)
 
 

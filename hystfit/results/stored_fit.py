@@ -60,6 +60,7 @@ def content_of(result: FitResult) -> dict[str, Any]:
         "problem": {
             "loss": result.problem.objective.loss,
             "fixed": [p.name for p in result.parameters if p.fixed],
+            "tied": result.problem.space.expressions,
             "noise": {"name": result.noise.name, "parameters": result.noise.parameters},
         },
         "timing": {"compile_s": result.compile_s, "run_s": result.run_s},
@@ -90,9 +91,11 @@ def result_of(
     large = len(space) > COVARIANCE_AS_TEXT
     x = space.vector(models if len(models) > 1 else models[0])
     docs = {name: info.doc for name, _, info in space.fixed()}
+    docs |= {tie.name: info.doc for tie, _, info, _ in space.tied(x)}
     docs |= {name: info.doc for name, info in zip(space.names, space.infos, strict=True)}
     parameters = tuple(_parameter(name, part, docs.get(name, "")) for name, part in stored.part("parameters").parts())
     values = dict(zip(space.names, x, strict=True)) | {name: value for name, value, _ in space.fixed()}
+    values |= {tie.name: value for tie, value, *_ in space.tied(x)}
     _refuse_mixture(stored, parameters, values)
     metrics, residuals, rank = (stored.part(key) for key in ("metrics", "residuals", "identifiability"))
     method, timing, verdict = (stored.part(key) for key in ("method", "timing", "verdict"))
@@ -174,8 +177,8 @@ def _problem_of(block: Stored, names: tuple[str, ...], model: AbstractHysteresis
     loss = block.text("loss")
     if loss not in LOSSES:
         raise DataError(f"{block.place}: no loss {loss!r}; restore the file, or fit again")
-    fixed = block.texts("fixed")
-    problem = _build(block.place, lambda: Problem(model, data, fix=fixed, free=free, loss=loss))  # type: ignore[arg-type]
+    fixed, ties = block.texts("fixed"), block.words("tied")
+    problem = _build(block.place, lambda: Problem(model, data, fix=fixed, free=free, tie=ties, loss=loss))  # type: ignore[arg-type]
     if problem.space.names != names:
         raise DataError(
             f"{block.place}: the free parameters {list(names)} are not those of the model {problem.space.names}"
@@ -197,6 +200,7 @@ def _parameter(name: str, stored: Stored, doc: str) -> ParameterEstimate:
         fixed=stored.flag("fixed"),
         at_bound=at_bound,
         identifiable=stored.optional_flag("identifiable"),
+        tie=stored.optional_text("tie"),
         doc=doc,
     )
 

@@ -95,6 +95,17 @@ class Convergence:
         columns = [draws[:, :, k] for k in range(draws.shape[2])]
         return cls(*(np.array([f(column) for column in columns]) for f in (rhat, bulk_ess, tail_ess)))
 
+    @property
+    def apart(self) -> bool:
+        """Whether chains are so far apart that more draws are no remedy."""
+        return not bool(np.all(self.rhat <= _APART))
+
+    @property
+    def good(self) -> bool:
+        """Whether the draws of all parameters may be used."""
+        sizes = np.minimum(np.nan_to_num(self.bulk), np.nan_to_num(self.tail))
+        return bool(np.all(self.rhat <= GOOD_RHAT) and np.all(sizes >= GOOD_ESS))
+
     def problems(self, names: tuple[str, ...]) -> list[Note]:
         """What is wrong with the chains; nothing where they may be used."""
         notes = []

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -17,20 +18,19 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import ParameterError, optional
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import to_device
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.diagnostics import effective_size
+from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
+from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
 
-_CHUNK = 50  # draws in one compiled call, and between two writes to disk
-_AGAIN = 3  # further adaptations at most where transitions diverge, which more than 1 % of the draws would do too
+_AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
 _ROUNDS = 3  # of covariance and shear
-_GAIN = 5.0  # of the step size's logarithm in the error of the acceptance
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
@@ -39,130 +39,208 @@ class Nuts(AbstractSampler):
     """Settings of NUTS.
 
     Attributes:
-        chains, draws: number of chains, and of draws in each.
+        chains, draws: number of chains, and least number of draws in each.
+        extend: chains that have not converged are continued to at most so many times `draws`.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
-        target_accept: acceptance for which the step size is tuned; 0.65 is best for Gaussian posteriors (Beskos et al. 2013), and
-            most are nearly so once whitened; curved ones need more.
+        target_accept: acceptance for which the step size is tuned at first. 0.65 is best for Gaussian posteriors (Beskos et al. 2013),
+            but transitions diverge in curved ones; 0.9 costs about as many gradients per effective draw. Where transitions still
+            diverge, the chains are drawn again for an acceptance half as far from 1, up to three times.
         max_depth: doublings of a trajectory at most.
     """
 
     name: ClassVar[str] = "nuts"
     chains: int = 4
     draws: int = 1000
+    extend: int = 8
     warmup: int = 300
-    target_accept: float = 0.65
+    target_accept: float = 0.9
     max_depth: int = 8
 
     def __post_init__(self) -> None:
-        self.check_counts({"chains": 1, "draws": 4, "warmup": 50, "max_depth": 1})
+        self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
-        """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
+        """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder.
+
+        Where transitions diverge, the chains adapt further for a higher acceptance, and all draws are made anew.
+        """
         optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
-        drawn: dict[int, list[np.ndarray]] = {number: [] for number in range(self.chains)}
-        reporting, halted = threading.Lock(), threading.Event()
-
-        def collect(number: int, q: np.ndarray) -> bool:
-            with reporting:
-                drawn[number].append(q)
-                count = sum(min(_CHUNK * len(parts), self.draws) for parts in drawn.values())
-                so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
-                report(
-                    f"{count} of {self.chains * self.draws} draws, about {so_far:.0f} effective so far",
-                    count / (self.chains * self.draws),
-                )
-            return halted.is_set()
-
-        key = jax.random.key(seed)
-        warm = lambda number: stored(
-            folder,
-            f"nuts-{number}-warm.npz",
-            lambda: self.warm(setup.target, jax.random.fold_in(jax.random.fold_in(key, number), 10**6)),
-        )
+        key, goal, notes = jax.random.key(seed), self.target_accept, ()
+        chains = [
+            _Chain(self, setup.target, goal, jax.random.fold_in(key, number), folder, f"nuts-{number}")
+            for number in range(self.chains)
+        ]
         report("compilation and warm-up", 0.0)
-        first = warm(0)  # compiles what all chains run
+        for last in [False] * _AGAIN + [True]:
+            joined = self._converged(chains, report, to_the_end=last)
+            if joined is not None:
+                break
+            chains = [chain.again() for chain in chains]
+            text = f"transitions diverged for an acceptance of {goal:.3g}: the draws are those for {_closer(goal):.3g}"
+            goal, notes = _closer(goal), (Note(Code.DIVERGENCES, text),)
+            report(f"transitions diverged: drawing again for an acceptance of {goal:.3g}", 0.0)
+        assert joined is not None  # the last attempt is drawn to the end
+        z, density, count = joined.pop("z"), joined.pop("log_density"), int(joined["diverging"].sum())
+        if count:
+            which = "1 divergent transition" if count == 1 else f"{count} divergent transitions"
+            text = f"{which} for an acceptance of {goal:.3g}: parts of the posterior may be missing"
+            notes = (warn(Code.DIVERGENCES, text),)
+        return Raw(z, density, joined, notes)
 
-        def chain(number: int) -> dict[str, np.ndarray]:
-            adapted = first if number == 0 else warm(number)
-            return self._chain(setup, adapted, jax.random.fold_in(key, number), number, folder, collect)
+    def _converged(self, chains: list[_Chain], report: Progress, *, to_the_end: bool) -> dict[str, np.ndarray] | None:
+        """All chains, joined, twice as long as before until they have converged; None where `_draw` gives None."""
+        draws = self.draws
+        while True:
+            joined = self._draw(chains, draws, report, to_the_end=to_the_end)
+            if joined is None or draws >= self.extend * self.draws:
+                return joined
+            convergence = Convergence.of(joined["z"])
+            if convergence.good or convergence.apart:
+                return joined
+            draws = min(2 * draws, self.extend * self.draws)
 
+    def _draw(
+        self, chains: list[_Chain], draws: int, report: Progress, *, to_the_end: bool
+    ) -> dict[str, np.ndarray] | None:
+        """All chains, joined; None, once a transition diverges, unless they are wanted to the end."""
+        drawn: dict[str, list[np.ndarray]] = {chain.label: [] for chain in chains}
+        reporting, halted, diverged = threading.Lock(), threading.Event(), threading.Event()
+        total = self.chains * draws
+
+        def collect(label: str, chunk: dict[str, np.ndarray]) -> bool:
+            with reporting:
+                drawn[label].append(chunk["q"])
+                if chunk["diverging"].any() and not to_the_end:
+                    diverged.set()
+                count = sum(len(part) for parts in drawn.values() for part in parts)
+                so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
+                report(f"{count} of {total} draws, about {so_far:.0f} effective so far", count / total)
+            return halted.is_set() or diverged.is_set()
+
+        _ = chains[0].warm  # compiles what all chains run
         with ThreadPoolExecutor(min(self.chains, os.cpu_count() or 1)) as pool:
             try:
-                parts = list(pool.map(chain, range(self.chains)))
+                parts = list(pool.map(lambda chain: chain.draw(draws, lambda c: collect(chain.label, c)), chains))
             except BaseException:
                 halted.set()
                 raise
-        joined = {k: np.stack([part[k] for part in parts]) for k in parts[0]}
-        z, density = joined.pop("z"), joined.pop("log_density")
-        count = int(joined["diverging"].sum())
-        which = "1 divergent transition" if count == 1 else f"{count} divergent transitions"
-        text = (
-            f"{which}: parts of the posterior may be missing; use a larger target_accept= (now {self.target_accept:g})"
-        )
-        return Raw(z, density, joined, (warn(Code.DIVERGENCES, text),) if count else ())
+        return None if diverged.is_set() else {k: np.stack([part[k] for part in parts]) for k in parts[0]}
 
-    def _chain(
-        self,
-        setup: Setup,
-        warm: dict[str, np.ndarray],
-        key: Array,
-        number: int,
-        folder: Path | None,
-        collect: Callable[[int, np.ndarray], bool],
+    def warm(
+        self, target: Target, key: Array, goal: float | None = None, before: dict[str, np.ndarray] | None = None
     ) -> dict[str, np.ndarray]:
-        """One chain after its warm-up; it ends early where `collect` returns true."""
-        q, chunks = jnp.asarray(warm["q"]), []
-        for k in range(-(-self.draws // _CHUNK)):
-            advance = lambda k=k, q=q: self.chunk(setup.target, warm, q, jax.random.fold_in(key, k))
-            chunk = stored(folder, f"nuts-{number}-{k:05d}.npz", advance)
-            chunks.append(chunk)
-            q = jnp.asarray(chunk["q"][-1])
-            if collect(number, chunk["q"]):
-                break
-        rows = {name: np.concatenate([c[name] for c in chunks])[: self.draws] for name in chunks[0]}
-        rows["z"] = np.asarray(adapted(setup.target, warm).unwhitened(jnp.asarray(rows.pop("q"))))
-        return rows
-
-    def warm(self, target: Target, key: Array) -> dict[str, np.ndarray]:
         """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks.
 
         Where transitions still diverge at the end, covariance and step size are adapted again for a higher acceptance.
+
+        Args:
+            target: in the coordinates of the fit.
+            key: of the random numbers.
+            goal: acceptance, by default `target_accept`.
+            before: the end of another warm-up, from which this one continues: its first quarter is left out.
         """
-        quarter, goal = -(-self.warmup // (4 * _CHUNK)), self.target_accept
-        count = iter(range(10**6))
-
-        def adapt(target: Target, q: Array, size: float, rounds: int) -> tuple[Array, float, np.ndarray, bool]:
-            tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
-            for _ in range(rounds):
-                fixed = (jnp.asarray(goal), self.max_depth)
-                out, tuning = _advance(target, q, tuning, jax.random.fold_in(key, next(count)), True, *fixed)
-                q, diverging = out[0][-1], np.asarray(out[2])
-                positions.append(np.asarray(out[0]))
-            return q, float(jnp.exp(tuning.average)), np.concatenate(positions), bool(diverging.any())
-
-        plain, target = target, target.sheared(target.factor)
-        q, size, _, _ = adapt(target, _start(target, key), 0.5, quarter)
-        q, _, positions, _ = adapt(target, q, size, 2 * quarter)
-        for _ in range(1 + _AGAIN):
-            v = target.v_of(positions[len(positions) // 10 :], np)
-            for _ in range(_ROUNDS):  # the covariance depends on the shear, and the shear on the covariance
-                target = plain.sheared(np.asarray(target.factor) @ _spread(target.q_of(v, np)))
-            q, size, positions, diverges = adapt(target, to_device(target.q_of(v[-1], np)), 0.7, quarter)
-            if not diverges:
-                break
-            goal = 0.5 * (1 + goal)
-        coordinates = {"center": target.center, "factor": target.factor} | vars(target.shear)
-        return {name: np.asarray(value) for name, value in (coordinates | {"q": q, "size": size}).items()}
+        adaptation = _Adaptation(self, key, self.target_accept if goal is None else goal)
+        if before is None:
+            current = target.sheared(target.factor)
+            q, size, *_ = adaptation.steps(current, _start(target, key), 0.5, 1)
+        else:
+            current = adapted(target, before)
+            q, size = jnp.asarray(before["q"]), float(before["size"])
+        positions = adaptation.steps(current, q, size, 2)[2]
+        return adaptation.whiten(target, current, positions)
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
         fixed = (jnp.asarray(self.target_accept), self.max_depth)
-        out, _ = _advance(adapted(target, warm), q, Tuning.about(float(warm["size"])), key, False, *fixed)
+        out, _ = advance_chunk(
+            adapted(target, warm), q, Tuning.about(float(warm["size"])), key, jnp.asarray(False), *fixed
+        )
         return {
             k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
         }
+
+
+@dataclasses.dataclass(frozen=True)
+class _Chain:
+    """One chain of a run, in memory or continued from the files of a folder.
+
+    Attributes:
+        nuts, target: what is drawn.
+        goal: acceptance for which the step size is tuned.
+        key: of this chain.
+        folder, label: where it is kept, and the first part of the files' names; nothing is kept where the folder is None.
+        before: the end of the warm-up of the chain before it, whose transitions diverged.
+        chunks: drawn so far.
+    """
+
+    nuts: Nuts
+    target: Target
+    goal: float
+    key: Array
+    folder: Path | None
+    label: str
+    before: dict[str, np.ndarray] | None = None
+    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+
+    @functools.cached_property
+    def warm(self) -> dict[str, np.ndarray]:
+        """Position, coordinates and step size after the warm-up."""
+        key = jax.random.fold_in(self.key, 10**6)
+        make = lambda: self.nuts.warm(self.target, key, self.goal, self.before)
+        return stored(self.folder, f"{self.label}-warm.npz", make)
+
+    def again(self) -> _Chain:
+        """A chain that continues from the warm-up of this one, for a higher acceptance."""
+        label, key = f"{self.label}-again", jax.random.fold_in(self.key, 10**7)
+        return dataclasses.replace(self, goal=_closer(self.goal), key=key, label=label, before=self.warm, chunks=[])
+
+    def draw(self, draws: int, collect: Callable[[dict[str, np.ndarray]], bool]) -> dict[str, np.ndarray]:
+        """All draws after the warm-up; `collect` is given each chunk, and ends the chain where it returns true."""
+        for k, first in enumerate(range(0, draws, CHUNK)):
+            if k == len(self.chunks):
+                self.chunks.append(stored(self.folder, f"{self.label}-{k:05d}.npz", lambda k=k: self._chunk(k)))
+            if collect({name: rows[: draws - first] for name, rows in self.chunks[k].items()}):
+                break
+        rows = {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in self.chunks[0]}
+        rows["z"] = np.asarray(adapted(self.target, self.warm).unwhitened(jnp.asarray(rows.pop("q"))))
+        return rows
+
+    def _chunk(self, k: int) -> dict[str, np.ndarray]:
+        """Chunk number k, after those before it."""
+        q = self.chunks[-1]["q"][-1] if k else self.warm["q"]
+        return self.nuts.chunk(self.target, self.warm, jnp.asarray(q), jax.random.fold_in(self.key, k))
+
+
+class _Adaptation:
+    """Adaptation of one chain: its key, and the acceptance that it aims at, which rises where transitions diverge."""
+
+    def __init__(self, nuts: Nuts, key: Array, goal: float):
+        self.nuts, self.key, self.goal, self.count = nuts, key, goal, 0
+
+    def steps(self, target: Target, q: Array, size: float, quarters: int) -> tuple[Array, float, np.ndarray, bool]:
+        """Adapt the step size: (position, step size, positions on the way, whether the last transitions diverged)."""
+        tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
+        for _ in range(quarters * -(-self.nuts.warmup // (4 * CHUNK))):
+            key, fixed = jax.random.fold_in(self.key, self.count), (jnp.asarray(self.goal), self.nuts.max_depth)
+            out, tuning = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
+            q, diverging, self.count = out[0][-1], np.asarray(out[2]), self.count + 1
+            positions.append(np.asarray(out[0]))
+        return q, float(jnp.exp(tuning.average)), np.concatenate(positions), bool(diverging.any())
+
+    def whiten(self, plain: Target, target: Target, positions: np.ndarray) -> dict[str, np.ndarray]:
+        """Covariance from positions in the coordinates of a target, and the step size; `plain` is the target before any whitening."""
+        for _ in range(1 + _AGAIN):
+            v = target.v_of(positions[len(positions) // 10 :], np)
+            for _ in range(_ROUNDS):  # the covariance depends on the shear, and the shear on the covariance
+                target = plain.sheared(np.asarray(target.factor) @ _spread(target.q_of(v, np)))
+            q, size, positions, diverges = self.steps(target, to_device(target.q_of(v[-1], np)), 0.7, 1)
+            if not diverges:
+                break
+            self.goal = _closer(self.goal)
+        coordinates = {"center": target.center, "factor": target.factor} | vars(target.shear)
+        return {name: np.asarray(value) for name, value in (coordinates | {"q": q, "size": size}).items()}
 
 
 def adapted(target: Target, warm: dict[str, np.ndarray]) -> Target:
@@ -198,63 +276,6 @@ def _value(target: Target, q: Array) -> Array:
     return target(q)
 
 
-class Tuning(NamedTuple):
-    """State of the dual averaging of the step size (Hoffman and Gelman 2014, section 3.2), logarithms.
-
-    The first size is about right in whitened coordinates: trials need not start at ten times it, and their gain is a quarter of the
-    usual one. They then scatter by 15 %, not 50 %, about the average, which has the acceptance that the trials have on average.
-    """
-
-    size: Array
-    average: Array
-    error: Array
-    middle: Array
-    m: Array
-
-    @classmethod
-    def about(cls, size: float) -> Tuning:
-        """Before the first step."""
-        log_size = jnp.log(jnp.asarray(size, float))
-        return cls(log_size, log_size, jnp.zeros(()), log_size, jnp.ones(()))
-
-    def after(self, acceptance: Array, goal: Array) -> Tuning:
-        """One step later."""
-        share = 1 / (self.m + 10.0)
-        error = (1 - share) * self.error + share * (goal - acceptance)
-        size = jnp.clip(self.middle - jnp.sqrt(self.m) * _GAIN * error, -12.0, 2.0)
-        weight = self.m**-0.75
-        return Tuning(size, weight * size + (1 - weight) * self.average, error, self.middle, self.m + 1)
-
-
-@eqx.filter_jit
-def _advance(
-    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array | bool, goal: Array, depth: int
-) -> tuple[tuple[Array, ...], Tuning]:
-    """One chunk, with or without adaptation of the step size: (positions and statistics of each draw, tuning)."""
-    return advance(target, q, tuning, key, jnp.asarray(adapting), goal, depth, _CHUNK)
-
-
-def advance(
-    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
-) -> tuple[tuple[Array, ...], Tuning]:
-    """`steps` transitions, for use inside traced code; `adapting` is one flag or one per transition.
-
-    During adaptation the step size is the trial value of dual averaging, otherwise its average.
-
-    The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
-    """
-    nuts = optional("blackjax", "bayes", "sampling by NUTS").nuts
-    kernel, mass = nuts.build_kernel(), jnp.ones_like(q)
-
-    def once(carry: tuple[Any, Tuning], at: tuple[Array, Array]) -> tuple[tuple[Any, Tuning], tuple[Array, ...]]:
-        (state, tuning), (key, adapts) = carry, at
-        size = jnp.exp(jnp.where(adapts, tuning.size, tuning.average))
-        state, info = kernel(key, state, target, size, mass, max_num_doublings=depth)
-        later = tuning.after(info.acceptance_rate, goal)
-        tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapts, a, b), later, tuning)
-        out = (state.position, state.logdensity, info.is_divergent, info.acceptance_rate, info.num_integration_steps)
-        return (state, tuning), out
-
-    ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
-    (_, tuning), out = jax.lax.scan(once, (nuts.init(q, target), tuning), ahead)
-    return out, tuning
+def _closer(goal: float) -> float:
+    """An acceptance half as far from 1."""
+    return 0.5 * (1 + goal)

@@ -83,7 +83,9 @@ def sample(
     problems = convergence.problems(setup.names)
     drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
     converged = not problems and raw.complete and bool(np.isfinite(draws).all())
-    status = _status(result, converged, incomplete=has((*drift, *setup.notes), Code.INCOMPLETE))
+    diverging = bool(np.any(raw.stats.get("diverging", False)))
+    incomplete = has((*drift, *setup.notes), Code.INCOMPLETE)
+    status = _status(result, converged=converged, diverging=diverging, incomplete=incomplete)
     return Posterior(
         result=result,
         sampler=chosen.name,
@@ -112,10 +114,12 @@ def sample(
     )
 
 
-def _status(result: FitResult, converged: bool, *, incomplete: bool) -> Status:
+def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: bool) -> Status:
     """The first obstacle to using the draws; `incomplete` where the residuals show what the model lacks."""
     if not converged:
         return Status.NOT_CONVERGED
+    if diverging:
+        return Status.DIVERGING
     if result.status in (Status.POOR, Status.NO_LOOP):
         return Status.POOR_FIT
     return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK

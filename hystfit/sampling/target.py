@@ -15,6 +15,7 @@ from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import to_device
 from hystfit.sampling.bend import Bend
+from hystfit.sampling.shares import from_shares, parts_of_noise, to_shares
 from hystfit.sampling.shear import Shear
 
 
@@ -26,6 +27,7 @@ class Target(eqx.Module):
         bend: between z and the coordinates v of `hystfit.sampling.bend`.
         center, factor: y = center + factor q.
         shear: between y and v; None where they are the same.
+        parts: positions of the two parts of the noise's variance, see `hystfit.sampling.shares`.
     """
 
     density: Density
@@ -33,13 +35,16 @@ class Target(eqx.Module):
     center: Float[Array, " d"]
     factor: Float[Array, "d d"]
     shear: Shear | None = None
+    parts: tuple[int, int] | None = eqx.field(static=True, default=None)
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
         """Centered on z, not whitened."""
         kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
         bend = Bend(jnp.asarray([kind == BOTH for kind in kinds]), jnp.zeros(z.shape) if widths is None else widths)
-        return cls(density, bend, bend.bent(jnp.asarray(z)), jnp.eye(z.shape[0]))
+        noise = density.noise.tree(jnp.zeros(len(density.noise.kinds)))
+        parts = parts_of_noise(noise, density.p)
+        return cls(density, bend, bend.bent(to_shares(jnp.asarray(z), parts)), jnp.eye(z.shape[0]), parts=parts)
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q."""
@@ -67,7 +72,11 @@ class Target(eqx.Module):
 
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
-        return self.bend.unbent(self.v_of(q))
+        return self._z_of(self.v_of(q))
+
+    def _z_of(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """z from v."""
+        return from_shares(self.bend.unbent(v), self.parts)
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
@@ -78,14 +87,15 @@ class Target(eqx.Module):
 
         With `lean`, see `Density.log_density`.
         """
-        return self.density.log_density(self.bend.unbent(v), lean) + self.bend.log_slope(v)
+        return self.density.log_density(self._z_of(v), lean) + self.bend.log_slope(v)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
-        z, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
+        w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
+        z, pull = jax.vjp(lambda w: from_shares(w, self.parts), w)
         total, gradient = self.density.slope(z)
         change, by_change = jax.value_and_grad(self.bend.log_slope)(v)
-        return total + change, gradient * stretch + by_change
+        return total + change, pull(gradient)[0] * stretch + by_change
 
     def __call__(self, q: Float[Array, " d"]) -> Float[Array, ""]:
         """Log posterior over q; its reverse-mode gradient is that of `slope`."""

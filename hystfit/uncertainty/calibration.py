@@ -196,6 +196,7 @@ def calibrate(
     priors: Mapping[str, AbstractPrior] | None = None,
     fix: Sequence[str] | Mapping[str, float] = (),
     free: Sequence[str] = (),
+    tie: Mapping[str, str] | None = None,
     seed: int = 0,
     folder: str | Path | None = None,
     workers: int = 1,
@@ -214,6 +215,7 @@ def calibrate(
         spread: relative width of the priors about the model's values.
         priors: the user's own, by name.
         fix: parameters that are not fitted.
+        tie: parameters that follow from others, as in `hystfit.fit`.
         free: parameters to fit that the model fixes by default.
         seed: of everything.
         folder: keeps finished chunks; the same call resumes from them.
@@ -234,13 +236,25 @@ def calibrate(
     records = Dataset.of(data)
     if isinstance(model, str):
         model = make_model(model).start(list(records))
-    problem = Problem(model, records, fix=fix, free=free)
+    problem = Problem(model, records, fix=fix, free=free, tie=tie)
     fixed_model, held = problem.space.template, tuple(name for name, _, _ in problem.space.fixed())
     truth = typical_noise(noise, problem) if isinstance(noise, str) else noise
     assumed = assumed or NOISES.label(truth)
     NOISES.find(assumed)
     choose_priors(problem.space, priors, problem.space.vector(fixed_model))  # refuses unusable priors before any work
-    study = Study(fixed_model, records, truth, assumed, method, spread, dict(priors or {}), held, tuple(free), seed)
+    study = Study(
+        fixed_model,
+        records,
+        truth,
+        assumed,
+        method,
+        spread,
+        dict(priors or {}),
+        held,
+        tuple(free),
+        dict(tie or {}),
+        seed,
+    )
     if method == "emcee" and len(problem.space) > 10:
         raise ParameterError(
             f"emcee is for up to 10 parameters, the model has {len(problem.space)}: use nuts or laplace"

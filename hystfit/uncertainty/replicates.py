@@ -22,8 +22,8 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.space import ParameterSpace
 from hystfit.sampling.ensemble import start, walk
-from hystfit.sampling.nuts import Tuning, advance
 from hystfit.sampling.target import Target
+from hystfit.sampling.transitions import Tuning, advance
 
 Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file
@@ -48,6 +48,7 @@ class Study:
         priors: the user's own, by name.
         fix: parameters that are not fitted.
         free: fitted parameters that the model fixes by default.
+        tie: parameters that follow from others.
         seed: of everything.
     """
 
@@ -60,6 +61,7 @@ class Study:
     priors: Mapping[str, AbstractPrior]
     fix: tuple[str, ...]
     free: tuple[str, ...]
+    tie: Mapping[str, str]
     seed: int
 
 
@@ -80,7 +82,7 @@ class Spaces:
     """
 
     def __init__(self, study: Study):
-        problem = Problem(study.model, study.data, fix=study.fix, free=study.free)
+        problem = Problem(study.model, study.data, fix=study.fix, free=study.free, tie=study.tie)
         same = NOISES.find(study.assumed) is type(study.truth)
         noise = study.truth if same else typical_noise(study.assumed, problem)
         model = problem.space

@@ -63,6 +63,8 @@ def _bounds(p: ParameterEstimate) -> str:
 def _remark(p: ParameterEstimate) -> str:
     if p.at_bound:
         return f"at its {p.at_bound} bound"
+    if p.tie is not None:
+        return f"= {p.tie}"
     return "not determined" if p.identifiable is False else ""
 
 

@@ -1,0 +1,157 @@
+"""`hystfit population`: how much devices of one kind differ."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hystfit.cli.interrupts import resumable
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values, tied_values
+from hystfit.cli.write import finish, progress
+from hystfit.errors import DataError
+from hystfit.inference.noise.registry import NOISES
+
+if TYPE_CHECKING:
+    from hystfit.population.population_fit import PopulationFit
+    from hystfit.results.webpage import Page
+
+_FEW = 40  # loops up to which one process is faster than several
+
+
+@lists(noises=NOISES)
+def population(
+    *loops: str,
+    model: str,
+    fix: list[str] | None = None,
+    free: list[str] | None = None,
+    tie: list[str] | None = None,
+    noise: str = "auto",
+    covariate: list[str] | None = None,
+    device: str | None = None,
+    draws: int = 1000,
+    chains: int = 4,
+    starts: int = 8,
+    seed: int = 0,
+    workers: int | None = None,
+    reading: Reading = DEFAULT_READING,
+    output: Output = STDOUT,
+) -> int:
+    """Fit one model to many devices: mean device, scatter from device to device, correlations, and the next device.
+
+    Exit status 1: devices were left out, or the draws have not converged. With --out, the folder holds result.json, devices.csv, a page
+    (report.html), pictures and the fits (run/): the same command resumes after an interruption. `hystfit sample FIT --prior-from OUT` uses
+    the population as the prior of a further device.
+
+    Args:
+        loops: files, or patterns in quotes ('loops/*.csv'); every curve of a file is a device.
+        model: name, or my_model.py:MyModel.
+        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model fixes by default; repeatable.
+        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER; repeatable.
+        noise: auto, {noises}, or my_file.py:MyNoise.
+        covariate: property in the files' headers on which the mean depends linearly; repeatable.
+        device: regular expression whose first group in a loop's name is its device, where a device has several loops.
+        draws: draws per chain.
+        chains: chains.
+        starts: number of starting points of each fit.
+        seed: random seed.
+        workers: processes (default: one for each core where there are many loops).
+    """
+    output.check("hystfit.population")
+    if not loops:
+        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
+    from hystfit.batch.sources import sources_of
+    from hystfit.population.fit_population import fit_population
+
+    options: dict[str, Any] = {"fix": named_values(fix or []), "free": free or [], "tie": tied_values(tie or [])}
+    run = None if output.out is None else output.out / "run"
+    few = len(sources_of(list(loops))) < _FEW
+    with progress(f"fitting {model}") as update, resumable(run):
+        result = fit_population(
+            model,
+            list(loops),
+            by=None if device is None else _named_by(device),
+            covariates=covariate or (),
+            draws=draws,
+            chains=chains,
+            seed=seed,
+            folder=run,
+            workers=workers or (1 if few else os.cpu_count() or 1),
+            reading=dataclasses.asdict(reading),
+            progress=update,
+            noise=noise,
+            starts=starts,
+            **options,
+        )
+
+    def save(folder: Path) -> None:
+        from hystfit.population.population_files import write_devices
+
+        write_devices(result, folder / "devices.csv")
+        for kind in ("forest", "correlation", "shrinkage"):
+            result.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
+
+    return finish(str(result), result.to_dict(), output, save, page=lambda folder: _page(result, folder))
+
+
+def _named_by(pattern: str) -> Any:
+    """The device of a loop by the first group of a regular expression."""
+    import re
+
+    try:
+        compiled = re.compile(pattern)
+    except re.error as error:
+        raise DataError(f"--device {pattern!r} is no regular expression: {error}") from None
+    if compiled.groups != 1:
+        raise DataError(f"--device {pattern!r} needs one group, such as 'coupon(\\d+)'")
+
+    def of(loop: str) -> str:
+        match = compiled.search(loop)
+        if match is None:
+            raise DataError(f"--device {pattern!r} does not match the loop {loop!r}")
+        return match[1]
+
+    return of
+
+
+def _page(result: PopulationFit, folder: Path) -> Page:
+    """The page of `hystfit population`."""
+    from hystfit.cli.pages import notes_of, page_of
+    from hystfit.outcome import Column, Table
+    from hystfit.population.population_fit import MEANING
+    from hystfit.results.webpage import Picture
+
+    captions = {
+        "forest": "Values of each device given all devices (90 %), the mean, and the range of nine in ten devices; outlying ones in color",
+        "correlation": "Correlations between parameters: medians below, intervals of 90 % above the diagonal",
+        "shrinkage": "Fitted values against those given all devices: a device with a poor record moves toward the mean",
+    }
+    rows = result.device_rows()
+    columns = [
+        Column("device"),
+        *(Column(name) for name in result.names),
+        Column("effective", form=".2f"),
+        Column("unusual", form=".3f"),
+    ]
+    devices = Table(
+        columns, [[row["device"], *(row[n] for n in result.names), row["effective"], row["unusual"]] for row in rows]
+    )
+    answer = [
+        ("Devices", str(len(result.devices))),
+        ("Outlying", ", ".join(result.outlying) or "none"),
+        ("Next", f"hystfit sample FIT --prior-from {folder}"),
+    ]
+    shown = [Picture(result.plot(kind), caption) for kind, caption in captions.items()]
+    sections = [
+        (
+            "Mean and scatter",
+            [result.summary(), MEANING],
+        ),
+        ("Pictures", [shown]),
+        ("Correlations whose interval excludes zero", [result.correlation_table()]),
+        ("Devices", [devices]),
+        ("Notes", [notes_of(result.notes)]),
+    ]
+    return page_of(f"Population of {result.model}", result.status, "population", answer, sections)

@@ -1,0 +1,55 @@
+"""The folder of a population: result.json and devices.csv, and the priors that it has for the next device."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+from hystfit.config import verb
+from hystfit.errors import DataError
+from hystfit.inference import priors as known_priors
+from hystfit.inference.priors import AbstractPrior
+from hystfit.population.population_fit import SCHEMA, PopulationFit
+from hystfit.results.folders import dump_json, writing
+from hystfit.results.saved import check_target, refuse_other_schema
+from hystfit.results.stored_values import parse
+
+
+def save(population: PopulationFit, folder: str | Path) -> Path:
+    """Write result.json and devices.csv: see `PopulationFit.save`."""
+    target = Path(folder)
+    check_target(target, SCHEMA.partition("/")[0])
+    with writing(target) as scratch:
+        dump_json(scratch / "result.json", population.to_dict())
+        write_devices(population, scratch / "devices.csv")
+    return target
+
+
+def write_devices(population: PopulationFit, file: Path) -> None:
+    """One row per device: fitted and better values."""
+    rows = population.device_rows()
+    with file.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.DictWriter(handle, list(rows[0]))
+        writer.writeheader()
+        writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+
+
+@verb
+def load_population_priors(folder: str | Path) -> dict[str, AbstractPrior]:
+    """The priors of `PopulationFit.priors` from a folder that `hystfit population` or `PopulationFit.save` wrote.
+
+    Raises:
+        DataError: the folder holds no population, or a damaged one.
+    """
+    folder = Path(folder)
+    refuse_other_schema(folder, SCHEMA, "no population as hystfit population --out writes it", "fit it again")
+    place = str(folder / "result.json")
+    stored = parse((folder / "result.json").read_text(encoding="utf-8"), place)
+    found: dict[str, AbstractPrior] = {}
+    for name, part in stored.part("next_device").parts():
+        kind, *values = part.listed("prior")
+        try:
+            found[name] = getattr(known_priors, kind)(*values)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise DataError(f"{place} is damaged ({name}: {error}): restore it, or fit the population again") from error
+    return found

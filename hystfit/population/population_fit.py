@@ -1,0 +1,351 @@
+"""`PopulationFit`: mean device, scatter, correlations, better values of each device, and the next device."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from pathlib import Path
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.stats import f as f_distribution
+
+from hystfit.data.record import Record
+from hystfit.errors import ParameterError, optional
+from hystfit.inference.priors import AbstractPrior
+from hystfit.models.simulation import run
+from hystfit.outcome import Column, Note, Status, Table, WithStatus
+from hystfit.params.coordinates import Coordinates
+from hystfit.population.devices import Common, Device
+from hystfit.population.hierarchy import Hierarchy
+from hystfit.registry import attribute
+
+SCHEMA = "hystfit.population/1"
+_LEVEL = 0.9  # of the intervals
+_UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
+MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class PopulationFit(WithStatus):
+    """How the parameters of a model scatter between devices.
+
+    Attributes:
+        devices: those that take part.
+        common: their parameters and coordinates z, in which the population is normal.
+        drawn: mean, covariance and devices in z.
+        design: covariates of the devices, shape (D, q): a column of ones, then deviations from the means.
+        covariates: names and means of the covariates.
+        effective: fraction of the draws of each device that counts under its full likelihood, shape (D,).
+        sampled: numbers of the devices that were sampled by NUTS, because that fraction is small.
+        status: `Status.PARTIAL` where devices were left out.
+        notes: which, and why.
+        seed, seconds, provenance: of the run.
+    """
+
+    devices: tuple[Device, ...]
+    common: Common
+    drawn: Hierarchy
+    design: np.ndarray
+    covariates: dict[str, float]
+    effective: np.ndarray
+    sampled: tuple[int, ...]
+    status: Status
+    notes: tuple[Note, ...]
+    seed: int
+    seconds: float
+    provenance: dict[str, Any]
+    verb: ClassVar[str] = "population"
+
+    # -- numbers -------------------------------------------------------------------------------------------------------
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that scatter."""
+        return self.common.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return tuple(self.common.space.units[k] for k in self.common.at)
+
+    @property
+    def model(self) -> str:
+        """Name of the model."""
+        return self.devices[0].result.name
+
+    @functools.cached_property
+    def _moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the devices in physical units, by draw, shape (n, p) each."""
+        middle = self.drawn.effects[:, :, 0].reshape(-1, len(self.names))
+        sd = np.sqrt(np.einsum("...ii->...i", self.drawn.covariance)).reshape(middle.shape)
+        x = self.common.x_of(middle[:, None] + sd[:, None] * _NODES[:, None])
+        weights = (_WEIGHTS / _WEIGHTS.sum())[:, None]
+        mean = np.sum(weights * x, axis=1)
+        return mean, np.sqrt(np.sum(weights * (x - mean[:, None]) ** 2, axis=1))
+
+    @property
+    def means(self) -> np.ndarray:
+        """Draws of the mean over the population of each parameter, physical, shape (n, p)."""
+        return self._moments[0]
+
+    @property
+    def sds(self) -> np.ndarray:
+        """Draws of the standard deviation from device to device, physical, shape (n, p)."""
+        return self._moments[1]
+
+    @functools.cached_property
+    def sds_here(self) -> np.ndarray:
+        """Draws of the standard deviation of these very devices, physical, shape (n, p): the scatter of their true values."""
+        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
+        return x.std(axis=1, ddof=1)
+
+    @functools.cached_property
+    def correlations_here(self) -> np.ndarray:
+        """Draws of the correlations between the parameters of these very devices, shape (n, p, p)."""
+        away = self.drawn.z.reshape(-1, len(self.devices), len(self.names))
+        away = away - away.mean(axis=1, keepdims=True)
+        covariance = np.einsum("ndi,ndj->nij", away, away)
+        size = np.sqrt(np.einsum("nii->ni", covariance))
+        return covariance / (size[:, :, None] * size[:, None, :])
+
+    @functools.cached_property
+    def correlations(self) -> np.ndarray:
+        """Draws of the correlations between parameters in z, shape (n, p, p)."""
+        p = len(self.names)
+        covariance = self.drawn.covariance.reshape(-1, p, p)
+        sd = np.sqrt(np.einsum("nii->ni", covariance))
+        return covariance / (sd[:, :, None] * sd[:, None, :])
+
+    @functools.cached_property
+    def fitted(self) -> np.ndarray:
+        """Fitted values of each device, physical, shape (D, p)."""
+        return np.stack([device.x[self.common.at] for device in self.devices])
+
+    @functools.cached_property
+    def shrunken(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of each device's values given all devices, physical, shape (D, p) each."""
+        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
+        return x.mean(axis=0), x.std(axis=0)
+
+    @functools.cached_property
+    def unusual(self) -> np.ndarray:
+        """Probability of a device as far from the others as each one, shape (D,); NaN where there are too few others.
+
+        By Hotelling's T-squared with the fitted values of the others, to whose scatter the errors of the device itself are added.
+        """
+        p, count = len(self.names), len(self.devices)
+        if count - 1 <= p:
+            return np.full(count, np.nan)
+        means = np.stack([device.mean for device in self.devices])
+        out = np.empty(count)
+        for d, device in enumerate(self.devices):
+            others = np.delete(means, d, axis=0)
+            own = np.linalg.pinv(device.precision, hermitian=True)
+            scatter = np.cov(others.T).reshape(p, p) * (1 + 1 / len(others)) + own
+            away = means[d] - others.mean(axis=0)
+            square = away @ np.linalg.solve(scatter, away)
+            n = len(others)
+            out[d] = f_distribution.sf(square * (n - p) / (p * (n - 1)), p, n - p)
+        return out
+
+    @property
+    def outlying(self) -> tuple[str, ...]:
+        """Devices that are unlikely to belong to the population, the least likely first."""
+        chance = 1 - (1 - np.nan_to_num(self.unusual, nan=1.0)) ** len(self.devices)
+        return tuple(self.devices[d].name for d in np.argsort(chance) if chance[d] < _UNUSUAL)
+
+    # -- the next device -----------------------------------------------------------------------------------------------
+
+    def next_devices(self, count: int = 200, seed: int = 0, **covariates: float) -> np.ndarray:
+        """Parameters of further devices, physical, shape (count, p): the uncertainty of the population is included.
+
+        Args:
+            count: number of devices.
+            seed: of the draws.
+            **covariates: values by name, by default the means over the devices.
+
+        Raises:
+            ParameterError: an unknown covariate.
+        """
+        return self.common.x_of(self._next_z(count, seed, covariates))
+
+    def _next_z(self, count: int, seed: int, covariates: dict[str, float]) -> np.ndarray:
+        if unknown := [name for name in covariates if name not in self.covariates]:
+            raise ParameterError(f"no covariate {unknown[0]!r}; there are {', '.join(self.covariates) or 'none'}")
+        row = np.array([1.0, *(covariates.get(name, mean) - mean for name, mean in self.covariates.items())])
+        rng, p = np.random.default_rng(seed), len(self.names)
+        effects, covariance = self.drawn.effects.reshape(-1, row.size, p), self.drawn.covariance.reshape(-1, p, p)
+        at = rng.integers(len(effects), size=count)
+        noise = rng.normal(size=(count, p))
+        return row @ effects[at] + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance[at]), noise)
+
+    def bands(
+        self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, **covariates: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(lower, median, upper) of the output of the next device over a record's input, without noise, each (T,).
+
+        Args:
+            record: provides the input.
+            level: of the pointwise band.
+            count: devices drawn.
+            seed: of the draws.
+            **covariates: see `next_devices`.
+
+        Raises:
+            ParameterError: a level outside (0, 1).
+        """
+        if not 0 < level < 1:
+            raise ParameterError(f"level must be between 0 and 1, such as 0.9; got {level}")
+        first = self.devices[0].result
+        own = first.in_fitted_units(record)
+        space = self.common.space
+        x = np.tile(space.clip(space.vector(first.model)), (count, 1))
+        x[:, self.common.at] = self.next_devices(count, seed, **covariates)
+        runs = np.asarray(_outputs(space.coordinates, jnp.asarray(x), jnp.asarray(own.u), jnp.asarray(own.dt)))
+        runs = first.to_unit_of(record, runs)
+        return tuple(np.quantile(runs, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0))  # type: ignore[return-value]
+
+    def priors(self) -> dict[str, AbstractPrior]:
+        """Priors for the fit of a further device: the distribution of each parameter of the next one, without their correlations."""
+        z = self._next_z(4000, self.seed, {})
+        return self.common.priors(z.mean(axis=0), z.std(axis=0))
+
+    # -- views ---------------------------------------------------------------------------------------------------------
+
+    def table(self) -> list[dict[str, Any]]:
+        """One row per parameter: mean and scatter of the population with intervals of 90 %, that of these devices, and of their fits."""
+        low, high = 0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2
+        naive, here = self.fitted.std(axis=0, ddof=1), np.median(self.sds_here, axis=0)
+        rows = []
+        for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
+            row: dict[str, Any] = {"name": name, "unit": unit}
+            for what, draws in (("mean", self.means[:, k]), ("sd", self.sds[:, k])):
+                interval = np.quantile(draws, [low, 0.5, high])
+                row |= {f"{what}_lower": interval[0], what: interval[1], f"{what}_upper": interval[2]}
+            rows.append(
+                {key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()}
+                | {"sd_here": float(here[k]), "sd_of_fits": float(naive[k])}
+            )
+        return rows
+
+    def summary(self) -> Table:
+        """`table` as readable text."""
+        numbers = [Column(head) for head in ("mean", "5 %", "95 %", "sd", "5 % ", "95 % ", "sd here", "sd of fits")]
+        columns = [Column("parameter"), *numbers, Column("unit", left=True)]
+        keys = (
+            "name",
+            "mean",
+            "mean_lower",
+            "mean_upper",
+            "sd",
+            "sd_lower",
+            "sd_upper",
+            "sd_here",
+            "sd_of_fits",
+            "unit",
+        )
+        return Table(columns, [[row[key] for key in keys] for row in self.table()])
+
+    def correlation_table(self) -> Table:
+        """Correlations whose interval of 90 % excludes zero, the strongest first."""
+        low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
+        pairs = [(a, b) for a in range(len(self.names)) for b in range(a) if low[a, b] > 0 or high[a, b] < 0]
+        pairs.sort(key=lambda pair: -abs(middle[pair]))
+        rows = [[self.names[b], self.names[a], middle[a, b], low[a, b], high[a, b]] for a, b in pairs]
+        heads = [Column("parameter"), Column("with", left=True)]
+        return Table([*heads, *(Column(head, form=".2f") for head in ("correlation", "5 %", "95 %"))], rows)
+
+    def headline(self) -> str:
+        """Model, devices and status in one line."""
+        return f"{self.model}, {len(self.devices)} devices: {self.status}"
+
+    def __str__(self) -> str:
+        lines = [self.headline(), *self.summary().lines()]
+        lines.append(MEANING)
+        if (correlations := self.correlation_table()).rows:
+            lines += correlations.lines()
+        lines.append(f"outlying devices: {', '.join(self.outlying) or 'none'}")
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+    __repr__ = __str__
+
+    def device_rows(self) -> list[dict[str, Any]]:
+        """One row per device: fitted and better values with standard deviations, effective fraction, chance of one so unusual."""
+        mean, sd = self.shrunken
+        rows = []
+        for d, device in enumerate(self.devices):
+            row: dict[str, Any] = {"device": device.name}
+            for k, name in enumerate(self.names):
+                row |= {f"{name}_fit": self.fitted[d, k], name: mean[d, k], f"{name}_sd": sd[d, k]}
+            chance = self.unusual[d]
+            row |= {"effective": self.effective[d], "unusual": chance if np.isfinite(chance) else None}
+            rows.append({key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()})
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`."""
+        z = self._next_z(4000, self.seed, {})
+        low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
+        pairs = [(a, b) for a in range(len(self.names)) for b in range(a)]
+        return {
+            "schema": SCHEMA,
+            "model": self.model,
+            "status": str(self.status),
+            "advice": self.advice,
+            "notes": [note.to_dict() for note in self.notes],
+            "parameters": {row.pop("name"): row for row in self.table()},
+            "correlations": {
+                f"{self.names[b]}, {self.names[a]}": {"lower": low[a, b], "median": middle[a, b], "upper": high[a, b]}
+                for a, b in pairs
+            },
+            "covariates": self.covariates,
+            "next_device": {
+                name: {"prior": prior.exact()}
+                for name, prior in self.common.priors(z.mean(axis=0), z.std(axis=0)).items()
+            },
+            "devices": {row.pop("device"): row for row in self.device_rows()},
+            "outlying": list(self.outlying),
+            "timing": {"run_s": self.seconds},
+            "provenance": self.provenance,
+        }
+
+    def plot(self, kind: str = "forest") -> Any:
+        """A picture: "forest" (devices and population), "correlation", or "shrinkage" (fitted against better values).
+
+        Raises:
+            ParameterError: an unknown kind.
+        """
+        return attribute("hystfit.population.pictures:draw")(self, kind)
+
+    def to_arviz(self) -> Any:
+        """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
+        arviz = optional("arviz", "bayes", "to_arviz")
+        drawn = self.drawn
+        posterior = {"effects": drawn.effects, "covariance": drawn.covariance, "z": drawn.z}
+        sizes = ("covariate", "parameter"), ("parameter", "other"), ("device", "parameter")
+        dims = {name: list(own) for name, own in zip(posterior, sizes, strict=True)}
+        coords = {"parameter": list(self.names), "other": list(self.names), "device": [d.name for d in self.devices]}
+        coords |= {"covariate": ["mean", *self.covariates]}
+        if "posterior" in inspect.signature(arviz.from_dict).parameters:
+            return arviz.from_dict(posterior=posterior, dims=dims, coords=coords)
+        return arviz.from_dict({"posterior": posterior}, dims=dims, coords=coords)
+
+    def save(self, folder: str | Path) -> Path:
+        """Write result.json and devices.csv into a folder.
+
+        Raises:
+            HystfitError: the folder cannot be written.
+        """
+        return attribute("hystfit.population.population_files:save")(self, folder)
+
+
+@eqx.filter_jit
+def _outputs(coordinates: Coordinates, x: Array, u: Array, dt: Array) -> Array:
+    return jax.lax.map(lambda row: run(coordinates.assemble(row, 0), u, dt)[0], x)

@@ -1,0 +1,166 @@
+"""Populations: the second stage against a grid and closed forms, device fits, bad input, priors for the next device, and the verb."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.errors import DataError, ParameterError
+from hystfit.outcome import Status
+from hystfit.population.hierarchy import Pool, draw_hierarchy
+from hystfit.population.population_files import load_population_priors
+
+FIX = {"rho": 0.5, "mu": 0.5}
+COUNT = 8
+U = np.sin(2 * np.pi * 4 * np.linspace(0, 1, 160)) * np.linspace(0.4, 1.0, 160)
+
+
+def test_the_second_stage_has_the_posterior_of_a_grid():
+    """One parameter: mean and standard deviation on a grid, with a half-t prior of two degrees of freedom and scale one."""
+    rng = np.random.default_rng(1)
+    means, error = 0.3 * rng.normal(size=8), 0.4
+    sd, mu = np.meshgrid(np.exp(np.linspace(-7, 2, 300)), np.linspace(-2, 2, 301), indexing="ij")
+    variance = sd**2 + error**2
+    log_p = -0.5 * len(means) * np.log(variance) - sum(0.5 * (m - mu) ** 2 / variance for m in means)
+    log_p += -1.5 * np.log(1 + sd**2 / 2) + np.log(sd)  # the grid is even in log sd
+    p = np.exp(log_p - log_p.max()).sum(axis=1)
+    expected = np.interp([0.25, 0.5, 0.75, 0.95], np.cumsum(p) / p.sum(), sd[:, 0])
+    drawn = draw_hierarchy(means[:, None], np.full((8, 1, 1), error**-2), np.ones((8, 1)), chains=4, draws=1500)
+    found = np.quantile(np.sqrt(drawn.covariance), [0.25, 0.5, 0.75, 0.95])
+    np.testing.assert_allclose(found, expected, rtol=0.12)
+
+
+def test_a_pool_of_draws_stands_for_the_likelihood_it_comes_from():
+    rng = np.random.default_rng(2)
+    means, error = 0.3 * rng.normal(size=(6, 1)), 0.2
+    prior_mean, prior_sd = 0.1, 1.0
+    # The posterior of device 0 alone: its normal likelihood times a normal prior.
+    precision = error**-2 + prior_sd**-2
+    middle = (means[0, 0] / error**2 + prior_mean / prior_sd**2) / precision
+    z = middle + rng.normal(size=(3000, 1)) / np.sqrt(precision)
+    pool = Pool(z, -0.5 * ((z[:, 0] - prior_mean) / prior_sd) ** 2)
+    precisions, ones = np.full((6, 1, 1), error**-2), np.ones((6, 1))
+    plain = draw_hierarchy(means, precisions, ones, draws=1500)
+    means[0], precisions[0] = 9.0, 1.0  # not used
+    pooled = draw_hierarchy(means, precisions, ones, pools={0: pool}, draws=1500)
+    for a, b in ((plain.z[:, :, 0], pooled.z[:, :, 0]), (np.log(plain.covariance), np.log(pooled.covariance))):
+        assert abs(np.median(a) - np.median(b)) < 0.12 * a.std()
+        np.testing.assert_allclose(np.quantile(b, [0.25, 0.75]), np.quantile(a, [0.25, 0.75]), atol=0.12 * a.std())
+
+
+def test_a_covariate_moves_the_mean():
+    rng, t = np.random.default_rng(3), np.linspace(-1, 1, 40)
+    z = 0.5 + 0.8 * t + 0.1 * rng.normal(size=40)
+    drawn = draw_hierarchy(z[:, None], np.full((40, 1, 1), 1e6), np.stack([np.ones(40), t], axis=1), draws=400)
+    slope, intercept = np.polyfit(t, z, 1)
+    effects = drawn.effects.reshape(-1, 2)
+    np.testing.assert_allclose(effects.mean(axis=0), [intercept, slope], atol=0.01)
+    residual = z - intercept - slope * t
+    error = np.sqrt(residual @ residual / 38 / np.sum(t**2))
+    assert effects[:, 1].std() == pytest.approx(error, rel=0.15)
+
+
+def devices() -> tuple[list[hf.Record], np.ndarray]:
+    rng = np.random.default_rng(0)
+    scatter = rng.normal(size=(COUNT, 2)) * [0.05, 0.1]
+    x = np.exp(scatter) * [1.0, 2.0]
+    records = []
+    for k, (c, tau) in enumerate(x):
+        y = np.asarray(hf.simulate(hf.BoucWen(c=c, tau=tau, **FIX), U)[0])
+        records.append(hf.Record(u=U, y=y + (0.08 if k % 2 else 0.02) * rng.normal(size=U.size), name=f"device {k}"))
+    return records, x
+
+
+@pytest.fixture(scope="module")
+def population() -> tuple[hf.PopulationFit, np.ndarray]:
+    records, x = devices()
+    options = {"fix": {**FIX, "offset": 0.0}, "noise": "iid", "starts": 1, "draws": 500}
+    return hf.fit_population("bouc-wen", records, **options), x
+
+
+def test_mean_scatter_and_devices_are_those_of_the_simulation(population):
+    fit, x = population
+    assert fit.status is Status.OK
+    assert fit.names == ("c", "tau")
+    rows = fit.table()
+    for k, row in enumerate(rows):
+        assert row["mean_lower"] < x[:, k].mean() < row["mean_upper"]
+        assert row["sd_lower"] < [0.05, 0.2][k] < row["sd_upper"]
+    true = x[:, 1].std(ddof=1)  # of tau, whose errors are as large as its scatter
+    assert abs(rows[1]["sd_here"] - true) < 0.5 * abs(rows[1]["sd_of_fits"] - true)
+    fitted, (better, sd) = fit.fitted, fit.shrunken
+    assert np.sum(((better - x) / x) ** 2) < np.sum(((fitted - x) / x) ** 2)
+    assert np.mean(np.abs(better - x) < 3 * sd) > 0.9
+    assert (fit.effective > 0.8).all()
+    assert not fit.outlying
+
+
+def test_the_next_device_and_its_band(population):
+    fit, _ = population
+    further = fit.next_devices(4000)
+    np.testing.assert_allclose(np.median(further, axis=0), [1.0, 2.0], rtol=0.1)
+    record = hf.Record(u=U, y=0 * U)
+    low, middle, high = fit.bands(record, count=60)
+    typical = np.asarray(hf.simulate(hf.BoucWen(c=1.0, tau=2.0, **FIX), U)[0])
+    assert np.mean((low <= typical) & (typical <= high)) > 0.9
+    assert np.abs(middle - typical).max() < 0.2
+    with pytest.raises(ParameterError, match="level"):
+        fit.bands(record, level=2)
+    with pytest.raises(ParameterError, match="no covariate"):
+        fit.next_devices(3, temperature=20)
+
+
+def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
+    fit, _ = population
+    fit.save(tmp_path / "pop")
+    priors = load_population_priors(tmp_path / "pop")
+    assert set(priors) == {"c", "tau"}
+    inside = np.log(np.asarray(fit.next_devices(4000))).std(axis=0)
+    for prior, spread in zip(priors.values(), inside, strict=True):
+        assert float(prior.spread) == pytest.approx(spread, rel=0.1)
+    assert (tmp_path / "pop" / "devices.csv").read_text().count("\n") == COUNT + 1
+    (tmp_path / "pop" / "result.json").write_text("{}")
+    with pytest.raises(DataError):
+        load_population_priors(tmp_path / "pop")
+
+
+def test_views(population):
+    fit, _ = population
+    for kind in ("forest", "correlation", "shrinkage"):
+        assert fit.plot(kind).axes
+    with pytest.raises(ParameterError, match="no picture"):
+        fit.plot("pie")
+    assert fit.to_arviz().posterior["z"].shape[2:] == (COUNT, 2)
+    assert "sd of fits" in str(fit)
+
+
+def test_a_device_apart_is_outlying(population):
+    fit, _ = population
+    odd = dataclasses.replace(fit.devices[0], name="odd", mean=fit.devices[0].mean + jnp.asarray([2.0, 0.0]))
+    drawn = dataclasses.replace(fit, devices=(*fit.devices[1:], odd))
+    assert drawn.outlying == ("odd",)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"records": slice(0, 1)}, "a population needs several devices, and 1 has"),
+        ({"records": slice(0, 2)}, "2 devices do not determine the scatter of 2 parameters"),
+        ({"covariates": {"temperature": {"device 0": 20.0}}}, "device 'device 1' has no number"),
+        ({"covariates": ["temperature"]}, "covariate 'temperature'"),
+        ({"by": {"device 0": "a"}}, "names no device for the loop 'device 1'"),
+        ({"flat": True}, "device 0: "),
+        ({"draws": 3}, "at least 100"),
+    ],
+)
+def test_bad_input_is_named(change, words):
+    records, _ = devices()
+    records = records[change.pop("records", slice(0, 3))]
+    if change.pop("flat", False):  # a device without a loop
+        records = [records[0].replace(y=2 * U), *records[1:]]
+    options = {"fix": {**FIX, "offset": 0.0}, "noise": "iid", "starts": 1} | change
+    with pytest.raises((DataError, ParameterError)) as caught:
+        hf.fit_population("bouc-wen", records, **options)
+    assert words in str(caught.value)
