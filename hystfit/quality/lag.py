@@ -21,6 +21,9 @@ SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches cur
 # Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
 NEAR = 0.12, 0.2, 0.35
 MOST_TURNS = 40
+# How far the output goes on after a turn within the lag, over how far it came within a lag before: a lag gives a third behind a sine and 1
+# behind a triangle, a play or a valve that sticks 0. Half of the least.
+_GOES_ON = 1 / 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,9 +150,21 @@ def estimate_lag(
     best, stderr, count = estimates[0]
     if len(estimates) > 1 and estimates[1] is not None:
         stderr = float(np.hypot(stderr, 0.5 * (estimates[1][0] - best)))
-    if stderr > max(2.0, 0.5 * abs(best)):
+    if stderr > max(2.0, 0.5 * abs(best)) or _rests(turns, y, best):
         return None
     return Lag(best, stderr, None if interval is None else best * interval, count)
+
+
+def _rests(turns: list[_Turn], y: np.ndarray, lag: float) -> bool:
+    """Whether the output rests at the turns of the input, where it would go on behind a lag of this many samples, or turn before."""
+    if abs(lag) < 1:
+        return False
+    way = np.array([1.0 if turn.upper else -1.0 for turn in turns])
+    before, at, after = (
+        np.interp([turn.at + shift for turn in turns], np.arange(y.size), y) for shift in (-lag, 0.0, lag)
+    )
+    short = way * ((after - at) - _GOES_ON * (at - before))
+    return bool(short.mean() + 2 * short.std(ddof=1) / np.sqrt(short.size) < 0)
 
 
 def _over_turns(

@@ -1,0 +1,73 @@
+"""Loops without dynamics whose shape looks like it: steep branches are no resonance, and a rest after a turn is no lag."""
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.models.registry import judged
+from hystfit.outcome import Code
+from hystfit.quality.check import examine
+from hystfit.quality.lag import estimate_lag
+from hystfit.quality.loops import reversals
+
+
+def codes(record: hf.Record) -> set[Code]:
+    return {note.code for note in examine(hf.Dataset((record,)), judged()).findings}
+
+
+def sweep(middle: float, width: float, steep: float, samples: int) -> hf.Record:
+    """A transition that is passed upward later than downward, as of a shape-memory wire, in one slow sweep."""
+    t = np.linspace(0, 120, samples)
+    u = np.interp(t, [0, 60, 120], [20, 90, 20])
+    at = np.where(t < 60, middle + width, middle - width)
+    y = 4 / (1 + np.exp(-(u - at) / steep)) + 0.01 * np.random.default_rng(4).normal(size=samples)
+    return hf.Record(u=u, y=y, t=t, u_unit="degC", y_unit="%")
+
+
+@pytest.mark.parametrize(("steep", "samples"), [(1.2, 300), (2.5, 800), (5.0, 2000)])
+@pytest.mark.parametrize("width", [2.0, 10.0])
+def test_a_steep_transition_is_no_resonance(width: float, steep: float, samples: int) -> None:
+    assert Code.DYNAMICS not in codes(sweep(55.0, width, steep, samples))
+
+
+def test_a_resonance_behind_a_play_is_one() -> None:
+    """A chirp through the natural frequency, by a plain loop of small steps."""
+    t = np.linspace(0, 10, 4000)
+    u = np.sin(2 * np.pi * (0.5 * t + 0.55 * t**2))
+    omega, zeta, step = 2 * np.pi * 6, 0.05, t[1]
+    play, position, speed, y = 0.0, 0.0, 0.0, []
+    for drive in u:
+        play = max(drive - 0.2, min(drive + 0.2, play))
+        speed += step * (omega**2 * (play - position) - 2 * zeta * omega * speed)
+        position += step * speed
+        y.append(position)
+    assert Code.DYNAMICS in codes(hf.Record(u=u, y=np.array(y), t=t))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_a_valve_that_sticks_does_not_lag(seed: int) -> None:
+    """The stem rests until the signal has changed by 4 %, then follows at a distance of 1.5 %: no output after the turns."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, 400, 800)
+    u = 50 + 40 * np.sin(2 * np.pi * t / 100) * np.linspace(0.2, 1, t.size)
+    x = np.full(t.size, u[0])
+    for k in range(1, t.size):
+        moved = u[k] - x[k - 1]
+        x[k] = x[k - 1] if abs(moved) < 4 else u[k] - np.sign(moved) * 1.5
+    record = hf.Record(u=u, y=x + 0.1 * rng.normal(size=t.size), t=t, u_unit="%", y_unit="%")
+    assert not codes(record) & {Code.LAG, Code.SPEED_DEPENDENT}
+
+
+@pytest.mark.parametrize("wave", [np.sin, lambda phase: 2 / np.pi * np.arcsin(np.sin(phase))])
+@pytest.mark.parametrize("lag", [2.0, 8.0, 15.0])
+def test_a_delayed_play_lags(wave, lag: float) -> None:
+    index = np.arange(2000.0)
+    u = wave(2 * np.pi * index / 400)
+    play, y = 0.0, []
+    for drive in u:
+        play = max(drive - 0.2, min(drive + 0.2, play))
+        y.append(play + 0.5 * drive)
+    noisy = np.interp(index - lag, index, y) + 0.005 * np.random.default_rng(3).normal(size=index.size)
+    found = estimate_lag(u, noisy, 1.0, reversals(u, 0.05))
+    assert found is not None
+    assert abs(found.samples - lag) < 3 * found.stderr
