@@ -70,9 +70,9 @@ def cube(loops: int, samples: int) -> None:
                 c, tau = np.exp(0.2 * rng.normal()), 1.5 * np.exp(0.1 * rng.normal())
                 y = np.empty(samples)
                 miss((c, 0.45, tau, 0.5, 0.3), u, np.zeros(samples), y)
-                noise = rng.standard_normal(samples)
+                noise: np.ndarray = rng.standard_normal(samples)
                 if column == 0:
-                    noise += 0.3 * lfilter([1.0], [1.0, -0.95], rng.standard_normal(samples))
+                    noise += 0.3 * np.asarray(lfilter([1.0], [1.0, -0.95], rng.standard_normal(samples)))
                 data[row, column] = y + 0.003 * np.ptp(y) * noise
         begin, used = time.perf_counter(), time.process_time()
         found = hf.fit_map("bouc-wen", u, data, t)

@@ -2,6 +2,7 @@
 
 import inspect
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -153,3 +154,17 @@ def test_samplers_by_hand_agree_with_the_errors_of_the_fit():
     assert (
         abs(names["by_laplace"][:, -1].mean() - 0.02 * np.sqrt(2 / np.pi)) < 0.003
     )  # mean absolute value of the normal noise
+
+
+def test_the_way_of_a_fit_names_what_there_is():
+    """Each name in that table of CONTRIBUTING is a module, or something in one."""
+    table = (
+        (ROOT / "CONTRIBUTING.md")
+        .read_text(encoding="utf-8")
+        .partition("### The way of a fit")[2]
+        .partition("\nThe `__init__")[0]
+    )
+    names = re.findall(r"`(hystfit\.[\w.]+)`", table)
+    assert len(names) > 8
+    for name in names:
+        assert pkgutil.resolve_name(name) is not None, name
