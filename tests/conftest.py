@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import jaxtyping
@@ -85,6 +86,16 @@ def _figures_closed() -> Iterator[None]:
     yield
     if pyplot := sys.modules.get("matplotlib.pyplot"):
         pyplot.close("all")
+
+
+def examined(data: Any) -> Any:
+    """The report of `check` on data without its comparison of models, which takes seconds."""
+    # Imported here, as modules that are imported before the tests are collected escape their type checks.
+    from hystfit.models.registry import judged
+    from hystfit.quality.check import examine
+    from hystfit.reading.in_memory import records_of
+
+    return examine(records_of(data), judged())
 
 
 @pytest.fixture(scope="session")

@@ -471,7 +471,7 @@ def test_a_missing_package_is_named_with_its_extra(package, ending, extra, fits,
     if package == "pandas":
         monkeypatch.setitem(sys.modules, "pyarrow", sys)
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtraError, match=rf"{package}.*hystfit\[{extra}\]"):
+    with pytest.raises(MissingExtraError, match=rf"{package}.*hystfit-jax\[{extra}\]"):
         fits.save(tmp_path / f"fits{ending}")
 
 

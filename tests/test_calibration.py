@@ -227,7 +227,7 @@ def test_a_scheduler_without_dask_names_the_extra(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(MissingExtraError, match=r"hystfit\[batch\]"):
+    with pytest.raises(MissingExtraError, match=r"hystfit-jax\[batch\]"):
         calibrate(TRUTH, DATA, noise="iid", replicates=1, scheduler="tcp://nowhere:1")
 
 

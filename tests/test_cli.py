@@ -27,7 +27,7 @@ from hystfit.outcome import Status
 from hystfit.results.report import Wording, html_report, text_report
 from hystfit.results.saved import load_fit
 
-PARAMETER_KEYS = {"value", "stderr", "unit", "lower", "upper", "fixed", "at_bound", "identifiable"}
+PARAMETER_KEYS = {"value", "stderr", "unit", "lower", "upper", "fixed", "at_bound", "identifiable", "tie"}
 METRIC_KEYS = {"rmse", "nrmse_percent", "max_error", "max_error_percent", "r2", "n"}
 TRUTH = {"c": 0.2, "mu": 0.5, "tau": 0.05, "rho": 0.4}
 

@@ -17,7 +17,7 @@ from hystfit.fitting.structure_search import search_structure
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.design import effective_number
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
-from hystfit.outcome import Code, Severity
+from hystfit.outcome import Code
 
 T = np.arange(0.0, 12.0, 0.01)
 U = 5 + 4 * (0.3 + 0.7 * np.abs(np.sin(2 * np.pi * T / 12))) * np.sin(2 * np.pi * 0.7 * T)
@@ -209,17 +209,15 @@ def test_compare_refuses_an_unknown_model_before_it_works():
         hf.compare(hf.Record(u=U, y=U, t=T), ["bouc-wen", "buc-wen"])
 
 
-@pytest.mark.parametrize("follows", [True, False])
-def test_the_largest_strength_is_a_warning_only_where_the_weights_do_not_help(follows: bool) -> None:
-    """A loop needs its weights however strong the ridge; noise that does not follow the input does not."""
-    noise = np.random.default_rng(3).normal(size=U.size)
-    y = plays_by_hand(U, np.array([0.5, 1.5])) @ [1.0, 2.0] if follows else noise
-    record = hf.Record(u=U, y=y, t=T)
+def test_weights_of_noise_take_the_largest_strength_and_are_not_usable() -> None:
+    """Noise that does not follow the input needs no weights: the ridge chosen for them is the largest, and the status says so."""
+    record = hf.Record(u=U, y=np.random.default_rng(3).normal(size=U.size), t=T)
     problem = hf.Problem(hf.PrandtlIshlinskii.of(6).start([record]), record)
-    convex = Convex(strengths=(1e-3,) if follows else (1e2,))
+    convex = Convex(strengths=(1e-3, 1e2))
     found = convex.estimate(problem, problem.space.unconstrained(problem.space.vector(problem.model))[None])
     (note,) = [note for note in found.notes if note.code is Code.CHOICE]
-    assert note.severity is (Severity.INFO if follows else Severity.WARNING)
+    assert note.text.startswith("ridge 1e+02 ")
+    assert not hf.fit(hf.PrandtlIshlinskii.of(6), record).usable
 
 
 def test_systems_that_are_solved_side_by_side_have_the_solutions_of_an_active_set_method():

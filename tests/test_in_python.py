@@ -420,6 +420,6 @@ def test_notebooks_show_tables_with_all_text_escaped(y: np.ndarray) -> None:
 def test_version_and_module() -> None:
     import importlib.metadata
 
-    assert hf.__version__ == importlib.metadata.version("hystfit")
+    assert hf.__version__ == importlib.metadata.version("hystfit-jax")
     done = subprocess.run([sys.executable, "-m", "hystfit", "--version"], capture_output=True, text=True)
     assert (done.returncode, done.stdout.strip()) == (0, hf.__version__)

@@ -32,6 +32,8 @@ from hystfit.quality.resonance import _filtered, lagged
 from hystfit.quality.shape import loop_shape, strength_left
 from hystfit.quality.summary import outliers_of
 
+from .conftest import examined
+
 SHARED = pathlib.Path(os.environ.get("HYSTFIT_DATA", pathlib.Path(__file__).parents[1] / ".." / "shared" / "data"))
 needs_data = pytest.mark.skipif(not (SHARED / "piezo_dbo").is_dir(), reason="no measured data: set HYSTFIT_DATA")
 
@@ -130,11 +132,11 @@ def test_a_repeated_cycle_counts_once_each_time():
 def test_chatter_is_not_counted_as_reversals():
     _, u = signals.sine(7, 100)
     noisy = u + 0.02 * np.random.default_rng(1).normal(size=u.size)
-    report = check(Record(noisy, piezo(u), t=np.arange(u.size) / 100))
+    report = examined(Record(noisy, piezo(u), t=np.arange(u.size) / 100))
     assert report.records[0].motion.reversals == 14
     assert report.records[0].motion.chatter_percent > 5
     assert has(report.findings, Code.CHATTER)
-    assert not has(check(Record(u, piezo(u))).findings, Code.CHATTER)
+    assert not has(examined(Record(u, piezo(u))).findings, Code.CHATTER)
 
 
 def test_area_width_and_direction_of_a_play_are_known():
@@ -143,11 +145,11 @@ def test_area_width_and_direction_of_a_play_are_known():
     loop = geometry.closed_loops(u, 0.01)[1]
     part = slice(loop.start, loop.stop + 1)
     assert geometry.loop_area(u[part], y[part]) == pytest.approx(2 * 0.3 * (2 - 2 * 0.3), rel=0.01)
-    shape = check(Record(u, y)).records[0].shape
+    shape = examined(Record(u, y)).records[0].shape
     assert shape.width == pytest.approx(0.6, rel=0.03)
     assert shape.circulation == "counter-clockwise"
-    assert check(Record(u, u - y)).records[0].shape.circulation == "clockwise"
-    assert check(Record(u, u**3)).records[0].shape.circulation is None
+    assert examined(Record(u, u - y)).records[0].shape.circulation == "clockwise"
+    assert examined(Record(u, u**3)).records[0].shape.circulation is None
     assert shape.closure_percent == pytest.approx(0, abs=0.2)
 
 
@@ -203,7 +205,7 @@ def test_spikes_missing_samples_and_clipping_are_counted():
     y = y + 0.002 * np.random.default_rng(3).normal(size=y.size)
     y[[130, 420, 777]] += [1.0, -1.2, 0.9]
     y[600:610] = np.nan
-    report = check(Record(u, y, t=t))
+    report = examined(Record(u, y, t=t))
     record = report.records[0]
     assert (record.spikes, record.sampling.missing) == (3, 10)
     assert has(report.findings, Code.SPIKES)
@@ -211,7 +213,7 @@ def test_spikes_missing_samples_and_clipping_are_counted():
     assert not has(report.findings, Code.CLIPPED)
     assert record.clipped == 0
     top = np.minimum(piezo(u), 1.2)
-    clipped = check(Record(u, top, t=t))
+    clipped = examined(Record(u, top, t=t))
     assert clipped.records[0].clipped == (piezo(u) >= 1.2).sum()
     assert has(clipped.findings, Code.CLIPPED)
 
@@ -235,27 +237,27 @@ def test_an_outlier_beside_a_reversal_is_one_and_a_sharp_peak_of_the_output_ther
 def test_sampling_tells_uneven_repeated_and_missing_time():
     t, u = signals.sine(5, 100)
     gap = np.delete(np.arange(t.size), np.arange(200, 205))
-    report = check(Record(u[gap], u[gap], t=t[gap]))
+    report = examined(Record(u[gap], u[gap], t=t[gap]))
     assert has(report.findings, Code.TIME_STEPS)
-    assert not has(check(Record(u, u, t=t)).findings, Code.TIME_STEPS)
+    assert not has(examined(Record(u, u, t=t)).findings, Code.TIME_STEPS)
     found = report.records[0].sampling
     assert (found.uniform, found.gaps, found.repeated_stamps) == (False, 1, 0)
     assert found.rate == pytest.approx(100)
     doubled = t.copy()
     doubled[50] = doubled[49]
-    assert check(Record(u, u, t=doubled)).records[0].sampling.repeated_stamps == 1
-    untimed = check(Record(u, u))
+    assert examined(Record(u, u, t=doubled)).records[0].sampling.repeated_stamps == 1
+    untimed = examined(Record(u, u))
     assert untimed.records[0].sampling.rate is None
     assert has(untimed.findings, Code.NO_TIME)
 
 
 def test_holds_are_rests_and_not_the_tops_of_a_slow_sine():
     _, u = signals.staircase(100, levels=4, hold=2.0, ramp=0.5)
-    motion = check(Record(u, u)).records[0].motion
+    motion = examined(Record(u, u)).records[0].motion
     assert motion.holds == 7
     assert motion.longest_hold == pytest.approx(200, abs=2)
     for rate in (50, 500, 5000):
-        assert check(Record(*(2 * [signals.sine(3, rate)[1]]))).records[0].motion.holds == 0
+        assert examined(Record(*(2 * [signals.sine(3, rate)[1]]))).records[0].motion.holds == 0
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
@@ -269,7 +271,7 @@ def test_holds_are_found_behind_settling_and_noise(noise):
     assert len(spans) == 7
     assert (spans % 300)[1:, 0].max() < 130
     np.testing.assert_array_less(np.abs(spans[:-1, 1] - 300 * np.arange(1, 7)), 3)
-    motion = check(Record(u, u)).records[0].motion
+    motion = examined(Record(u, u)).records[0].motion
     assert motion.holds == 7
     assert motion.longest_hold >= 300
 
@@ -290,7 +292,7 @@ def test_slow_waves_have_no_holds(noise):
 def test_linear_drift_per_cycle_is_recovered(slope):
     t, u = signals.sine(20, 200)
     y = piezo(u) + slope * t + 0.002 * np.random.default_rng(4).normal(size=t.size)
-    found = check(Record(u, y, t=t)).records[0].drift
+    found = examined(Record(u, y, t=t)).records[0].drift
     assert found.law == "linear"
     assert found.per_cycle == pytest.approx(slope, rel=0.02)
     assert found.r2_linear > 0.99
@@ -300,7 +302,7 @@ def test_linear_drift_per_cycle_is_recovered(slope):
 def test_logarithmic_drift_per_decade_is_recovered_and_preferred(gamma):
     t, u = signals.sine(60, 200)
     y = piezo(u) + gamma * np.log10(np.maximum(t, 0.05)) + 0.002 * np.random.default_rng(5).normal(size=t.size)
-    found = check(Record(u, y, t=t)).records[0].drift
+    found = examined(Record(u, y, t=t)).records[0].drift
     assert found.law == "logarithmic"
     assert found.per_decade == pytest.approx(gamma, rel=0.03)
 
@@ -316,11 +318,11 @@ def test_linear_drift_without_time_is_reported():
 
 def test_no_drift_is_reported_and_unlike_cycles_are_not_compared():
     t, u = signals.sine(30, 200)
-    quiet = check(Record(u, piezo(u) + 0.01 * np.random.default_rng(6).normal(size=t.size), t=t)).records[0].drift
+    quiet = examined(Record(u, piezo(u) + 0.01 * np.random.default_rng(6).normal(size=t.size), t=t)).records[0].drift
     assert quiet.law == "none"
     assert abs(quiet.per_cycle) < 2e-4
     _, sweep = signals.amplitude_sweep(200, cycles=8)
-    assert check(Record(sweep, piezo(sweep))).records[0].drift is None
+    assert examined(Record(sweep, piezo(sweep))).records[0].drift is None
     levels = drifting.like_cycles(u, geometry.cycles(u, 0.01))
     assert len(levels) == len(geometry.cycles(u, 0.01))
 
@@ -350,9 +352,9 @@ def test_lag_is_recovered_whatever_the_hysteresis(wave, model, lag):
 
 def test_lag_is_unknown_without_turns_or_time():
     t, u = signals.sine(0.4, 200, frequency=0.5)
-    assert check(Record(u, u, t=t)).records[0].lag is None
+    assert examined(Record(u, u, t=t)).records[0].lag is None
     _, u = signals.sine(5, 200)
-    assert check(Record(u, piezo(u))).records[0].lag is None
+    assert examined(Record(u, piezo(u))).records[0].lag is None
 
 
 def test_speed_dependence_is_distinguished_from_a_lag():
@@ -375,8 +377,8 @@ def test_loops_that_widen_with_frequency_depend_on_rate():
     slow, fast = signals.sine(8, 200, frequency=0.5)[1], signals.sine(4, 200, frequency=2.0)[1]
     u = np.concatenate([slow, fast])
     t = np.arange(u.size) / 200
-    assert check(Record(u, piezo(u), t=t)).records[0].rate_effect == pytest.approx(0, abs=0.03)
-    assert check(Record(u, piezo(u) - 0.02 * np.gradient(u, t), t=t)).records[0].rate_effect > 0.1
+    assert examined(Record(u, piezo(u), t=t)).records[0].rate_effect == pytest.approx(0, abs=0.03)
+    assert examined(Record(u, piezo(u) - 0.02 * np.gradient(u, t), t=t)).records[0].rate_effect > 0.1
 
 
 # --- dynamics -----------------------------------------------------------------------------------------------------
@@ -437,7 +439,7 @@ def resonant(kind):
 
 @pytest.mark.parametrize(("kind", "frequency"), [("chirp", 15.0), ("multisine", 15.0), ("oscillator", None)])
 def test_a_resonance_is_dynamics_and_not_damage(kind, frequency):
-    report = check(resonant(kind))
+    report = examined(resonant(kind))
     record = report.records[0]
     assert record.dynamic
     assert not record.degrading
@@ -476,12 +478,12 @@ def test_delay_lag_velocity_and_minor_loops_are_no_resonance(model, after):
             y = second_order(y, t[1], 10.0, 1.2)
         elif after == "velocity":
             y = y + 0.3 * np.ptp(y) * np.gradient(u) / np.abs(np.gradient(u)).max()
-        assert not check(Record(u, y, t=t)).records[0].dynamic
+        assert not examined(Record(u, y, t=t)).records[0].dynamic
 
 
 def test_one_frequency_shows_no_dynamics():
     t, u = signals.sine(5, 200)
-    record = check(Record(u, second_order(piezo(u), t[1], 5.0, 0.1), t=t)).records[0]
+    record = examined(Record(u, second_order(piezo(u), t[1], 5.0, 0.1), t=t)).records[0]
     assert not record.dynamic
 
 
@@ -490,7 +492,7 @@ def test_one_frequency_shows_no_dynamics():
 
 def test_a_monotonic_record_determines_no_hysteresis_model():
     u = np.linspace(0, 1, 200)
-    report = check(Record(u, u**2, t=u))
+    report = examined(Record(u, u**2, t=u))
     assert report.records[0].motion.monotonic
     assert {item.verdict for item in report.determines} == {"no"}
     assert has(report.findings, Code.NO_LOOP)
@@ -498,7 +500,7 @@ def test_a_monotonic_record_determines_no_hysteresis_model():
 
 def test_one_amplitude_leaves_preisach_and_bouc_wen_open():
     t, u = signals.sine(10, 200)
-    report = check(Record(u, piezo(u), t=t))
+    report = examined(Record(u, piezo(u), t=t))
     assert report.verdict("preisach").verdict == "partly"
     assert report.verdict("bouc-wen").verdict == "partly"
     assert report.verdict("duhem").verdict == "partly"
@@ -507,26 +509,26 @@ def test_one_amplitude_leaves_preisach_and_bouc_wen_open():
 
 def test_many_reversal_levels_determine_preisach():
     t, u = signals.random_reversals(40, 200, speed=4)
-    assert check(Record(u, piezo(u), t=t)).verdict("preisach").verdict == "yes"
+    assert examined(Record(u, piezo(u), t=t)).verdict("preisach").verdict == "yes"
     forc, curve = signals.forc_protocol(curves=12)
     ends = np.flatnonzero(np.diff((curve > 0).astype(int)) < 0) + 1
     records = [
         Record(forc[a:b], piezo(forc[a:b]), name=f"curve-{n}")
         for n, (a, b) in enumerate(zip([0, *ends[:-1]], ends, strict=True))
     ]
-    assert check(Dataset(tuple(records))).verdict("preisach").verdict == "yes"
+    assert examined(Dataset(tuple(records))).verdict("preisach").verdict == "yes"
 
 
 def test_creep_needs_a_rest_with_motion_or_a_drift():
     t, u = signals.staircase(100, levels=4, hold=5)
-    still = check(Record(u, piezo(u) + 1e-3 * np.random.default_rng(8).normal(size=t.size), t=t))
+    still = examined(Record(u, piezo(u) + 1e-3 * np.random.default_rng(8).normal(size=t.size), t=t))
     assert still.verdict("creep").verdict == "no"
     creeping, state = [], 0.0
     for value in u:
         state += 0.005 * (value - state)
         creeping.append(state)
-    assert check(Record(u, piezo(u) + 0.1 * np.array(creeping), t=t)).verdict("creep").verdict == "yes"
-    assert check(Record(u, piezo(u))).verdict("creep").verdict == "no"
+    assert examined(Record(u, piezo(u) + 0.1 * np.array(creeping), t=t)).verdict("creep").verdict == "yes"
+    assert examined(Record(u, piezo(u))).verdict("creep").verdict == "no"
 
 
 def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
@@ -585,11 +587,11 @@ def test_lost_stiffness_is_reported_for_damaged_loops_only():
     repeats = [signals.sine(3, 200, low=-a, high=a)[1] for a in (0.4, 0.7, 1.0)]
     u = np.concatenate([*repeats, repeats[0]])
     for model in (steel, piezo):
-        sound = check(Record(u, model(u)))
+        sound = examined(Record(u, model(u)))
         assert sound.records[0].stiffness_left > 0.95
         assert not has(sound.findings, Code.DEGRADING)
         assert sound.verdict("prandtl-ishlinskii-stop" if model is steel else "prandtl-ishlinskii").verdict == "yes"
-    broken = check(Record(u, damaged(u)))
+    broken = examined(Record(u, damaged(u)))
     assert broken.records[0].stiffness_left < 0.85
     assert broken.verdict("bouc-wen").verdict == "no"
     assert has(broken.findings, Code.DEGRADING)
@@ -801,14 +803,14 @@ def test_one_amplitude_alone_covers_no_minor_loops_and_no_larger_input():
     found = Coverage.of([one.replace(u_unit="V")])
     assert (found.low, found.high) == (u.min(), u.max())
     np.testing.assert_allclose(found.strokes, [2.0], rtol=1e-3)
-    assert has(check(one).findings, Code.MINOR_LOOPS)
-    assert not has(check(many).findings, Code.MINOR_LOOPS)
+    assert has(examined(one).findings, Code.MINOR_LOOPS)
+    assert not has(examined(many).findings, Code.MINOR_LOOPS)
 
 
 def test_constant_columns_are_reported_and_do_not_break():
-    report = check(Record(np.ones(50), np.arange(50.0), t=np.arange(50.0)))
+    report = examined(Record(np.ones(50), np.arange(50.0), t=np.arange(50.0)))
     assert report.records[0].motion.monotonic
-    report = check(Record(np.sin(np.arange(500) / 10), np.ones(500), t=np.arange(500.0)))
+    report = examined(Record(np.sin(np.arange(500) / 10), np.ones(500), t=np.arange(500.0)))
     assert report.records[0].drift.law == "none"
 
 
@@ -882,7 +884,7 @@ def test_findings_name_their_record_where_there_are_several():
 
 @needs_data
 def test_piezo_model_has_its_known_noise_drift_and_lag():
-    record = check(datasets.load("piezo_dbo/model", folder=SHARED)).records[0]
+    record = examined(datasets.load("piezo_dbo/model", folder=SHARED)).records[0]
     assert record.y.noise_rms == pytest.approx(0.07, rel=0.05)
     assert record.motion.cycles == 39
     assert record.drift.law == "logarithmic"
@@ -894,7 +896,7 @@ def test_piezo_model_has_its_known_noise_drift_and_lag():
 
 @needs_data
 def test_piezo_test_has_nested_loops_and_two_holds():
-    report = check(datasets.load("piezo_dbo/test", folder=SHARED))
+    report = examined(datasets.load("piezo_dbo/test", folder=SHARED))
     motion = report.records[0].motion
     assert motion.holds == 2
     assert motion.nested > 10
@@ -904,14 +906,14 @@ def test_piezo_test_has_nested_loops_and_two_holds():
 
 @needs_data
 def test_the_monotonic_coupon_has_no_loop():
-    report = check(datasets.load("steel_resspylab/example_3", folder=SHARED))
+    report = examined(datasets.load("steel_resspylab/example_3", folder=SHARED))
     assert {item.verdict for item in report.determines} == {"no"}
 
 
 @needs_data
 @pytest.mark.parametrize("name", ["trial2", "spc1"])
 def test_damaged_structures_are_out_of_reach(name):
-    report = check(datasets.load(f"struct_slotboom/{name}", folder=SHARED))
+    report = examined(datasets.load(f"struct_slotboom/{name}", folder=SHARED))
     assert report.verdict("bouc-wen").verdict == "no"
     assert has(report.findings, Code.DEGRADING)
 
@@ -933,7 +935,7 @@ def test_sound_steel_is_within_reach(name):
 @needs_data
 @pytest.mark.parametrize("name", ["M130_27s", "MnZn_ferrite"])
 def test_magnetic_loops_close_and_have_no_time(name):
-    report = check(datasets.load(f"mag_ja_bh/{name}", folder=SHARED))
+    report = examined(datasets.load(f"mag_ja_bh/{name}", folder=SHARED))
     for record in report.records:
         assert abs(record.shape.closure_percent) < 0.5
         assert record.shape.circulation == "counter-clockwise"
@@ -944,7 +946,7 @@ def test_magnetic_loops_close_and_have_no_time(name):
 
 @needs_data
 def test_the_damper_needs_a_velocity_term():
-    report = check(datasets.load("mr_labcontrol/4.1", folder=SHARED))
+    report = examined(datasets.load("mr_labcontrol/4.1", folder=SHARED))
     assert has(report.findings, Code.SPEED_DEPENDENT)
     assert has(report.findings, Code.SPIKES) == (report.records[0].spikes > 0)
 
@@ -953,7 +955,7 @@ def test_the_damper_needs_a_velocity_term():
 def test_a_cycle_that_begins_in_the_middle_of_its_loop_has_the_shape_of_the_ellipse(begin):
     """One closed cycle, as magnetometers record it: area pi sin(phi), width sin(phi) of the stroke, symmetric about its center."""
     phase, lag = begin + np.linspace(0.0, 2 * np.pi, 400), 0.4
-    [record] = check(Record(np.cos(phase), np.cos(phase - lag))).records
+    [record] = examined(Record(np.cos(phase), np.cos(phase - lag))).records
     assert record.shape is not None
     assert record.shape.circulation == "counter-clockwise"
     assert record.shape.area == pytest.approx(np.pi * np.sin(lag), rel=0.01)
@@ -981,7 +983,7 @@ def test_a_calibration_point_is_no_branch_of_a_loop():
     curves = [
         Record(u, np.tanh(u - 0.2 * u[1]), weight=weight, name=f"curve={k}", **labels) for k, u in enumerate(fields)
     ]
-    report = check(Dataset(tuple(curves)))
+    report = examined(Dataset(tuple(curves)))
     assert [record.shape for record in report.records] == [None] * 3
     assert not any("clockwise" in reason for item in report.determines for reason in item.reasons)
 

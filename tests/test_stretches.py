@@ -85,8 +85,8 @@ def test_a_fit_of_a_long_record_needs_little_more_memory_than_its_columns(monkey
     """Arrays of NumPy: the derivatives of all samples, and copies of outputs and residuals, were 28 columns."""
     for module, name, value in (
         (stretches, "NUMBERS", 2**18),
-        (baselines, "_BLOCK", 2**12),
-        (disturbance, "_BLOCK", 2**12),
+        (baselines, "BLOCK", 2**12),
+        (disturbance, "BLOCK", 2**12),
     ):
         monkeypatch.setattr(module, name, value)
     samples = 100_000

@@ -20,6 +20,8 @@ from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.summary import summarize
 
+from .conftest import examined
+
 RNG = np.random.default_rng(5)
 NOISE = RNG.normal(0.0, 1.0, 4000)
 
@@ -104,7 +106,7 @@ def test_a_pure_delay_is_found_judged_without_and_put_in_front(delay: int) -> No
 
 @pytest.mark.parametrize("other", [{"lag": 12.0}, {"lag": 35.0}, {"viscosity": 3.0}, {}])
 def test_a_lag_and_viscosity_are_no_delay(other: dict[str, float]) -> None:
-    assert not has(hf.check(_timed(**other)).findings, Code.DELAY)
+    assert not has(examined(_timed(**other)).findings, Code.DELAY)
 
 
 def test_a_named_model_without_a_delay_gets_a_note_on_it() -> None:
@@ -194,7 +196,7 @@ def test_softening_with_the_largest_stroke_is_found_and_is_no_hysteresis() -> No
     elements = 5 * u - plays(u, np.array([0.03, 0.1, 0.2, 0.4, 0.8]))
     softer = 1 - 0.35 * np.tanh(3 * (np.maximum.accumulate(u) - u))
     rubber = hf.Record(u, softer * u + 0.2 * (2 * u - plays(u, np.array([0.03, 0.1]))) + 0.002 * NOISE[: u.size])
-    report = hf.check(rubber)
+    report = examined(rubber)
     assert has(report.findings, Code.DEGRADING)
     assert summarize(rubber).softens_with_stroke
     assert has(hf.fit("prandtl-ishlinskii-stop", rubber).notes, Code.MODEL_MISMATCH)
@@ -216,7 +218,7 @@ def test_a_loop_after_first_magnetization_has_a_shape() -> None:
 
 def test_the_first_curve_of_decaying_loops_is_no_loop_that_fails_to_close() -> None:
     u = sweep(1200, 6)
-    assert not has(hf.check(hf.Record(u, plays(u, np.array([0.5, 1.5, 3.0])))).findings, Code.NOT_CLOSED)
+    assert not has(examined(hf.Record(u, plays(u, np.array([0.5, 1.5, 3.0])))).findings, Code.NOT_CLOSED)
 
 
 def test_rounding_noise_of_counts_is_seen_under_motion() -> None:
@@ -232,7 +234,7 @@ def test_a_lag_at_rising_frequency_is_no_damage() -> None:
     for value in still[1:]:
         y.append(y[-1] + (value - y[-1]) * (1 - np.exp(-0.004 / 0.02)))
     record = hf.Record(u, np.array(y) + 0.01 * NOISE[: t.size], t=t)
-    assert not has(hf.check(record).findings, Code.DEGRADING)
+    assert not has(examined(record).findings, Code.DEGRADING)
 
 
 def test_a_butterfly_is_neither_single_valued_nor_damaged() -> None:
@@ -251,8 +253,8 @@ def test_a_hysteresis_of_a_thousandth_is_seen_above_less_noise() -> None:
     y = 0.04 * u
     y[61:] += 0.05 * np.sin(np.pi * u[61:] / 600)
     noisy = hf.Record(u, y + 0.003 * NOISE[:121])
-    assert not has(hf.check(noisy).findings, Code.SINGLE_VALUED)
-    assert has(hf.check(hf.Record(u, 0.04 * u + 0.003 * NOISE[:121])).findings, Code.SINGLE_VALUED)
+    assert not has(examined(noisy).findings, Code.SINGLE_VALUED)
+    assert has(examined(hf.Record(u, 0.04 * u + 0.003 * NOISE[:121])).findings, Code.SINGLE_VALUED)
 
 
 def test_the_advice_is_a_model_that_the_samples_determine() -> None:
@@ -387,7 +389,7 @@ def test_branches_between_blank_lines_are_one_loop(tmp_path: Path) -> None:
     loop = hf.read(tmp_path / "loop.txt")
     assert isinstance(loop, hf.Record)
     assert len(loop) == 120
-    assert not has(hf.check(loop).findings, Code.NO_LOOP)
+    assert not has(examined(loop).findings, Code.NO_LOOP)
     # Branches that run the same way, as reversal curves do, remain curves; and so do those of loops that lie apart.
     (tmp_path / "curves.txt").write_text("\n".join([header, *rising, "", *rising]))
     assert isinstance(hf.read(tmp_path / "curves.txt"), hf.Dataset)

@@ -209,7 +209,7 @@ def test_yardsticks_do_not_depend_on_the_blocks_of_samples(monkeypatch, refit_of
     train, test = Dataset(tuple(records[:2])), records[2:]
     of = lambda: [Baselines.of(train), Baselines.of(train, test, refit_offset=refit_offset)]
     at_once = of()
-    monkeypatch.setattr(baselines, "_BLOCK", 37)
+    monkeypatch.setattr(baselines, "BLOCK", 37)
     for blocks, whole in zip(of(), at_once, strict=True):
         for name in ("line", "curve", "plays"):
             assert getattr(blocks, name) == pytest.approx(getattr(whole, name), rel=1e-9)

@@ -74,7 +74,9 @@ def _paces(data: Dataset) -> int:
     durations = [
         np.log10(record.t[at[1:]] - record.t[at[:-1]])
         for record in data
-        if record.t is not None and (at := reversals(record.u, _TURN * float(np.ptp(record.u)))).size > 1
+        if record.t is not None
+        and np.diff(record.t).min() > 0
+        and (at := reversals(record.u, _TURN * float(np.ptp(record.u)))).size > 1
     ]
     return len(distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
 

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.config import verb
 from hystfit.errors import DataError, ModelError
 from hystfit.models.jiles_atherton import MU0, langevin
 from hystfit.params.host_arrays import compiled
@@ -77,6 +78,7 @@ class VectorHysteresis:
         if (self.kappa < 0).any() or (self.w < 0).any() or abs(float(self.w.sum()) - 1) > 1e-6:
             raise ModelError("pinning fields and weights must not be negative, and the weights sum to 1")
 
+    @verb
     def simulate(self, h: np.ndarray) -> np.ndarray:
         """Flux density [T] over a field from the demagnetized state, shape (T, d).
 
@@ -91,6 +93,7 @@ class VectorHysteresis:
             raise DataError(f"the field must be finite, of shape (T, 1), (T, 2) or (T, 3), got {h.shape}")
         return np.asarray(_flux(*map(jnp.asarray, (self.Js, self.a, self.kappa, self.w)), jnp.asarray(h))[0])
 
+    @verb
     def dissipation(self, h: np.ndarray) -> np.ndarray:
         """Energy that each step dissipates [J/m^3], shape (T,).
 
@@ -101,6 +104,7 @@ class VectorHysteresis:
         return np.asarray(found[1])
 
     @classmethod
+    @verb
     def fit(cls, records: Sequence[VectorRecord], cells: int = 3) -> VectorHysteresis:
         """The parameters by least squares on all records, with standard errors from the residuals.
 
