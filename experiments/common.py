@@ -70,7 +70,7 @@ class Results:
     """
 
     def __init__(self, folder: Path, quick: bool, out: Path | None = None):
-        self.quick = quick
+        self.folder, self.quick = folder, quick
         self.out = out or folder / "out"
         self.out.mkdir(parents=True, exist_ok=True)
         self.expected: dict[str, dict[str, Any]] = json.loads((folder / "expected.json").read_text(encoding="utf-8"))
@@ -151,6 +151,14 @@ class Results:
     def status(self) -> Status:
         """Missed where an expectation is not met, else skipped where measured data were not found, else ok."""
         return Status.MISSED if self.failures() else Status.SKIPPED if self.skipped else Status.OK
+
+    def publish(self, title: str, script: str, tables: Mapping[str, str]) -> None:
+        """Write RESULTS.md with a section for each table to the folder of the run; the full form with all data, beside the script too."""
+        head = f"# {title}\n\nMade by `python {script}`, hystfit {hf.__version__}.\n"
+        text = "\n".join([head, *(f"## {name}\n\n{table}" for name, table in tables.items())])
+        folders = [self.out] if self.quick or self.skipped else [self.out, self.folder]
+        for folder in folders:
+            (folder / "RESULTS.md").write_text(text, encoding="utf-8")
 
     def finish(self) -> None:
         """Write results.json and end the program with the exit status listed at the top of this file."""

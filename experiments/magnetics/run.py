@@ -221,12 +221,6 @@ def vectors(results: Results) -> list:
     return [[name, *row] for name, *row in zip(names, stacked(true), stacked(found), found.stderr, off, strict=True)]
 
 
-def page(tables: dict[str, str]) -> str:
-    """The results as a page."""
-    head = f"# Magnetic and ferroelectric loops\n\nMade by `python experiments/magnetics/run.py`, hystfit {hf.__version__}.\n"
-    return "\n".join([head, *(f"## {title}\n\n{text}" for title, text in tables.items())])
-
-
 def main() -> None:
     """Compute all numbers."""
     options = arguments((__doc__ or "").splitlines()[0])
@@ -252,10 +246,7 @@ def main() -> None:
             ["parameter", "true", "fitted", "stderr", "off by, %"], vectors(results)
         ),
     }
-    text = page(tables)
-    (results.out / "RESULTS.md").write_text(text, encoding="utf-8")
-    if not results.quick and not results.skipped:
-        (FOLDER / "RESULTS.md").write_text(text, encoding="utf-8")
+    results.publish("Magnetic and ferroelectric loops", "experiments/magnetics/run.py", tables)
     results.finish()
 
 

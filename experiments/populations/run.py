@@ -108,16 +108,15 @@ def main() -> None:
     results = Results(here, options.quick, options.out)
     sizes, populations = (SIZES[:1], QUICK) if options.quick else (SIZES, POPULATIONS)
     covered = [coverage(results, size, populations) for size in sizes]
-    rows = coupons(results)
-    if rows:
-        page = [
-            "# Populations", "",
-            "18 simulated coupons with their true parameters, by `hystfit population` (`sd of these` is compared with `true sd`):", "",
-            table(HEAD_COUPONS, rows), "",
-            f"Coverage of intervals of 90 % over {POPULATIONS} populations with normal errors of the fits:", "",
-            table(HEAD_COVERAGE, covered), "",
-        ]  # fmt: skip
-        (here / "RESULTS.md").write_text("\n".join(page), encoding="utf-8")
+    tables = {
+        "Simulated coupons with their true parameters, by `hystfit population` (`sd of these` is compared with `true sd`)": table(
+            HEAD_COUPONS, coupons(results)
+        ),
+        f"Coverage of intervals of 90 % over {populations} populations with normal errors of the fits": table(
+            HEAD_COVERAGE, covered
+        ),
+    }
+    results.publish("Populations", "experiments/populations/run.py", tables)
     results.finish()
 
 

@@ -195,12 +195,6 @@ def dampers(results: Results) -> list:
     return rows
 
 
-def page(results: Results, tables: dict[str, str]) -> str:
-    """The results as a page."""
-    head = f"# Structural loops\n\nMade by `python experiments/structures/run.py`, hystfit {hf.__version__}.\n"
-    return "\n".join([head, *(f"## {title}\n\n{text}" for title, text in tables.items())])
-
-
 def main() -> None:
     """Compute all numbers."""
     options = arguments((__doc__ or "").splitlines()[0])
@@ -213,10 +207,7 @@ def main() -> None:
         "Dampers": table(HEAD, dampers(results)),
         "Simulated laws": table(["model", "what", "value"], laws(results)),
     }
-    text = page(results, tables)
-    (results.out / "RESULTS.md").write_text(text, encoding="utf-8")
-    if not results.quick and not results.skipped:
-        (FOLDER / "RESULTS.md").write_text(text, encoding="utf-8")
+    results.publish("Structural loops", "experiments/structures/run.py", tables)
     results.finish()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,9 @@ class AbstractHysteresis(AbstractDynamics):
     methods are optional: each has a default, a model overrides those that it can do better, `start` first, and `Sum` and `Series`
     delegate all of them to their parts. `hystfit.testing.check_model` tests what a model gives.
     """
+
+    no_inverse: ClassVar[str] = ""
+    """Why no model of its kind has an inverse; "" where one has."""
 
     # -- values ------------------------------------------------------------------------------------------------------------
 
@@ -231,8 +234,10 @@ class AbstractHysteresis(AbstractDynamics):
             sign: of a search; -1 for outputs that fall with the input.
 
         Raises:
-            ModelError: the model has no causal inverse (a delay, a resonance).
+            ModelError: the model has no causal inverse (a delay, a resonance, what `no_inverse` says).
         """
+        if self.no_inverse:
+            raise ModelError(self.no_inverse)
         return SearchStep(self, sign)
 
     def output_resonance(self) -> OutputResonance | None:

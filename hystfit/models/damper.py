@@ -19,7 +19,6 @@ from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import input_range, output_range, sampling_interval
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 
@@ -48,6 +47,9 @@ class Damper(AbstractHysteresis):
     `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve.
     """
 
+    no_inverse: ClassVar[str] = (
+        "a damper has no inverse: its force depends on the velocity, and its spring may have either sign"
+    )
     rate_independent: ClassVar[bool] = False
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
@@ -158,16 +160,6 @@ class Damper(AbstractHysteresis):
         speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
         ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "tau": _DELAY * interval}
         return dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "a damper has no inverse: its force depends on the velocity, and its spring may have either sign"
-        )
 
     def c_part(self) -> CPart:
         """The same step in C."""

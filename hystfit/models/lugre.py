@@ -12,12 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import fit_linear, input_range, offset_columns, output_range
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -41,6 +39,9 @@ class LuGre(AbstractHysteresis):
     Source: Canudas de Wit, Olsson, Astrom and Lischinsky (1995), IEEE Transactions on Automatic Control 40, 419-425.
     """
 
+    no_inverse: ClassVar[str] = (
+        "friction that depends on the velocity has no inverse: a slipping bristle has the same force at every place"
+    )
     rate_independent: ClassVar[bool] = False
     needs: ClassVar[Needs] = Needs(
         time=True,
@@ -126,16 +127,6 @@ class LuGre(AbstractHysteresis):
             vs=vs,
             k=theta[3],
             offset=theta[4],
-        )
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "friction that depends on the velocity has no inverse: a slipping bristle has the same force at every place"
         )
 
     def c_part(self) -> CPart:

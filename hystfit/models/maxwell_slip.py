@@ -17,7 +17,6 @@ from hystfit.models.c_code import CPart, template
 from hystfit.models.design import Block, DesignMatrix
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range, output_range
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 
@@ -40,6 +39,9 @@ class MaxwellSlip(AbstractHysteresis):
     Source: Al-Bender, Lampaert and Swevers (2005), IEEE Transactions on Automatic Control 50, 1883-1887.
     """
 
+    no_inverse: ClassVar[str] = (
+        "friction that depends on the velocity has no inverse: elements that slip have the same force at every place"
+    )
     rate_independent: ClassVar[bool] = False
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(
@@ -140,16 +142,6 @@ class MaxwellSlip(AbstractHysteresis):
         ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "vs": _FIRST[1] * (speed or 1.0)}
         w = np.full(self.w.shape, 0.5 * out.half / self.w.size)
         return dataclasses.replace(self, **ranges, w=w, viscous=0.1 * out.half, excess=_FIRST[0], offset=out.center)
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "friction that depends on the velocity has no inverse: elements that slip have the same force at every place"
-        )
 
     def c_part(self) -> CPart:
         """The same step in C."""

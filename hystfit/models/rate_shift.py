@@ -10,12 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -29,6 +27,10 @@ class RateShift(AbstractHysteresis):
     input with v given would follow u' = q(u - v), whose errors grow.
     """
 
+    no_inverse: ClassVar[str] = (
+        "a shift by the rate has no stable inverse: an error of the input changes its rate, and so grows from sample to sample; invert "
+        "the static model fitted at the rate of use"
+    )
     rate_independent: ClassVar[bool] = False
     needs: ClassVar[Needs] = Needs(
         loop=False,
@@ -65,17 +67,6 @@ class RateShift(AbstractHysteresis):
         ]
         slow = min((rate for rate in typical if rate > 0), default=1.0)
         return dataclasses.replace(self, c=0.02 * input_range(records).half, q0=0.1 * slow)
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "a shift by the rate has no stable inverse: an error of the input changes its rate, and so grows from sample to sample; invert "
-            "the static model fitted at the rate of use"
-        )
 
     def c_part(self) -> CPart:
         """The same step in C."""

@@ -20,7 +20,6 @@ from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import output_range
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 
@@ -47,6 +46,9 @@ class SelfSimilarStops(AbstractHysteresis):
         ModelError: weights whose shapes do not fit the peaks and thresholds.
     """
 
+    no_inverse: ClassVar[str] = (
+        "self-similar stops have weights of either sign and no inverse, because the output need not rise with the input"
+    )
     rate_independent: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
@@ -212,16 +214,6 @@ class SelfSimilarStops(AbstractHysteresis):
         c = np.tile(0.5 * out.half * np.eye(len(_POWERS))[0], (count, 1))
         fading = np.zeros(self.fading.shape)
         return dataclasses.replace(self, w=w, c=c, fading=fading, peaks=peaks, floor=floor, offset=out.center)
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "self-similar stops have weights of either sign and no inverse, because the output need not rise with the input"
-        )
 
     def c_part(self) -> CPart:
         """The same step in C."""
