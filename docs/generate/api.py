@@ -81,8 +81,18 @@ def _directive(path: str, member: object) -> str:
     if inspect.ismodule(member):
         return f".. automodule:: {path}"
     if inspect.isclass(member):
-        return f".. autoclass:: {path}\n   :members:\n   :no-undoc-members:"
+        return f".. autoclass:: {path}\n   :members:\n   :no-undoc-members:{_of_parts(member)}"
     return f".. autofunction:: {path}" if callable(member) else f".. autodata:: {path}"
+
+
+def _of_parts(member: type) -> str:
+    """An option that documents what a class takes from parts of it in the same room, which are no public names."""
+    room = member.__module__.split(".")[:2]
+    bases = member.__mro__[1:]
+    shown = [b for b in bases if b.__module__.split(".")[:2] == room and not b.__name__.startswith("Abstract")]
+    parts = [b for b in shown if b.__name__ not in public_names()]
+    others = ", ".join(b.__name__ for b in bases if b not in parts)
+    return f"\n   :inherited-members: {others}" if parts else ""
 
 
 def _entry(path: str, name: str) -> str:
