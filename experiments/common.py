@@ -152,6 +152,15 @@ class Results:
         """Missed where an expectation is not met, else skipped where measured data were not found, else ok."""
         return Status.MISSED if self.failures() else Status.SKIPPED if self.skipped else Status.OK
 
+    def measured_path(self, parts: str, name: str) -> Path | None:
+        """A folder or a file among the measured data; None where it is missing, and the parts that need it are skipped."""
+        path = Path(os.environ.get(FOLDER_VARIABLE, "")) / name
+        if os.environ.get(FOLDER_VARIABLE) and path.exists():
+            return path
+        self.skipped[parts] = f"{name} is not in the folder that {FOLDER_VARIABLE} names"
+        print(f"  skipped: {parts}: {self.skipped[parts]}", flush=True)
+        return None
+
     def publish(self, title: str, script: str, tables: Mapping[str, str]) -> None:
         """Write RESULTS.md with a section for each table to the folder of the run; the full form with all data, beside the script too."""
         head = f"# {title}\n\nMade by `python {script}`, hystfit {hf.__version__}.\n"

@@ -55,3 +55,26 @@ def test_numbered_settings_are_no_columns(tmp_path: Path) -> None:
     )
     record = hf.read(path)
     assert record.u_name.startswith("H")
+
+
+def test_a_wide_table_with_words_in_front_is_no_table_on_its_side(tmp_path: Path) -> None:
+    """Few rows with many channels: the lines below the names begin with a word too."""
+    channels = ",".join(f"room {k} (degC)" for k in range(24))
+    lines = [f"ok,{row.replace(' ', ',')}," + ",".join(["21.5"] * 24) for row in ROWS[:45]]
+    path = tmp_path / "bench.csv"
+    path.write_text("\n".join([f"state,H (kA/m),B (T),{channels}", *lines]) + "\n", encoding="utf-8")
+    record = hf.read(path, input="H (kA/m)", output="B (T)")
+    np.testing.assert_allclose(record.u, FIELD[:45], atol=6e-5)
+
+
+def test_a_missing_number_of_a_table_on_its_side_loses_no_row(tmp_path: Path) -> None:
+    fields, moments = ([row.split()[k] for row in ROWS] for k in (0, 1))
+    moments[30] = ""
+    path = tmp_path / "turned.csv"
+    path.write_text(
+        "\n".join([",".join(["H (kA/m)", *fields]), ",".join(["B (T)", *moments])]) + "\n", encoding="utf-8"
+    )
+    record = hf.read(path)
+    assert record.y_unit == "T"
+    used = np.arange(len(ROWS)) != 30
+    np.testing.assert_allclose(record.y[record.used], MOMENT[used], atol=1e-9)

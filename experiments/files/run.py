@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import subprocess
 import sys
 import time
@@ -27,7 +26,6 @@ from common import Results, arguments, table
 import hystfit as hf
 from hystfit.data import Dataset
 from hystfit.errors import DataError
-from hystfit.reading.datasets import FOLDER_VARIABLE
 
 HERE = Path(__file__).resolve().parent
 WITHIN = 0.01  # of a quantity, or two standard errors
@@ -78,10 +76,9 @@ def main() -> None:
     hf.enable_x64()
     results = Results(HERE, options.quick, options.out)
     cases = tomllib.loads((HERE / "files.toml").read_text(encoding="utf-8"))["file"]
-    folder = Path(os.environ.get(FOLDER_VARIABLE, "")) / "wild"
-    if not (os.environ.get(FOLDER_VARIABLE) and folder.is_dir()):
-        results.skipped["files"] = f"no folder 'wild' in the folder that {FOLDER_VARIABLE} names"
-        results.finish()
+    folder = results.measured_path("files", "wild")
+    if folder is None:
+        return results.finish()
     rows, count, good = [], 0, 0
     for case in cases:
         paths = [folder / name for name in case["names"]]

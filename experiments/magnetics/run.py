@@ -8,7 +8,6 @@ data, RESULTS.md here. Exit status: see experiments/common.py.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from pathlib import Path
@@ -22,7 +21,6 @@ import hystfit as hf
 from hystfit.identify import FieldFromInduction, FluxSequence, VectorHysteresis, VectorRecord
 from hystfit.models.jiles_atherton import MU0, JilesAtherton
 from hystfit.models.jiles_atherton_field import JilesAthertonField
-from hystfit.reading.datasets import FOLDER_VARIABLE
 
 FOLDER = Path(__file__).resolve().parent
 MATERIALS = ("MnZn_ferrite", "MnZn_HP_ferrite", "M130_27s")
@@ -32,16 +30,6 @@ STARTS, FOLDS = 8, 5
 SAMPLING = 16e6  # [Hz] of the transients
 
 
-def folder(results: Results, parts: str, name: str) -> Path | None:
-    """Folder or file among the measured data, or None, with the parts skipped that need it."""
-    path = Path(os.environ.get(FOLDER_VARIABLE, "")) / name
-    if os.environ.get(FOLDER_VARIABLE) and path.exists():
-        return path
-    results.skipped[parts] = f"{name} is not in the folder that {FOLDER_VARIABLE} names"
-    print(f"  skipped: {parts}: {results.skipped[parts]}", flush=True)
-    return None
-
-
 def values(record: hf.Record) -> dict:
     """Quantities of a measured loop by name."""
     return {one.name: one for one in hf.quantities(record).rows[record.name]}
@@ -49,7 +37,7 @@ def values(record: hf.Record) -> dict:
 
 def data_sheet(results: Results) -> list:
     """A hard magnet in a magnetometer of moments: values after volume and demagnetization, which follow from the header of the file."""
-    if (path := folder(results, "magnet", "vsm_magmeas/VSM_MH.DAT")) is None:
+    if (path := results.measured_path("magnet", "vsm_magmeas/VSM_MH.DAT")) is None:
         return []
     found = values(hf.Dataset.of(hf.read(path))[0])
     names = {"HcJ": "HcJ, kA/m", "HcB": "HcB, kA/m", "Br": "Br, T", "energy_product": "(BH)max, kJ/m3", "Js": "Js, T"}
@@ -62,7 +50,7 @@ def data_sheet(results: Results) -> list:
 def instruments(results: Results) -> list:
     """Results that instruments wrote into their files beside ours: relative differences, or standard errors where these are larger."""
     rows = []
-    if (path := folder(results, "instruments", "wild/A4.hys")) is None:
+    if (path := results.measured_path("instruments", "wild/A4.hys")) is None:
         return rows
     worst = {"MicroMag": [0.0], "aixACCT": [0.0]}
     files = [("MicroMag", path.parent / name) for name in MICROMAG]
@@ -173,7 +161,7 @@ def transients(path: Path) -> list[tuple[FluxSequence, FluxSequence, np.ndarray]
 
 def fields(results: Results) -> list:
     """Unknown fields of the transients of 3C90, by a fit to the sequences of the other folds; score by the rule of the data."""
-    if (path := folder(results, "B to H", "mag_magnetx/3c90_transient.csv")) is None:
+    if (path := results.measured_path("B to H", "mag_magnetx/3c90_transient.csv")) is None:
         return []
     every, scores, shared, began = transients(path), [], [], time.perf_counter()
     for fold in (0,) if results.quick else range(FOLDS):

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -23,7 +22,6 @@ from common import Results, arguments, table
 from laws import laws
 
 import hystfit as hf
-from hystfit.reading.datasets import FOLDER_VARIABLE
 
 FOLDER = Path(__file__).resolve().parent
 COUPONS = 18
@@ -36,16 +34,6 @@ FAILED = 0.8  # of the largest force, to which that of the later peaks has falle
 HEAD = ["record", "model", "rms error in sample, %", "held out, %", "status"]
 
 
-def folder(results: Results, parts: str, name: str) -> Path | None:
-    """Folder or file among the measured data, or None, with the parts skipped that need it."""
-    path = Path(os.environ.get(FOLDER_VARIABLE, "")) / name
-    if os.environ.get(FOLDER_VARIABLE) and path.exists():
-        return path
-    results.skipped[parts] = f"{name} is not in the folder that {FOLDER_VARIABLE} names"
-    print(f"  skipped: {parts}: {results.skipped[parts]}", flush=True)
-    return None
-
-
 def coupon(path: Path, number: int) -> tuple[hf.Record, dict[str, float]]:
     """A simulated coupon and its true parameters; the names in the header of its file are in another order."""
     strain, stress = np.loadtxt(path / f"experiment_{number}.csv").T
@@ -56,7 +44,7 @@ def coupon(path: Path, number: int) -> tuple[hf.Record, dict[str, float]]:
 
 def coupons(results: Results) -> list:
     """`Steel02` at the true parameters of the coupons, and fitted to them: errors of the parameters and of their standard errors."""
-    if (path := folder(results, "coupons", "steel_quofem")) is None:
+    if (path := results.measured_path("coupons", "steel_quofem")) is None:
         return []
     errors, ratios, rest, lags, agree, rows = [], [], [], [], [], []
     for number in range(0, COUPONS, 6 if results.quick else 1):
@@ -160,7 +148,7 @@ def walls(results: Results) -> list:
 
 def fastener(results: Results) -> list:
     """A screw in cyclic shear, up to the last peak that reaches 80 % of the largest force."""
-    if (path := folder(results, "fastener", "wild/fastener_c33g12_1.json")) is None:
+    if (path := results.measured_path("fastener", "wild/fastener_c33g12_1.json")) is None:
         return []
     test = json.loads(path.read_text(encoding="utf-8"))["test"]
     record = hf.Record(u=np.array(test["displacement"]), y=np.array(test["force"]), u_unit="in", y_unit="lbf")
@@ -174,7 +162,7 @@ def fastener(results: Results) -> list:
 def dampers(results: Results) -> list:
     """A racing damper in sample, and a magnetorheological damper fitted on 6 s and predicted for 9 s more."""
     rows = []
-    if (path := folder(results, "racing damper", "wild/damper_s5_n10_50psi.csv")) is not None:
+    if (path := results.measured_path("racing damper", "wild/damper_s5_n10_50psi.csv")) is not None:
         with path.open(encoding="utf-8") as file:
             lines = list(csv.DictReader(file))
         t = np.array([datetime.fromisoformat(line["Timestamp"]).timestamp() for line in lines])

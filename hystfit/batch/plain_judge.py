@@ -23,7 +23,7 @@ from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import BOTH, Coordinates
-from hystfit.params.space import relative_size
+from hystfit.params.relative_size import relative_size
 from hystfit.quality.loops import reversals
 from hystfit.quality.rows import curve_errors, row_noise, sound_rows
 from hystfit.results.accuracy import persistent_error

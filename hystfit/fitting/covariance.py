@@ -17,7 +17,7 @@ from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
 from hystfit.params.coordinates import BOTH
-from hystfit.params.space import relative_size
+from hystfit.params.relative_size import relative_size
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless

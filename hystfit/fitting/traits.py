@@ -22,10 +22,8 @@ from hystfit.models.viscoelastic import Viscoelastic
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Trait
 from hystfit.quality.held_out import equal_errors
-from hystfit.quality.loops import distinct, reversals
+from hystfit.quality.loops import clear_reversals, distinct
 from hystfit.quality.record_quality import SPEEDS_APART
-
-_TURN = 0.02  # of the range of the input, as elsewhere: a move back that counts as a reversal
 
 _OF_TIME = ("viscoelastic", "rate-dependent")
 _STATIC = (
@@ -53,7 +51,7 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
     for name in dict.fromkeys((*_STATIC, *candidates(data).closed)):
         if name != SEARCH and name not in known:
             scores += _scored(name, short)
-    branches = sum(reversals(record.u, _TURN * float(np.ptp(record.u))).size + 1 for record in short)
+    branches = sum(clear_reversals(record.u).size + 1 for record in short)
     left_out = {None} if _paces(data) > 1 else {None, *_OF_TIME}
     scores = [score for score in scores if score[2] not in left_out]
     error, name, kind = min(scores)
@@ -74,9 +72,7 @@ def _paces(data: Dataset) -> int:
     durations = [
         np.log10(record.t[at[1:]] - record.t[at[:-1]])
         for record in data
-        if record.t is not None
-        and np.diff(record.t).min() > 0
-        and (at := reversals(record.u, _TURN * float(np.ptp(record.u)))).size > 1
+        if record.t is not None and np.diff(record.t).min() > 0 and (at := clear_reversals(record.u)).size > 1
     ]
     return len(distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
 

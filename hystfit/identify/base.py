@@ -238,7 +238,7 @@ def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) ->
     """
     names = list(dict.fromkeys(name.partition("@")[0] for name in names))
     every = ParameterSpace.of(model, free=names)
-    chosen = {(leaf, position) for leaf, positions in map(every.find, names) for position in positions}
+    chosen = {(leaf, position) for leaf, positions in map(every.named.find, names) for position in positions}
     others = [name for name, source in zip(every.names, every.sources, strict=True) if source[:2] not in chosen]
     records = [record.name for record in data]
     return ParameterSpace.of(model, fix=others, free=names, scales=scales_of(data), records=records)

@@ -113,7 +113,7 @@ def parameter_root(
     deviations = np.where(space.kinds == REAL, unbounded, bounded)
     if isinstance(prior, Mapping):
         for name, value in prior.items():
-            leaf, positions = space.find(name)
+            leaf, positions = space.named.find(name)
             rows = [k for k, source in enumerate(space.sources) if source[0] == leaf and source[1] in positions]
             if not rows:
                 raise ParameterError(

@@ -18,7 +18,7 @@ from hystfit.inference.noise.slow_likelihood import POINTS, Contrasts, Samples, 
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.table import number
-from hystfit.params.space import relative_size
+from hystfit.params.relative_size import relative_size
 
 CHANCE = 0.02  # p-value, under slow noise alone, below which the model error counts as repeating,
 REPEATS = 0.02  # if it is at least this fraction of the residual variance

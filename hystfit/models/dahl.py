@@ -14,11 +14,11 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import param
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
@@ -106,10 +106,7 @@ class Dahl(AbstractHysteresis):
         """The bristles, the spring and the offset."""
         u = np.asarray(u, dtype=float)
         columns = {"Fc": _bent(u, np.asarray(self.d)), "k": u[:, None], "offset": np.ones((u.size, 1))}
-        found = (
-            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
-        )
-        return DesignMatrix(tuple(found), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> Dahl:
         """Displacements over the range of the input; the forces follow from a linear solve."""

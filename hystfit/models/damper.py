@@ -14,11 +14,11 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
-from hystfit.models.starting import input_range, output_range, sampling_interval
+from hystfit.models.starting import LARGE, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import leaves_of, param
 from hystfit.quality.needs import Needs
 
@@ -28,7 +28,6 @@ _LAGS = tuple(np.geomspace(0.005, 0.9, 12))
 _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
 _DELAY = 3.0  # sampling intervals: time constant of the velocity from which a fit starts
-_TYPICAL = 0.99  # quantile of the speeds that counts as the largest
 
 
 class Damper(AbstractHysteresis):
@@ -139,10 +138,7 @@ class Damper(AbstractHysteresis):
             "lagging": w - play_columns(w[:, 0], np.asarray(_LAGS), 0.0),
             "offset": np.ones((u.size, 1)),
         }
-        blocks = [
-            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
-        ]
-        return DesignMatrix(tuple(blocks), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, columns)
 
     def _velocity(self, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """w at every sample, shape (T,)."""
@@ -156,9 +152,8 @@ class Damper(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Damper:
         """Stroke and speed from the records, and a lag of a few samples; the weights follow from a linear solve."""
         place, out, interval = input_range(records), output_range(records), sampling_interval(records)
-        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
-        speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
-        ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "tau": _DELAY * interval}
+        largest = speed(records, LARGE)
+        ranges = {"center": place.center, "half": place.half, "speed": largest, "tau": _DELAY * interval}
         return dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
 
     def c_part(self) -> CPart:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from hystfit.params.param import ParamInfo
+from hystfit.params.param import ParamInfo, leaves_of
 
 COLUMNS = 2**24  # numbers in a design matrix (128 MiB) above which programs that scan the samples are used instead
 FAR = 100.0  # level of an output, over its range, from which normal equations need it subtracted
@@ -57,6 +59,22 @@ class DesignMatrix:
     blocks: tuple[Block, ...]
     rest: np.ndarray
     index: np.ndarray
+
+    @classmethod
+    def of(cls, model: Any, columns: Mapping[str, np.ndarray]) -> DesignMatrix:
+        """The output as these columns alone, a row for each sample.
+
+        Args:
+            model: whose weights they multiply.
+            columns: by the name of the field, shapes (T, p).
+        """
+        blocks = [
+            Block(leaf.index, leaf.info, columns[leaf.path[-1]])
+            for leaf in leaves_of(model)
+            if leaf.path[-1] in columns
+        ]
+        count = len(blocks[0].columns)
+        return cls(tuple(blocks), np.zeros(count), np.arange(count))
 
     def rows(self) -> DesignMatrix:
         """The same with one row per sample."""

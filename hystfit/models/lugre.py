@@ -15,14 +15,13 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import fit_linear, input_range, offset_columns, output_range
+from hystfit.models.starting import TYPICAL, fit_linear, input_range, offset_columns, output_range, speed
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _BEND = tuple(np.geomspace(3e-3, 0.5, 8))  # presliding displacements of the grid, over half the range of the input
 _EXCESS = (0.0, 0.3, 1.0)  # of static over Coulomb friction
 _BENDS_AT = (0.03, 0.2)  # Stribeck velocities, over the typical one
-_TYPICAL = 0.9  # quantile of the speeds that counts as typical
 _SAMPLES = 3000  # of each record from which starting values are read
 
 
@@ -92,7 +91,7 @@ class LuGre(AbstractHysteresis):
         short = [record.segment(0, min(len(record), _SAMPLES)) for record in records]
         short = [one for one, record in zip(short, records, strict=True) if one.used.any()] or list(records)
         rates = [_rates(record) for record in short]
-        typical = float(np.quantile(np.abs(np.concatenate(rates)), _TYPICAL)) or 1.0
+        typical = speed(short, TYPICAL)
         shapes = [(e, v) for e, v in itertools.product(_EXCESS, _BENDS_AT) if e or v == _BENDS_AT[-1]]
         grid = np.array([(half * bend, e, v * typical) for bend, (e, v) in itertools.product(_BEND, shapes)])
         runs = [_normalized(record, rate, grid) for record, rate in zip(short, rates, strict=True)]

@@ -14,15 +14,14 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import input_range, output_range
-from hystfit.params.param import leaves_of, param
+from hystfit.models.starting import TYPICAL, input_range, output_range, speed
+from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _ELEMENTS = 10
 _SHORTEST, _LONGEST = 0.005, 1.5  # limits over half the range of the input
-_TYPICAL = 0.9  # quantile of the speeds that counts as typical
 _FIRST = (0.2, 0.2)  # excess of static friction, and Stribeck velocity over the typical one, from which a fit starts
 
 
@@ -129,17 +128,13 @@ class MaxwellSlip(AbstractHysteresis):
             now = row
         x = (u - float(self.center)) / float(self.half)
         columns = {"w": e, "k": x[:, None], "viscous": v[:, None] / float(self.speed), "offset": np.ones((u.size, 1))}
-        found = (
-            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
-        )
-        return DesignMatrix(tuple(found), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> MaxwellSlip:
         """Ranges and a typical velocity from the records; the weights follow from a linear solve."""
         place, out = input_range(records), output_range(records)
-        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
-        speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
-        ranges = {"center": place.center, "half": place.half, "speed": speed or 1.0, "vs": _FIRST[1] * (speed or 1.0)}
+        typical = speed(records, TYPICAL)
+        ranges = {"center": place.center, "half": place.half, "speed": typical, "vs": _FIRST[1] * typical}
         w = np.full(self.w.shape, 0.5 * out.half / self.w.size)
         return dataclasses.replace(self, **ranges, w=w, viscous=0.1 * out.half, excess=_FIRST[0], offset=out.center)
 

@@ -18,7 +18,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import COLUMNS, Block, DesignMatrix
+from hystfit.models.design import COLUMNS, DesignMatrix
 from hystfit.models.play_columns import element_columns, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
@@ -26,7 +26,7 @@ from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 Envelope = Literal["identity", "square", "mirror"]
@@ -275,10 +275,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
             columns["rise"] = rising_columns(self.rise.size, x)
         if self.hardening.size:
             columns["hardening"] = fading(x, before, float(self.s0))[:, None] * elements[0]
-        blocks = [
-            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
-        ]
-        return DesignMatrix(tuple(blocks), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> PrandtlIshlinskii:
         """Ranges from the samples that count; the weights follow from a linear solve."""

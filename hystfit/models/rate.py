@@ -16,6 +16,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
+from hystfit.models.starting import speed, speeds
 from hystfit.params.param import param
 
 
@@ -86,7 +87,7 @@ class SaturatingRate(_AbstractRate):
 
     def start(self, records: Sequence[Record]) -> SaturatingRate:
         """A bend at a quarter of the typical rate."""
-        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
+        rates = np.concatenate([speeds(record) for record in records])
         typical = float(np.sqrt(np.mean(rates**2))) if rates.size else 1.0
         return type(self)(F=0.0, v0=0.25 * typical or 1.0)
 
@@ -118,9 +119,7 @@ class Excess(_AbstractRate):
 
     def start(self, records: Sequence[Record]) -> Excess:
         """None; it follows from the fit. The root is rounded at a thousandth of the largest rate."""
-        rates = [np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records]
-        largest = max((float(one.max()) for one in rates if one.size), default=1.0)
-        return type(self)(g=0.0, e=1e-3 * largest or 1e-6)
+        return type(self)(g=0.0, e=1e-3 * speed(records, 1.0))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """Steepest at rest, falling towards none."""

@@ -16,14 +16,13 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import fitted_input_range, output_range, sampling_interval
+from hystfit.models.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
-_TYPICAL = 0.99  # quantile of the rates that counts as the largest
 _SMOOTH = 3.0  # sampling intervals over which the rate is averaged
 _FIRST = 0.02  # of the input's range: growth of the thresholds at the largest rate, from which a fit starts
 
@@ -141,20 +140,16 @@ class RateDependentPlays(AbstractHysteresis):
             width = r + kappa * q
             columns[k] = now = np.maximum(x[k] - width, np.minimum(x[k] + width, now))
         blocks = {"w": columns, "gain": x[:, None], "offset": np.ones((u.size, 1))}
-        found = (
-            Block(leaf.index, leaf.info, blocks[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in blocks
-        )
-        return DesignMatrix(tuple(found), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, blocks)
 
     def start(self, records: Sequence[Record]) -> RateDependentPlays:
         """Ranges and rates from the records; the weights follow from a linear solve."""
         place, out = fitted_input_range(records), output_range(records)
-        rates = np.concatenate([np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0] for r in records])
-        speed = float(np.quantile(rates, _TYPICAL)) if rates.size else 0.0
+        largest = speed(records, LARGE)
         ranges = {
             "low": place.low,
             "high": place.high,
-            "speed": speed or 1.0,
+            "speed": largest,
             "tau": _SMOOTH * sampling_interval(records),
         }
         w = np.full(self.w.shape, 0.2 * out.half / self.w.size)

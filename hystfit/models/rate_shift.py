@@ -13,7 +13,7 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import input_range
+from hystfit.models.starting import input_range, speeds
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -60,11 +60,7 @@ class RateShift(AbstractHysteresis):
 
     def start(self, records: Sequence[Record]) -> RateShift:
         """A shift of 1 % of half the range for each factor e, from the slowest typical rate on."""
-        typical = [
-            float(np.median(np.abs(np.diff(r.u))[r.dt[1:] > 0] / r.dt[1:][r.dt[1:] > 0]))
-            for r in records
-            if (r.dt[1:] > 0).any()
-        ]
+        typical = [float(np.median(rates)) for record in records if (rates := speeds(record)).size]
         slow = min((rate for rate in typical if rate > 0), default=1.0)
         return dataclasses.replace(self, c=0.02 * input_range(records).half, q0=0.1 * slow)
 

@@ -15,12 +15,12 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import output_range
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _THRESHOLDS = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the stops, as fractions of the largest input so far
@@ -182,10 +182,7 @@ class SelfSimilarStops(AbstractHysteresis):
             path = np.cumsum(ways) / relative**_RENEWED
             left = peak / float(self.peaks[-1]) * np.exp(-path / float(self.decay))
             columns["fading"] = left[:, None] * np.hstack([stops, powers])
-        blocks = [
-            Block(leaf.index, leaf.info, columns[leaf.path[-1]]) for leaf in leaves_of(self) if leaf.path[-1] in columns
-        ]
-        return DesignMatrix(tuple(blocks), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, columns)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input goes beyond the peaks of the weights, or has one peak only."""

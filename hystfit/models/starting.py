@@ -12,6 +12,8 @@ from hystfit.data.record import Record, median_interval
 from hystfit.params.units import Scales
 from hystfit.quality.loops import reversals
 
+LARGE, TYPICAL = 0.99, 0.9  # quantiles of the speeds of the input that count as the largest and as a typical one
+
 
 class Range(NamedTuple):
     """Middle and half width of a signal; the half width is never zero."""
@@ -60,6 +62,18 @@ def output_range(records: Iterable[Record]) -> Range:
 def sampling_interval(records: Iterable[Record], without: float = 0.005) -> float:
     """Median of the positive time steps of records [s]."""
     return median_interval(np.concatenate([record.dt[1:] for record in records])) or without
+
+
+def speeds(record: Record) -> np.ndarray:
+    """Speeds of the input between the samples among which time passes [u/s], without sign."""
+    passes = record.dt[1:] > 0
+    return np.abs(np.diff(record.u))[passes] / record.dt[1:][passes]
+
+
+def speed(records: Iterable[Record], quantile: float) -> float:
+    """A quantile of the speeds of the input of records [u/s]; 1 where the input does not move in time."""
+    every = np.concatenate([speeds(record) for record in records])
+    return float(np.quantile(every, quantile)) or 1.0 if every.size else 1.0
 
 
 def scales_of(data: Dataset) -> Scales:

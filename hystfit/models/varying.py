@@ -311,7 +311,7 @@ def _slope(
     model: AbstractHysteresis, space: ParameterSpace, name: str, parameter: str, which: int, edges: np.ndarray
 ) -> Slope:
     """A slope of zero of a parameter."""
-    number, positions = space.find(parameter)
+    number, positions = space.named.find(parameter)
     leaf = space.leaves[number]
     if len(positions) < leaf.size:
         raise ParameterError(f"a dependence is that of a whole parameter: give {leaf.path[-1]!r}, not {parameter!r}")

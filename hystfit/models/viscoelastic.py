@@ -14,10 +14,10 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range, output_range, sampling_interval
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
@@ -100,8 +100,7 @@ class Viscoelastic(AbstractHysteresis):
         columns, now = np.empty((u.size, tau.size)), np.zeros(tau.size)
         for k, (at, du) in enumerate(zip(inverse.ravel().tolist(), np.diff(u, prepend=u[0]).tolist(), strict=True)):
             columns[k] = now = left[at] * now + share[at] * du
-        leaf = next(leaf for leaf in leaves_of(self) if leaf.path[-1] == "g")
-        return DesignMatrix((Block(leaf.index, leaf.info, columns),), np.zeros(u.size), np.arange(u.size))
+        return DesignMatrix.of(self, {"g": columns})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' of the chain at frequencies.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -19,22 +18,13 @@ import numpy as np
 from hystfit.errors import ParameterError
 from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER, Coordinates
 from hystfit.params.host_arrays import to_device
-from hystfit.params.param import ParamInfo, leaves_of, short_names
+from hystfit.params.named_leaves import NamedLeaves
+from hystfit.params.param import ParamInfo, leaves_of
 from hystfit.params.ties import Tie, narrowed, ties_of
 from hystfit.params.units import Scales
-from hystfit.registry import near
 
 _MANY = 12  # elements of an array of either sign above which they are weights, not coefficients
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
-
-
-def _strong(leaf: Any) -> Any:
-    # Python numbers have a weak type, and every mixture of weak and strong types would be compiled separately; arrays made before
-    # double precision was switched on are single.
-    if not isinstance(leaf, jax.Array) or isinstance(leaf, jax.core.Tracer):
-        return leaf
-    kind = jnp.result_type(float) if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
-    return to_device(leaf, kind) if leaf.weak_type or leaf.dtype != kind else leaf
 
 
 def _constants(trees: Sequence[Any]) -> dict[int, np.ndarray]:
@@ -51,6 +41,7 @@ class ParameterSpace:
 
     Attributes:
         template: the tree whose values the fixed parameters keep.
+        named: its arrays by name, `leaves` in their order.
         names: of the free elements, in the order of x and z.
         infos: their declarations.
         units: their units as printed.
@@ -70,13 +61,13 @@ class ParameterSpace:
         trees: Sequence[Any] = (),
     ):
         scales = scales or Scales()
-        self.leaves = leaves_of(template)
-        if not self.leaves:
-            raise ParameterError(f"{type(template).__name__} has no parameters: declare fields with hystfit.param()")
-        self._leaf_names = short_names([leaf.path for leaf in self.leaves])
+        self.named = NamedLeaves(template)
+        self.leaves = self.named.leaves
         values = fix if isinstance(fix, Mapping) else dict.fromkeys(fix)
-        self.template = self._set(template, {name: value for name, value in values.items() if value is not None})
-        self.ties = ties_of(dict(tie or {}), self.find, self._element)
+        self.template = self.named.with_values(
+            template, {name: value for name, value in values.items() if value is not None}
+        )
+        self.ties = ties_of(tie or {}, self.named)
         masks = self._masks(values, free)
         self.records = tuple(records)
         self.scales = scales
@@ -102,31 +93,6 @@ class ParameterSpace:
 
     # -- building ------------------------------------------------------------------------------------------------------
 
-    def find(self, name: str) -> tuple[int, list[int]]:
-        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path.
-
-        Raises:
-            ParameterError: an unknown or ambiguous name (the message lists the names), or an element outside the array.
-        """
-        match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
-        words = tuple(match["path"].split(".")) if match else ()
-        hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
-        if match is None or not hits:
-            known = ", ".join(self._leaf_names)
-            raise ParameterError(f"no parameter {name!r}{near(name, self._leaf_names)}; the parameters are: {known}")
-        if len(hits) > 1:
-            hits = [i for i in hits if self._leaf_names[i] == match["path"]] or hits
-        if len(hits) > 1:
-            choices = ", ".join(self._leaf_names[i] for i in hits)
-            raise ParameterError(f"parameter {name!r} is ambiguous; choose one of: {choices}")
-        number, leaf = hits[0], self.leaves[hits[0]]
-        if match["at"] is None:
-            return number, list(range(leaf.size))
-        at = tuple(int(k) for k in match["at"].split(","))
-        if len(at) != len(leaf.shape) or any(k >= n for k, n in zip(at, leaf.shape, strict=False)):
-            raise ParameterError(f"parameter {name!r}: {self._leaf_names[number]} has shape {leaf.shape}")
-        return number, [int(np.ravel_multi_index(at, leaf.shape))]
-
     def positions(self, names: str | Sequence[str]) -> list[int]:
         """Positions among the free parameters of names: one ("w[2]"), an array ("w") or a set with one value per record ("offset").
 
@@ -149,37 +115,18 @@ class ParameterSpace:
         """Value of a parameter, free or fixed, in the template: of one element, or of all of an array, flat.
 
         Raises:
-            ParameterError: see `find`.
+            ParameterError: see `NamedLeaves.find`.
         """
-        number, positions = self.find(name)
+        number, positions = self.named.find(name)
         flat = jax.tree_util.tree_leaves(self.template)
         return np.asarray(flat[self.leaves[number].index], dtype=float).reshape(-1)[positions]
-
-    def _set(self, tree: Any, values: Mapping[str, Any]) -> Any:
-        flat, treedef = jax.tree_util.tree_flatten(tree)
-        for name, value in values.items():
-            number, positions = self.find(name)
-            leaf = self.leaves[number]
-            array = np.array(flat[leaf.index], dtype=float)
-            if isinstance(value, str):
-                raise ParameterError(
-                    f"fix= holds {name!r} at a number, got {value!r}: tie={{{name!r}: {value!r}}} ties it to another parameter"
-                )
-            try:
-                array.reshape(-1)[positions] = np.asarray(value, dtype=float).reshape(-1)
-            except ValueError as error:
-                raise ParameterError(f"parameter {name!r} has {len(positions)} elements, got {value!r}") from error
-            if not np.isfinite(array).all():
-                raise ParameterError(f"parameter {name!r} must be finite, got {value!r}")
-            flat[leaf.index] = to_device(array, jnp.result_type(float))
-        return jax.tree_util.tree_unflatten(treedef, [_strong(leaf) for leaf in flat])
 
     def _masks(self, fix: Mapping[str, Any], free: Sequence[str]) -> list[np.ndarray]:
         masks = [np.full(leaf.size, not leaf.info.fixed) for leaf in self.leaves]
         touched: dict[tuple[int, int], bool] = {}
         for names, state in ((free, True), (list(fix), False)):
             for name in names:
-                number, positions = self.find(name)
+                number, positions = self.named.find(name)
                 for k in positions:
                     if touched.setdefault((number, k), state) != state:
                         raise ParameterError(f"parameter {name!r} is listed as fixed and free at once: choose one")
@@ -194,14 +141,6 @@ class ParameterSpace:
                 )
             masks[number][k] = False
         return masks
-
-    def _element(self, number: int, k: int) -> str:
-        """Name of one element of a leaf."""
-        return f"{self._leaf_names[number]}{self.leaves[number].element(k)}"
-
-    def _place(self, number: int, k: int) -> tuple[int, int]:
-        """Index of the leaf among all leaves of the tree, and flat position, of one element."""
-        return self.leaves[number].index, k
 
     def _info(self, number: int, k: int) -> ParamInfo:
         """Declaration of a free element; its bounds keep those that are tied to it within theirs."""
@@ -224,7 +163,7 @@ class ParameterSpace:
             for record in range(len(self.records)) if leaf.info.per_record else (0,):
                 for k in positions:
                     label = f"@{self.records[record]}" if several else ""
-                    names.append(f"{self._element(number, k)}{label}")
+                    names.append(f"{self.named.element(number, k)}{label}")
                     infos.append(self._info(number, k) if self.ties else leaf.info)
                     sources.append((number, k, record if several else None))
         self.names, self.infos = tuple(names), tuple(infos)
@@ -249,17 +188,11 @@ class ParameterSpace:
             constants=tuple(to_device(rows, dtype) for rows in self._constants.values()),
             constant_at=tuple(self._constants),
             ties=tuple(
-                (*self._place(*tie.target), *self._place(*tie.source), tie.factor, tie.constant) for tie in self.ties
+                (*self.named.place(*tie.target), *self.named.place(*tie.source), tie.factor, tie.constant)
+                for tie in self.ties
             ),
         )
-        self._check_values(flat)
-
-    def _check_values(self, flat: list[Any]) -> None:
-        for leaf, name in zip(self.leaves, self._leaf_names, strict=True):
-            value = np.asarray(flat[leaf.index])
-            lower, upper = leaf.info.bounds
-            if not ((value >= lower) & (value <= upper)).all():  # also refuses NaN
-                raise ParameterError(f"parameter {name!r}: {value} is outside its bounds [{lower:g}, {upper:g}]")
+        self.named.check_bounds(self.template)
 
     # -- vectors -------------------------------------------------------------------------------------------------------
 
@@ -379,7 +312,7 @@ class ParameterSpace:
             values = np.asarray(flat[leaf.index]).reshape(-1)
             for k in range(leaf.size):
                 if (number, k) not in free:
-                    rows.append((self._element(number, k), float(values[k]), leaf.info))
+                    rows.append((self.named.element(number, k), float(values[k]), leaf.info))
         return rows
 
     def tied(self, x: Sequence[float] | np.ndarray) -> list[tuple[Tie, float, ParamInfo, int | None]]:
@@ -392,24 +325,3 @@ class ParameterSpace:
             value = float(np.asarray(flat[leaf.index]).reshape(-1)[tie.target[1]])
             rows.append((tie, value, leaf.info, place.get(tie.source)))
         return rows
-
-
-def relative_size(space: ParameterSpace, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
-    """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.
-
-    For an offset it is the natural scale alone, because its value depends on where zero lies.
-
-    Args:
-        space: of the parameters.
-        x: physical values, shape (..., p), like the result.
-        scale: natural scales that differ from those of the space, shape (..., p).
-    """
-    lower, upper, kind = space.lower, space.upper, space.kinds
-    scale = space.scale if scale is None else scale
-    with np.errstate(invalid="ignore"):
-        both = (x - lower) * (upper - x) / (upper - lower)
-        one = np.where(np.isfinite(lower), x - lower, upper - x)
-    natural = np.where(space.offsets, scale, np.maximum(scale, np.abs(x)))
-    # A weight that is nearly zero is determined when its error is small compared with its scale, not with its value.
-    one = np.where(space.linear, np.maximum(one, scale), one)
-    return np.where(kind == REAL, natural, np.where(kind == BOTH, both, one))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import ast
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 
 import numpy as np
 
 from hystfit.errors import ParameterError
+from hystfit.params.named_leaves import NamedLeaves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,17 +78,12 @@ def _linear(node: ast.expr) -> tuple[float, str | None, float]:
     raise ValueError(node)
 
 
-def ties_of(
-    expressions: dict[str, str],
-    find: Callable[[str], tuple[int, list[int]]],
-    element: Callable[[int, int], str],
-) -> tuple[Tie, ...]:
+def ties_of(expressions: Mapping[str, str], named: NamedLeaves) -> tuple[Tie, ...]:
     """The ties of expressions by target.
 
     Args:
         expressions: such as {"gamma[1]": "gamma[0]", "k2": "2*k1"}; an array is tied to an array of the same size or to one element.
-        find: leaf number and flat positions of a name.
-        element: name of one element of a leaf.
+        named: the parameters by name.
 
     Raises:
         ParameterError: an unknown name, sizes that do not agree, a parameter tied to itself or to one that is tied.
@@ -95,14 +91,14 @@ def ties_of(
     ties: list[Tie] = []
     for name, expression in expressions.items():
         factor, source, constant = parse_tie(expression)
-        (leaf, positions), (other, others) = find(name), find(source)
+        (leaf, positions), (other, others) = named.find(name), named.find(source)
         if len(others) not in (1, len(positions)):
             raise ParameterError(
                 f"tie {name}={expression}: {source!r} has {len(others)} elements, {name!r} {len(positions)}"
             )
         for k, j in zip(positions, others if len(others) == len(positions) else others * len(positions), strict=True):
-            text = expression if len(positions) == 1 else _words(factor, element(other, j), constant)
-            ties.append(Tie(element(leaf, k), text, (leaf, k), (other, j), factor, constant))
+            text = expression if len(positions) == 1 else _words(factor, named.element(other, j), constant)
+            ties.append(Tie(named.element(leaf, k), text, (leaf, k), (other, j), factor, constant))
     targets = [tie.target for tie in ties]
     for tie in ties:
         if tie.source in targets:

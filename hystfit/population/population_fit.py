@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,7 +15,7 @@ from jaxtyping import Array
 from scipy.stats import f as f_distribution
 
 from hystfit.data.record import Record
-from hystfit.errors import ParameterError, optional
+from hystfit.errors import ParameterError
 from hystfit.inference.priors import AbstractPrior
 from hystfit.models.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
@@ -24,6 +23,7 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy
 from hystfit.registry import attribute
+from hystfit.results.exchange import arviz_data
 
 SCHEMA = "hystfit.population/1"
 _LEVEL = 0.9  # of the intervals
@@ -111,17 +111,13 @@ class PopulationFit(WithStatus):
         """Draws of the correlations between the parameters of these very devices, shape (n, p, p)."""
         away = self.drawn.z.reshape(-1, len(self.devices), len(self.names))
         away = away - away.mean(axis=1, keepdims=True)
-        covariance = np.einsum("ndi,ndj->nij", away, away)
-        size = np.sqrt(np.einsum("nii->ni", covariance))
-        return covariance / (size[:, :, None] * size[:, None, :])
+        return _correlations(np.einsum("ndi,ndj->nij", away, away))
 
     @functools.cached_property
     def correlations(self) -> np.ndarray:
         """Draws of the correlations between parameters in z, shape (n, p, p)."""
         p = len(self.names)
-        covariance = self.drawn.covariance.reshape(-1, p, p)
-        sd = np.sqrt(np.einsum("nii->ni", covariance))
-        return covariance / (sd[:, :, None] * sd[:, None, :])
+        return _correlations(self.drawn.covariance.reshape(-1, p, p))
 
     @functools.cached_property
     def fitted(self) -> np.ndarray:
@@ -291,7 +287,6 @@ class PopulationFit(WithStatus):
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
-        z = self._next_z(4000, self.seed, {})
         low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
         pairs = [(a, b) for a in range(len(self.names)) for b in range(a)]
         return {
@@ -306,10 +301,7 @@ class PopulationFit(WithStatus):
                 for a, b in pairs
             },
             "covariates": self.covariates,
-            "next_device": {
-                name: {"prior": prior.exact()}
-                for name, prior in self.common.priors(z.mean(axis=0), z.std(axis=0)).items()
-            },
+            "next_device": {name: {"prior": prior.exact()} for name, prior in self.priors().items()},
             "devices": {row.pop("device"): row for row in self.device_rows()},
             "outlying": list(self.outlying),
             "timing": {"run_s": self.seconds},
@@ -326,16 +318,13 @@ class PopulationFit(WithStatus):
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
-        arviz = optional("arviz", "bayes", "to_arviz")
         drawn = self.drawn
         posterior = {"effects": drawn.effects, "covariance": drawn.covariance, "z": drawn.z}
         sizes = ("covariate", "parameter"), ("parameter", "other"), ("device", "parameter")
         dims = {name: list(own) for name, own in zip(posterior, sizes, strict=True)}
         coords = {"parameter": list(self.names), "other": list(self.names), "device": [d.name for d in self.devices]}
         coords |= {"covariate": ["mean", *self.covariates]}
-        if "posterior" in inspect.signature(arviz.from_dict).parameters:
-            return arviz.from_dict(posterior=posterior, dims=dims, coords=coords)
-        return arviz.from_dict({"posterior": posterior}, dims=dims, coords=coords)
+        return arviz_data({"posterior": posterior}, dims=dims, coords=coords)
 
     def save(self, folder: str | Path) -> Path:
         """Write result.json and devices.csv into a folder.
@@ -349,3 +338,9 @@ class PopulationFit(WithStatus):
 @eqx.filter_jit
 def _outputs(coordinates: Coordinates, x: Array, u: Array, dt: Array) -> Array:
     return jax.lax.map(lambda row: run(coordinates.assemble(row, 0), u, dt)[0], x)
+
+
+def _correlations(covariance: np.ndarray) -> np.ndarray:
+    """Correlations of covariances, shape (n, p, p)."""
+    sd = np.sqrt(np.einsum("nii->ni", covariance))
+    return covariance / (sd[:, :, None] * sd[:, None, :])

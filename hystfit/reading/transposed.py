@@ -2,6 +2,7 @@
 
 import re
 
+from hystfit.reading.cells import is_missing
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -18,14 +19,19 @@ def read_transposed(text: TextFile) -> Table | None:
         return None
     for delimiter in (text.opening.delimiter,) if text.opening.delimiter else (";", "\t", ","):
         rows = [[cell.strip() for cell in line.rstrip(f"\r{delimiter}").split(delimiter)] for line in lines]
-        rows = [row for row in rows if _is_quantity(row)]
-        if len(rows) > 1 and len({len(row) for row in rows}) == 1:
-            return plain_text(text.of("\n".join(delimiter.join(column) for column in zip(*rows, strict=True))))
+        quantities = [row for row in rows if _is_quantity(row)]
+        width = {len(row) for row in quantities}
+        headed = any(
+            len(row) in width and row not in quantities for row in rows
+        )  # rows of an ordinary table below their names
+        if len(quantities) > 1 and len(width) == 1 and not headed:
+            return plain_text(text.of("\n".join(delimiter.join(column) for column in zip(*quantities, strict=True))))
     return None
 
 
 def _is_quantity(row: list[str]) -> bool:
-    """Whether a line is a name and the numbers of a column."""
-    name, *numbers = row
-    named = name and not _NUMBER.fullmatch(name)
-    return bool(named) and len(numbers) >= _FEWEST_SAMPLES and all(map(_NUMBER.fullmatch, numbers))
+    """Whether a line is a name and the numbers of a column, of which some may be missing."""
+    name, *cells = row
+    numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
+    complete = all(is_missing(cell) or _NUMBER.fullmatch(cell) for cell in cells)
+    return not is_missing(name) and not _NUMBER.fullmatch(name) and numbers >= _FEWEST_SAMPLES and complete

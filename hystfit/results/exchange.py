@@ -1,7 +1,9 @@
-"""A fit for other programs: parameters, errors and predictions as a .mat file or an xarray data set."""
+"""Fits and draws for other programs: a .mat file, an xarray data set, ArviZ' container."""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,3 +91,15 @@ def to_xarray(result: FitResult) -> Any:
     if all(r.t is not None for r in result.data):
         where["t"] = ("sample", np.concatenate([r.t for r in result.data]), {"units": units["t"]})
     return xarray.Dataset(data, where, {"model": result.name, "status": str(result.status)})
+
+
+def arviz_data(groups: Mapping[str, Mapping[str, Any]], **axes: Any) -> Any:
+    """ArviZ' container of draws: `InferenceData` before version 1, a DataTree from then on.
+
+    Args:
+        groups: arrays by name, for each group ("posterior", "sample_stats").
+        **axes: `dims` and `coords`, as ArviZ takes them.
+    """
+    arviz = optional("arviz", "bayes", "to_arviz")
+    old = "posterior" in inspect.signature(arviz.from_dict).parameters
+    return arviz.from_dict(**groups, **axes) if old else arviz.from_dict(dict(groups), **axes)

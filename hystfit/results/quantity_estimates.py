@@ -14,7 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params.space import relative_size
+from hystfit.params.relative_size import relative_size
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.loop_values import quantities
 from hystfit.results.measured_quantities import measured_quantities

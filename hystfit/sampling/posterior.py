@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import inspect
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,10 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.errors import ParameterError, optional
+from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.registry import attribute
+from hystfit.results.exchange import arviz_data
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
@@ -249,13 +249,10 @@ class Posterior(WithStatus):
 
     def to_arviz(self) -> Any:
         """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
-        arviz = optional("arviz", "bayes", "to_arviz")
         stats = {"lp": self.log_density, **self.stats}
         variable = _view("files:variable")
         posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
-        if "posterior" in inspect.signature(arviz.from_dict).parameters:
-            return arviz.from_dict(posterior=posterior, sample_stats=stats)
-        return arviz.from_dict({"posterior": posterior, "sample_stats": stats})
+        return arviz_data({"posterior": posterior, "sample_stats": stats})
 
     def save(self, folder: str | Path) -> Path:
         """Write posterior.nc (groups posterior and sample_stats), result.json, and the fit in fit/.

@@ -49,7 +49,7 @@ def _scattered(model: Any, count: int, spread: Mapping[str, float], seed: int) -
     space = ParameterSpace.of(model, free=list(spread))
     sizes = np.zeros(len(space))
     for name, size in spread.items():
-        leaf, positions = space.find(name)
+        leaf, positions = space.named.find(name)
         sizes[[k for k, source in enumerate(space.sources) if source[0] == leaf and source[1] in positions]] = size
     center = space.vector(model)
     lower, upper = np.array([info.bounds for info in space.infos]).T
