@@ -315,7 +315,8 @@ class TestPictures:
     def test_axes_show_what_was_asked(self):
         matplotlib = pytest.importorskip("matplotlib")
         matplotlib.use("Agg")
-        from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
+        from hystfit.results.forc_plots import plot_forc_diagram
+        from hystfit.results.preisach_plots import plot_curves, plot_density
 
         curves = family(truth("positive"), 12)
         model = truth("positive")
@@ -328,8 +329,12 @@ class TestPictures:
         area = np.where(i == j, 0.5, 1.0) / 36
         np.testing.assert_allclose(drawn[i, j], np.asarray(model.w) / area)
         diagram = forc_diagram(curves, 2)
-        shown = plot_forc_diagram(diagram).collections[0].get_array()
-        np.testing.assert_allclose(np.ma.filled(shown, np.nan), diagram.density)
+        picture = plot_forc_diagram(diagram).collections[0]
+        shown, corners = picture.get_array(), picture.get_coordinates()
+        at = np.unravel_index(np.argmax(shown), shown.shape)
+        top = np.unravel_index(np.nanargmax(diagram.density), diagram.density.shape)
+        assert corners[at].tolist() == pytest.approx([diagram.coercivity[top], diagram.interaction[top]], abs=0.1)
+        assert shown.max() == pytest.approx(np.nanmax(diagram.density), rel=0.05)
         lines = plot_curves(curves, [r.y for r in curves], every=3).lines
         assert len(lines) == 8
         matplotlib.pyplot.close("all")

@@ -10,7 +10,7 @@ from common import Results, times
 
 import hystfit as hf
 from hystfit.models.preisach import fit_forc, forc_diagram
-from hystfit.models.preisach.forc import ForcDiagram
+from hystfit.models.preisach.forc_diagram import ForcDiagram
 from hystfit.models.preisach.solve import PreisachFit, fit_preisach
 
 CLOSE = 0.5  # s after which the piezo, at rest at 0 V before, follows the input

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from hystfit.fitting.comparison import Comparison
-    from hystfit.models.preisach.forc import ForcNumbers
+    from hystfit.models.preisach.forc_numbers import ForcNumbers
     from hystfit.sampling.posterior import Posterior
     from hystfit.uncertainty.calibration import Calibration
     from hystfit.uncertainty.input_design import Design
@@ -48,7 +48,7 @@ def notes_of(notes: Sequence[Note]) -> list[str]:
 def forc_page(
     title: str,
     how: str,
-    table: Table,
+    tables: Mapping[str, Table],
     numbers: ForcNumbers,
     u_unit: str,
     notes: Sequence[str],
@@ -57,18 +57,19 @@ def forc_page(
 ) -> Page:
     """The page of `hystfit forc`; `how` the density was found, and the `loop` with its options, quoted for a shell."""
     answer = [
-        ("Median coercivity", f"{number(numbers.median_coercivity)} {u_unit}".rstrip()),
-        ("Interaction of the ridge", f"{number(numbers.ridge)} {u_unit}".rstrip()),
+        ("Median coercivity", f"{number(numbers.values['median_coercivity'])} {u_unit}".rstrip()),
+        ("Interaction of the peak", f"{number(numbers.values['peak_interaction'])} {u_unit}".rstrip()),
         ("Density", how),
         ("Next", f"hystfit fit {loop} --model preisach-forc --out fit"),
     ]
     captions = {
         "forc": f"FORC diagram ({how}); red: positive, blue: negative; contour lines of the smoothed density",
-        "coercivity": "Coercivity distribution: the density integrated over the interaction",
-        "curves": "Reversal curves",
+        "profiles": "Coercivity distribution (the density integrated over the interaction), and profiles through the peak",
+        "curves": "Reversal curves, and the major loop that they contain",
     }
     shown = [Picture(figures[name], caption) for name, caption in captions.items()]
-    sections = [("Plots", [shown]), ("Numbers", [table]), ("Notes", [list(notes)])]
+    sections = [("Plots", [shown]), *((f"Numbers {of}", [table]) for of, table in tables.items())]
+    sections.append(("Notes", [list(notes)]))
     return page_of(title, Status.OK, "forc", answer, sections)
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
 from hystfit.cli.write import finish, named, progress, write_csv
 from hystfit.outcome import Column, Status, Table
-from hystfit.outcome.table import number
+from hystfit.outcome.table import rounded
 
 if TYPE_CHECKING:
-    from hystfit.models.preisach.forc import ForcDiagram, ForcNumbers
+    from matplotlib.figure import Figure
+
+    from hystfit.models.preisach.forc_diagram import ForcDiagram
+    from hystfit.models.preisach.forc_numbers import ForcNumbers
     from hystfit.quality.reversal_curves import ReversalFamily
+    from hystfit.results.forc_loop import ForcLoop
 
 _SHOWN = 40  # curves in the picture at most
+_REPEATS = 24  # draws of the noise: their standard deviation has an error of 15 %
 
 
 def forc(
@@ -27,48 +33,60 @@ def forc(
 ) -> int:
     """Draw the FORC diagram of reversal curves and compute its key numbers.
 
-    The file holds one curve for each reversal (--by names the column that separates them). With --out, the folder holds the picture
-    (forc.png), the density (forc.csv, forc.npz), the coercivity distribution (coercivity.csv) and a page (report.html).
+    The file holds one curve for each reversal (--by names the column that separates them). Drift between calibration points and first
+    points that had not settled are corrected where the curves show them, and printed. With --out, the folder holds pictures (forc.png,
+    profiles.png, curves.png), the density (forc.csv, forc.npz), the profiles (profiles.csv) and a page (report.html).
 
     Args:
         smoothing: the factor SF of the regression: second-degree polynomials over (2 SF + 1) x (2 SF + 1) points.
         density: by local regression on the curves, or fitted: a Preisach density whose smoothness is chosen by curves left out.
     """
-    from hystfit.models.preisach.forc import density_of, fit_forc, forc_diagram, forc_numbers
+    from hystfit.models.preisach.forc import density_of, fit_forc
+    from hystfit.models.preisach.forc_diagram import forc_diagram
+    from hystfit.models.preisach.forc_numbers import forc_numbers
+    from hystfit.quality.reversal_corrections import corrected_curves
     from hystfit.quality.reversal_curves import reversal_curves
+    from hystfit.results.forc_loop import forc_loop
     from hystfit.results.provenance import provenance
 
     output.check()
     data = load(loops, reading)
+    reversal_curves(data)  # the data are refused as they were read, not as they are corrected
+    data, corrections = corrected_curves(data)
     family = reversal_curves(data)
     with progress("computing the density"):
         if density == "fitted":
             diagram = density_of(fit_forc(data, nonnegative=False).model, rising=family.rising)
         else:
-            diagram = forc_diagram(data, smoothing)
-    numbers, units = forc_numbers(diagram), data.units
+            diagram = forc_diagram(data, smoothing, repeats=_REPEATS)
+    numbers, loop = forc_numbers(diagram), forc_loop(family)
+    units = {symbol: data.units[symbol] for symbol in ("u", "y")}
     how = f"local regression, smoothing factor {smoothing}" if density == "regression" else "fitted Preisach density"
+    notes = [*map(str, corrections), *family.notes]
     content = {
-        "schema": "hystfit.forc/1",
+        "schema": "hystfit.forc/2",
         "status": str(Status.OK),
         "curves": len(family.curves),
         "density": density,
         "smoothing": smoothing if density == "regression" else None,
         "units": {"input": units["u"] or None, "output": units["y"] or None},
-        "numbers": numbers.to_dict(),
-        "notes": list(family.notes),
+        "numbers": numbers.to_dict(units),
+        "loop": loop.to_dict(),
+        "notes": notes,
         "provenance": provenance(data, None),
     }
-    table = _table(numbers, units)
-    text = "\n".join([family.words(), f"density: {how}", *table.lines("  "), *(f"  - {note}" for note in family.notes)])
+    tables = {"of the density": _density_table(numbers, units), "of the curves": loop.table()}
+    shown = [line for title, table in tables.items() for line in (title, *table.lines("  "))]
+    text = "\n".join([family.words(), f"density: {how}", *shown, *(f"  - {note}" for note in notes)])
 
     def save(folder: Path) -> None:
         from hystfit.cli.pages import forc_page
 
-        figures = _figures(diagram, numbers, family, units)
+        figures = _figures(diagram, numbers, loop, family, units)
         _write_density(folder, diagram, numbers, units)
-        loop = command_words(loops, reading)
-        page = forc_page(family.words(), how, table, numbers, units["u"], family.notes, figures, loop)
+        page = forc_page(
+            family.words(), how, tables, numbers, units["u"], notes, figures, command_words(loops, reading)
+        )
         (folder / "report.html").write_text(page.render(), encoding="utf-8")
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=120)
@@ -76,41 +94,32 @@ def forc(
     return finish(text, content, output, save)
 
 
-def _table(numbers: ForcNumbers, units: dict[str, str]) -> Table:
-    u, y = units["u"], units["y"]
+def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:
+    from hystfit.models.preisach.forc_numbers import NUMBERS
+
+    unit = {**units, "%": "%"}
     rows = [
-        ("coercivity of the peak", number(numbers.peak[0]), u),
-        ("interaction of the peak", number(numbers.peak[1]), u),
-        ("median coercivity", number(numbers.median_coercivity), u),
-        ("width of the coercivity distribution at half height", number(numbers.width), u),
-        ("mean interaction of the ridge", number(numbers.ridge), u),
-        ("standard deviation of the interaction", number(numbers.ridge_width), u),
-        ("integral of the density", number(numbers.total), y),
-        ("negative part", number(numbers.negative_percent, ".3g"), "%"),
+        (NUMBERS[name][0], *rounded(value, numbers.stderr.get(name)), unit[NUMBERS[name][1]])
+        for name, value in numbers.values.items()
+        if value is not None
     ]
-    return Table(["", Column("value"), Column("unit", left=True)], rows)
+    return Table(["", Column("value"), Column("+- stderr"), Column("unit", left=True)], rows)
 
 
 def _figures(
-    diagram: ForcDiagram, numbers: ForcNumbers, family: ReversalFamily, units: dict[str, str]
-) -> dict[str, Any]:
-    """Diagram, coercivity distribution and curves."""
-    from matplotlib.figure import Figure
+    diagram: ForcDiagram, numbers: ForcNumbers, loop: ForcLoop, family: ReversalFamily, units: dict[str, str]
+) -> dict[str, Figure]:
+    """Diagram, profiles, and curves with the major loop that they contain."""
+    from hystfit.cli.figures import sheet
+    from hystfit.results.forc_plots import plot_forc_diagram, plot_profiles
+    from hystfit.results.preisach_plots import plot_curves
 
-    from hystfit.params.units import axis_label
-    from hystfit.results.colors import MODEL, SECOND
-    from hystfit.results.preisach_plots import per_unit, plot_curves, plot_forc_diagram
-
-    sheets = {name: Figure(figsize=(5.6, 4.4), layout="constrained") for name in ("forc", "coercivity", "curves")}
+    sheets = {"forc": sheet(5.6, 4.4), "profiles": sheet(5.6, 7.2), "curves": sheet(5.6, 4.4)}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)
-    ax = sheets["coercivity"].subplots()
-    ax.plot(numbers.coercivity, numbers.distribution, color=MODEL)
-    ax.axvline(numbers.median_coercivity, color=SECOND, lw=0.9, ls="--", label="median")
-    ax.axhline(0.0, color="black", lw=0.7)
-    ax.set(xlabel=axis_label("coercivity", units["u"]))
-    ax.set_ylabel(axis_label("density over the interaction", per_unit(units["y"], units["u"])))
+    plot_profiles(numbers, sheets["profiles"].subplots(3), units=units)
+    ax = plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // _SHOWN))
+    ax.plot(loop.loop.u, loop.loop.y, color="black", lw=0.9, label="major loop")
     ax.legend(frameon=False)
-    plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // _SHOWN))
     return sheets
 
 
@@ -121,8 +130,15 @@ def _write_density(folder: Path, diagram: ForcDiagram, numbers: ForcNumbers, uni
     reversal, field = np.meshgrid(diagram.reversal, diagram.field, indexing="ij")
     columns = {"reversal": reversal, "field": field}
     columns |= {"coercivity": diagram.coercivity, "interaction": diagram.interaction}
-    listed = {named(name, u): values[known] for name, values in columns.items()}
-    write_csv(folder / "forc.csv", listed | {"density": diagram.density[known]}, ".9g")
-    np.savez_compressed(folder / "forc.npz", reversal=diagram.reversal, field=diagram.field, density=diagram.density)
-    distribution = {named("coercivity", u): numbers.coercivity, "density": numbers.distribution}
-    write_csv(folder / "coercivity.csv", distribution, ".9g")
+    listed = {named(name, u): values[known] for name, values in columns.items()} | {"density": diagram.density[known]}
+    grid = {"reversal": diagram.reversal, "field": diagram.field, "density": diagram.density}
+    if diagram.stderr is not None:
+        listed["stderr"], grid["stderr"] = diagram.stderr[known], diagram.stderr
+    write_csv(folder / "forc.csv", listed, ".9g")
+    np.savez_compressed(folder / "forc.npz", **grid)
+    with (folder / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(["profile", named("field", u), "value", "stderr"])
+        for name, one in numbers.profiles.items():
+            errors = [""] * one.x.size if one.stderr is None else [f"{error:.9g}" for error in one.stderr]
+            rows.writerows([name, f"{x:.9g}", f"{y:.9g}", e] for x, y, e in zip(one.x, one.values, errors, strict=True))

@@ -1,4 +1,4 @@
-"""Pictures of Preisach models and reversal curves, as the field draws them; each function takes axes and returns them."""
+"""Pictures of Preisach models and of reversal curves, as the field draws them; each function takes axes and returns them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.everett import cells
-from hystfit.models.preisach.forc import ForcDiagram
 from hystfit.models.preisach.model import Preisach
 from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label
@@ -30,7 +29,7 @@ def plot_density(
         units: of the input "u" and the output "y".
     """
     u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     levels, n = np.asarray(model.levels), model.n
     i, j = cells(n)
     if model.elements == "relays":
@@ -46,25 +45,20 @@ def plot_density(
     signed = bool((square[i, j] < -1e-3 * top).any())
     shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top} if signed else {"cmap": "BuPu", "vmin": 0, "vmax": top}
     mesh = ax.pcolormesh(levels, levels, square, shading="flat", rasterized=True, **shades)
-    ax.figure.colorbar(mesh, ax=ax, label=axis_label("weight density", _per_area(y, u)))
+    ax.figure.colorbar(mesh, ax=ax, label=axis_label("weight density", per_area(y, u)))
     middle = 0.5 * (levels[1:] + levels[:-1])
-    _contours(ax, middle[None, :] + 0 * square, middle[:, None] + 0 * square, square, top)
+    contours(ax, middle[None, :] + 0 * square, middle[:, None] + 0 * square, square, top)
     if reach is not None:
         _hatch(ax, model, reach)
     return _label(ax, u)
 
 
-def _per_area(y: str, u: str) -> str:
+def per_area(y: str, u: str) -> str:
     """Unit of a density over the plane; "" where a unit is unknown."""
     return f"{y}/({u})^2" if y and u and not u.isalpha() else f"{y}/{u}^2" if y and u else ""
 
 
-def per_unit(y: str, u: str) -> str:
-    """Unit of a density over an axis; "" where a unit is unknown."""
-    return "" if not (y and u) else f"{y}/{u}" if u.isalpha() else f"{y}/({u})"
-
-
-def _contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: float) -> None:
+def contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: float) -> None:
     """Contours of a smoothed density at even parts of its largest value, where there are cells enough."""
     from scipy.ndimage import gaussian_filter
 
@@ -101,38 +95,6 @@ def _label(ax: Any, unit: str) -> Any:
     return ax
 
 
-def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[str, str] | None = None) -> Any:
-    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative.
-
-    Args:
-        diagram: the distribution.
-        ax: matplotlib axes; new ones if None.
-        units: of the input "u" and the output "y".
-    """
-    ax = _axes(ax)
-    u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
-    top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
-    x, y = diagram.coercivity, diagram.interaction
-    reversal, field = _edges(diagram.reversal)[:, None], _edges(diagram.field)[None, :]
-    shades = {"cmap": "RdBu_r", "vmin": -top, "vmax": top}
-    mesh = ax.pcolormesh(0.5 * (field - reversal), 0.5 * (field + reversal), diagram.density, rasterized=True, **shades)
-    ax.figure.colorbar(mesh, ax=ax, label=axis_label("FORC distribution", _per_area(unit, u)))
-    _contours(ax, x, y, diagram.density, top)
-    shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
-    if shown.any():
-        far, half = np.quantile([x[shown], np.abs(y[shown])], 0.99, axis=1)  # isolated points at the edge are noise
-        ax.set(xlim=(0, 1.2 * far), ylim=(-1.2 * half, 1.2 * half))
-    ax.axhline(0, color="0.5", lw=0.6)
-    ax.set(xlabel=axis_label("coercivity (H - Hr) / 2", u), ylabel=axis_label("interaction (H + Hr) / 2", u))
-    return ax
-
-
-def _edges(centers: np.ndarray) -> np.ndarray:
-    """Edges of the cells around increasing centers (n,), shape (n + 1,)."""
-    between = 0.5 * (centers[1:] + centers[:-1])
-    return np.concatenate([[2 * centers[0] - between[0]], between, [2 * centers[-1] - between[-1]]])
-
-
 def plot_curves(
     data: Dataset | Sequence[Record], predicted: Sequence[np.ndarray] = (), ax: Any = None, every: int = 1
 ) -> Any:
@@ -146,7 +108,7 @@ def plot_curves(
     """
     import matplotlib
 
-    ax = _axes(ax)
+    ax = axes_or_new(ax)
     curves = list(Dataset.of(data))[::every]
     colors = matplotlib.colormaps["viridis"](np.linspace(0, 0.9, len(curves)))
     for r, color in zip(curves, colors, strict=True):
@@ -159,7 +121,8 @@ def plot_curves(
     return ax
 
 
-def _axes(ax: Any) -> Any:
+def axes_or_new(ax: Any) -> Any:
+    """The axes, or those of a new figure where None."""
     if ax is not None:
         return ax
     import matplotlib.pyplot as plt
