@@ -159,7 +159,7 @@ def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None
     t, u, y = _beating()
     drift = 0.05 * np.ptp(y) * t / t[-1]
     steady, drifting = hf.Record(u, y, t), hf.Record(u, y + drift, t)
-    assert not has(hf.check(steady).findings, Code.DRIFT)
+    assert not has(examined(steady).findings, Code.DRIFT)
     assert not has(hf.fit("prandtl-ishlinskii", steady).notes, Code.DRIFT)
     for notes in (hf.check(drifting).findings, hf.fit("prandtl-ishlinskii", drifting).notes):
         (note,) = (note for note in notes if note.code is Code.DRIFT)
@@ -171,15 +171,16 @@ def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
     t = np.arange(1000) / 100
     for seed in range(3):
         noise = np.random.default_rng(24 + seed).normal(size=1000)
-        report = hf.check(hf.Record(10 * np.sin(2 * np.pi * t), noise, t))
+        record = hf.Record(10 * np.sin(2 * np.pi * t), noise, t)
+        report = examined(record)
         assert has(report.findings, Code.SINGLE_VALUED)
         assert not has(report.findings, Code.CROSSING, Code.DEGRADING, Code.DRIFT, Code.NOT_CLOSED)
         assert report.verdict("creep").verdict != "yes"
-        assert report.advice is None
+    assert hf.check(record).advice is None
     butterfly = hf.Record(
         u := 10 * np.sin(2 * np.pi * t), np.tanh(u - 4 * np.cos(2 * np.pi * t)) ** 2 + 0.01 * noise, t
     )
-    assert has(hf.check(butterfly).findings, Code.CROSSING)
+    assert has(examined(butterfly).findings, Code.CROSSING)
 
 
 def _growing_from_rest() -> np.ndarray:
