@@ -88,6 +88,12 @@ def _figures_closed() -> Iterator[None]:
         pyplot.close("all")
 
 
+@pytest.fixture
+def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`check` without its comparison of models, which takes seconds, where the findings are looked at and not the advice."""
+    monkeypatch.setattr("hystfit.fitting.data_check._screened", lambda _: ())
+
+
 def examined(data: Any) -> Any:
     """The report of `check` on data without its comparison of models, which takes seconds."""
     # Imported here, as modules that are imported before the tests are collected escape their type checks.

@@ -1,5 +1,6 @@
-"""The command line as users run it: real processes in a fresh environment, without the settings of this test session."""
+"""The command line as users run it: real processes in a fresh environment, and what every verb prints and writes."""
 
+import dataclasses
 import itertools
 import json
 import os
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +67,27 @@ def fitted(process, folder) -> Path:
     return folder / "fit"
 
 
+@dataclasses.dataclass(frozen=True)
+class Ended:
+    """What a command in this process left."""
+
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def here(fitted, folder, monkeypatch, capsys) -> Callable[..., Ended]:
+    """Run a command in this process, in the folder of the loops and of the fit."""
+    monkeypatch.chdir(folder)
+
+    def run(*arguments: str) -> Ended:
+        capsys.readouterr()
+        return Ended(cli.run(arguments), *capsys.readouterr())
+
+    return run
+
+
 def test_fit_finds_the_truth(fitted):
     content = json.loads((fitted / "result.json").read_text())
     assert (content["schema"], content["status"]) == ("hystfit.fit/3", "ok")
@@ -103,40 +126,48 @@ VERBS = [  # arguments, exit status, status in result.json, files beside it
 ]
 
 
-@pytest.mark.usefixtures("fitted")
 @pytest.mark.parametrize(
     ("arguments", "code", "status", "files"),
     VERBS,
     ids=lambda value: str(sorted(value) if isinstance(value, set) else value)[:30],
 )
-def test_verbs_print_json_and_write_their_folder(arguments, code, status, files, process, tmp_path):
+def test_verbs_print_json_and_write_their_folder(arguments, code, status, files, here, tmp_path):
     out = tmp_path / "out"
-    done = process(*arguments, "--out", out, "--json")
-    assert (done.returncode, done.stderr) == (code, "")
-    content = json.loads(done.stdout)
+    done = here(*arguments, "--out", str(out), "--json")
+    assert (done.status, done.err) == (code, "")
+    content = json.loads(done.out)
     assert content == json.loads((out / "result.json").read_text())
     assert content["schema"].partition("/")[0] == f"hystfit.{arguments[0]}"
     assert content["status"] == status
     assert {path.name for path in out.iterdir()} == files | {"result.json"}
 
 
-def test_a_fit_without_a_loop_is_not_usable(process, folder):
-    done = process("fit", "up.csv", "--model", "bouc-wen", "--starts", "1", "--json")
-    assert (done.returncode, done.stderr) == (1, "")
-    assert json.loads(done.stdout)["status"] == "no-loop"
+def test_a_fit_without_a_loop_is_not_usable(here):
+    done = here("fit", "up.csv", "--model", "bouc-wen", "--starts", "1", "--json")
+    assert (done.status, done.err) == (1, "")
+    assert json.loads(done.out)["status"] == "no-loop"
 
 
-def test_report_and_export(process, fitted, tmp_path):
-    done = process("report", fitted, "--out", tmp_path / "again")
+def test_a_command_in_a_process_says_nothing_beside_its_result(process, fitted):
+    done = process("predict", fitted, "loop.csv", "--json")
     assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["status"] == "ok"
+    done = process("check", "nofile.csv")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("hystfit: ")
+
+
+def test_report_and_export(here, fitted, tmp_path):
+    done = here("report", str(fitted), "--out", str(tmp_path / "again"))
+    assert (done.status, done.err) == (0, "")
     title, _, rest = (fitted / "report.txt").read_text().strip().partition("\nVerdict\n")
     assert rest
-    assert title.splitlines()[0] in done.stdout
-    assert rest in done.stdout
-    assert f"hystfit predict {fitted}" in " ".join(done.stdout.split())  # the folder as it was typed
+    assert title.splitlines()[0] in done.out
+    assert rest in done.out
+    assert f"hystfit predict {fitted}" in " ".join(done.out.split())  # the folder as it was typed
     assert (tmp_path / "again" / "report.html").is_file()
-    done = process("export", fitted, "--c", tmp_path / "c", "--name", "stack")
-    assert (done.returncode, done.stderr) == (0, "")
+    done = here("export", str(fitted), "--c", str(tmp_path / "c"), "--name", "stack")
+    assert (done.status, done.err) == (0, "")
     assert sorted(file.name for file in (tmp_path / "c").iterdir()) == ["stack.c", "stack.h", "stack_main.c"]
 
 
@@ -155,13 +186,13 @@ BAD = [
 ]
 
 
-@pytest.mark.usefixtures("fitted")
+@pytest.mark.usefixtures("as_users_run")
 @pytest.mark.parametrize(("arguments", "name"), BAD, ids=[" ".join(arguments) for arguments, _ in BAD])
-def test_bad_input_is_status_2(arguments, name, process):
-    done = process(*arguments)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("hystfit: ")
-    assert name in done.stderr
+def test_bad_input_is_status_2(arguments, name, here):
+    done = here(*arguments)
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("hystfit: ")
+    assert name in done.err
 
 
 # -- what the process sets up before JAX is imported ---------------------------------------------------------------------
