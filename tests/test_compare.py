@@ -549,9 +549,8 @@ def test_rounding_errors_that_recur_every_cycle_are_not_described_by_terms():
     ("name", "count"),
     [
         ("M130_27s", 63),
-        ("MnZn_ferrite", 40),
-        *(pytest.param(*other, marks=pytest.mark.slow) for other in (("M130_27s", 40), ("M130_27s", 120))),
-        *(pytest.param(*other, marks=pytest.mark.slow) for other in (("MnZn_ferrite", 63), ("MnZn_ferrite", 120))),
+        *(pytest.param("M130_27s", count, marks=pytest.mark.slow) for count in (40, 120)),
+        *(pytest.param("MnZn_ferrite", count, marks=pytest.mark.slow) for count in (40, 63, 120)),
     ],
 )
 def test_thinned_measured_loops_get_an_answer(measured, name, count):

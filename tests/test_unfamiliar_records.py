@@ -83,7 +83,7 @@ def _timed(delay: int = 0, lag: float = 0.0, viscosity: float = 0.0) -> hf.Recor
     return hf.Record(u, late + 0.01 * NOISE[: u.size], np.arange(u.size) / 100)
 
 
-@pytest.mark.parametrize("delay", [12, 35])
+@pytest.mark.parametrize("delay", [12, pytest.param(35, marks=pytest.mark.slow)])
 def test_a_pure_delay_is_found_judged_without_and_put_in_front(delay: int) -> None:
     record = _timed(delay)
     found = summarize(record)
@@ -133,11 +133,11 @@ def test_a_lag_of_many_samples_is_found_and_modeled(saturating: bool) -> None:
     record = _late(14.0, saturating)
     found = summarize(record)
     assert found.slow_lag == pytest.approx(14.0, rel=0.25)
-    report = hf.check(record)
-    assert has(report.findings, Code.LAG)
-    assert report.advice is not None
+    assert has(examined(record).findings, Code.LAG)
     if not saturating:  # a curve that saturates behind a lag is described as well by weights of either sign
-        assert report.advice.model.startswith("lag+")
+        advice = hf.check(record).advice
+        assert advice is not None
+        assert advice.model.startswith("lag+")
         assert search_structure(hf.Dataset.of(record), plays=8).structure.lag == pytest.approx(14.0, rel=0.2)
 
 
