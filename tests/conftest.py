@@ -28,21 +28,27 @@ MAPS = Path("/proc/self/maps")
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
 LONGEST = (
+    "quality",
     "sampling",
     "models",
-    "inverse",
-    "ukf",
-    "batch",
+    "unfamiliar_records",
+    "site",
+    "compare",
     "cli",
-    "calibration",
-    "recovery",
+    "batch",
     "noise",
+    "calibration",
+    "faults",
+    "ukf",
+    "recovery",
+    "profiles",
+    "inverse",
+    "cli_process",
+    "experiments",
+    "population",
     "stage",
+    "records",
     "creep",
-    "bouc_wen",
-    "nested",
-    "convex",
-    "duhem_remedies",
 )
 
 

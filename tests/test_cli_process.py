@@ -141,12 +141,6 @@ def test_verbs_print_json_and_write_their_folder(arguments, code, status, files,
     assert {path.name for path in out.iterdir()} == files | {"result.json"}
 
 
-def test_a_fit_without_a_loop_is_not_usable(here):
-    done = here("fit", "up.csv", "--model", "bouc-wen", "--starts", "1", "--json")
-    assert (done.status, done.err) == (1, "")
-    assert json.loads(done.out)["status"] == "no-loop"
-
-
 def test_a_command_in_a_process_says_nothing_beside_its_result(process, fitted):
     done = process("predict", fitted, "loop.csv", "--json")
     assert (done.returncode, done.stderr) == (0, "")
