@@ -532,7 +532,7 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
 
 
 def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
-    t, u = signals.sine(3, 100)
+    t, u = signals.sine(4, 200)
     late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
     measured = piezo(u) + 1e-3 * np.ptp(piezo(u)) * np.random.default_rng(0).normal(size=t.size)
     cases = [
