@@ -17,6 +17,7 @@ import pytest
 from hystfit import cli
 
 MAIN = [sys.executable, "-c", "from hystfit.cli import main; main()"]
+STARTED = [*MAIN[:2], "import sys; from hystfit.cli import main; print('started', file=sys.stderr, flush=True); main()"]
 CACHE = "JAX_COMPILATION_CACHE_DIR"
 TRUTH = {"c": 0.2, "mu": 0.5, "tau": 0.05, "rho": 0.4}
 
@@ -248,7 +249,7 @@ def test_interrupt_from_the_keyboard(folder, tmp_path):
     )  # a shell's background jobs ignore it, and pass that on
     try:
         running = subprocess.Popen(
-            [*MAIN, "fit", str(folder / "loop.csv"), "--model", "duhem", "--starts", "64", "--out", "out"],
+            [*STARTED, "fit", str(folder / "loop.csv"), "--model", "duhem", "--starts", "64", "--out", "out"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -256,7 +257,8 @@ def test_interrupt_from_the_keyboard(folder, tmp_path):
         )
     finally:
         signal.signal(signal.SIGINT, before)
-    time.sleep(2.5)
+    assert running.stderr.readline() == "started\n"  # its imports take seconds on a busy machine
+    time.sleep(1.5)
     running.send_signal(signal.SIGINT)
     out, err = running.communicate(timeout=60)
     assert running.returncode == 130, err
