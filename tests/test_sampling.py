@@ -42,7 +42,7 @@ from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
 
 
-def loop(T: int = 300, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:
+def loop(T: int = 500, seed: int = 0, sigma: float = 0.01) -> tuple[hf.Record, hf.BoucWen]:
     rng = np.random.default_rng(seed)
     phase = np.arange(T) / T
     u = np.sin(2 * np.pi * 8 * phase) * (0.4 + 0.6 * phase)
