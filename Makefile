@@ -36,10 +36,11 @@ setup: $(VENV)/.installed  ## create .venv with hystfit and all test dependencie
 fit: setup  ## fit a bundled record and print the report
 	$(BIN)/hystfit fit stage-sweep --out fit
 
-# Types, wheel and benchmarks use one core each; the others use two.
+# The tests run in two processes. What follows them uses one core each, two at a time, and goes on after a failure.
 test: lint  ## all checks, in the quick form
-	$(MAKE) -j 2 types package smoke
-	$(MAKE) tests notebooks experiments
+	$(MAKE) tests
+	@rm -f build/experiments/*.log
+	$(MAKE) --keep-going --output-sync -j 2 $(EXPERIMENTS:%=experiment-%) $(NOTEBOOKS:%=notebook-%) types package smoke
 
 quick: lint  ## while working: lint, types and tests of the files changed since BASE (main where it is an ancestor, else HEAD)
 	$(BIN)/python -m tests.touched $(BASE)
@@ -55,18 +56,28 @@ types: setup
 tests: setup  ## the tests, without the slow ones (QUICK= for all)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 1 -q $(if $(QUICK),-m "not slow",$(EVERY_SHAPE))
 
-notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
-	@ls notebooks/[0-9]*.py | xargs -n 1 basename -s .py | xargs -P 2 -I NAME $(BIN)/python notebooks/run.py $(QUICK) NAME
+# What takes longest starts first, so that both cores are busy to the end.
+NOTEBOOKS := 04_uncertainty_study 03_creep_and_the_filter 01_first_fit
+NOTEBOOKS += $(filter-out $(NOTEBOOKS),$(basename $(notdir $(wildcard notebooks/[0-9]*.py))))
+EXPERIMENTS := recognition ukf measured preisach uncertainty
+EXPERIMENTS += $(filter-out $(EXPERIMENTS),$(patsubst experiments/%/run.py,%,$(wildcard experiments/*/run.py)))
 
-# Experiments that take longest start first, so that both cores are busy to the end.
-LONG := recognition structures measured
-# Exit status of an experiment: 0 ok, 1 a number missed, 77 parts skipped without their measured data (experiments/common.py).
+notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
+	@$(MAKE) --keep-going --output-sync -j 2 $(NOTEBOOKS:%=notebook-%)
+
+$(NOTEBOOKS:%=notebook-%): notebook-%: setup
+	@$(BIN)/python notebooks/run.py $(QUICK) $*
+
 experiments: setup  ## run every experiment, two at a time, and check its numbers (QUICK= for the full form)
-	@mkdir -p build/experiments && rm -f build/experiments/*.log
-	@printf '%s\n' $(LONG:%=experiments/%/run.py) $(filter-out $(LONG:%=experiments/%/run.py),$(wildcard experiments/*/run.py)) | xargs -P 2 -I RUN sh -c 'log=build/experiments/$$(basename $$(dirname RUN)).log; \
-	  $(BIN)/python RUN $(QUICK) > $$log 2>&1; status=$$?; echo "exit status $$status" >> $$log; \
-	  echo "== RUN"; cat $$log; test $$status -eq 77 || exit $$status'; status=$$?; \
+	@rm -f build/experiments/*.log
+	@$(MAKE) --keep-going --output-sync -j 2 $(EXPERIMENTS:%=experiment-%); status=$$?; \
 	  grep -E "^(ok|missed|skipped): |^  (missed|skipped): |^exit status [1-9]" build/experiments/*.log; exit $$status
+
+# Exit status of an experiment: 0 ok, 1 a number missed, 77 parts skipped without their measured data (experiments/common.py).
+$(EXPERIMENTS:%=experiment-%): experiment-%: setup
+	@mkdir -p build/experiments
+	@log=build/experiments/$*.log; $(BIN)/python experiments/$*/run.py $(QUICK) > $$log 2>&1; status=$$?; \
+	  echo "exit status $$status" >> $$log; echo "== $*"; cat $$log; test $$status -eq 77 || exit $$status
 
 mutations: setup  ## put faults into library and surrogates, and check that each makes an experiment fail (experiments/MUTATIONS.md)
 	$(BIN)/python experiments/mutations.py

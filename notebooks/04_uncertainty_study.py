@@ -100,7 +100,7 @@ plt.show()
 # status first, then R-hat (1.01 at most) and the number of effective draws (400 at least) of each parameter.
 
 # %%
-posterior = hf.sample(fit, "nuts", noise="ou", draws=500 if QUICK else 2000, chains=4, seed=1)
+posterior = hf.sample(fit, "nuts", noise="ou", draws=100 if QUICK else 2000, chains=2 if QUICK else 4, seed=1)
 print(posterior)
 
 # %%

@@ -28,21 +28,27 @@ MAPS = Path("/proc/self/maps")
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
 LONGEST = (
+    "quality",
     "sampling",
     "models",
-    "inverse",
-    "ukf",
-    "batch",
+    "unfamiliar_records",
+    "site",
+    "compare",
     "cli",
-    "calibration",
-    "recovery",
+    "batch",
     "noise",
+    "calibration",
+    "faults",
+    "ukf",
+    "recovery",
+    "profiles",
+    "inverse",
+    "cli_process",
+    "experiments",
+    "population",
     "stage",
+    "records",
     "creep",
-    "bouc_wen",
-    "nested",
-    "convex",
-    "duhem_remedies",
 )
 
 
@@ -86,6 +92,12 @@ def _figures_closed() -> Iterator[None]:
     yield
     if pyplot := sys.modules.get("matplotlib.pyplot"):
         pyplot.close("all")
+
+
+@pytest.fixture
+def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`check` without its comparison of models, which takes seconds, where the findings are looked at and not the advice."""
+    monkeypatch.setattr("hystfit.fitting.data_check._screened", lambda _: ())
 
 
 def examined(data: Any) -> Any:

@@ -32,7 +32,7 @@ def pulls_of(seed: int, scale: float, noise: str, method: str = "lm") -> list[fl
 @pytest.mark.parametrize(
     ("scale", "noise", "count", "slack"),
     [
-        (1.0, "iid", 12, 0.35),
+        (1.0, "iid", 6, 0.35),
         pytest.param(0.5, "iid", 80, 0.1, marks=pytest.mark.slow),
         pytest.param(1.0, "iid", 80, 0.1, marks=pytest.mark.slow),
         pytest.param(2.0, "iid", 80, 0.1, marks=pytest.mark.slow),

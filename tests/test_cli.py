@@ -224,6 +224,7 @@ def test_compare_by_the_future(folder, loop, capsys):
     assert "--left-out" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check(folder, loop, capsys):
     assert run(["check", str(loop), "--out", str(folder / "checked")]) == 0
     assert "loops" in capsys.readouterr().out

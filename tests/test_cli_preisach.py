@@ -24,6 +24,7 @@ def nested(tmp_path: Path) -> Path:
     return tmp_path / "nested.csv"
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check_measures_preisach_properties(nested: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", str(nested), "--preisach", "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "check.txt").read_text().strip() in capsys.readouterr().out
@@ -36,6 +37,7 @@ def test_check_measures_preisach_properties(nested: Path, tmp_path: Path, capsys
     assert found["higher_order"]["errors"]["3"]["rms_percent"] < 1
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check_says_where_nothing_can_be_tested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     u = np.sin(np.linspace(0, 20, 500))
     np.savetxt(tmp_path / "sine.csv", np.column_stack([u, u - 0.1 * np.cos(np.linspace(0, 20, 500))]), delimiter=",")
@@ -71,6 +73,7 @@ def reversal_file(folder: Path, name: str, change: dict[int, float] | None = Non
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("findings_alone")
 def test_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = reversal_file(tmp_path, "good.csv")
     assert run(["check", good, "--by", "curve", "--preisach", "--out", str(tmp_path / "check")]) == 0
@@ -85,6 +88,7 @@ def test_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest
     assert hf.load_fit(tmp_path / "fit").model.initial == "positive"
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_bad_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, options, words, status in (
         (

@@ -14,7 +14,7 @@ from hystfit.errors import ParameterError
 
 @pytest.fixture(scope="module")
 def fitdir(tmp_path_factory):
-    T = 500
+    T = 200
     u = np.sin(2 * np.pi * 3 * np.arange(T) / T) * (0.4 + 0.6 * np.arange(T) / T)
     truth = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
     y = np.asarray(hf.simulate(truth, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=T)
@@ -34,6 +34,8 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
         "2",
         "--draws",
         "10",
+        "--warmup",
+        "50",
         "--prior",
         "tau=log-normal(2,0.5)",
     ]

@@ -128,7 +128,7 @@ def test_a_fault_while_a_first_fit_is_saved_leaves_it_or_none(new, tmp_path, fau
         shutil.rmtree(folder, ignore_errors=True)
 
 
-@both
+@pytest.mark.parametrize("fault", [Killed, pytest.param(OSError, marks=pytest.mark.slow)])
 def test_a_fault_while_a_posterior_is_replaced_mixes_nothing(old, new, tmp_path, fault, monkeypatch):
     monkeypatch.setattr(files, "write_into", lambda *_, **__: None)  # pictures take long
     before, after, folder = posterior_of(old), posterior_of(new), tmp_path / "draws"

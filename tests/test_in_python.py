@@ -186,6 +186,7 @@ def test_a_matrix_is_answered_with_the_record_to_make() -> None:
         hf.fit(MODEL, np.stack([T, U, U], axis=1))
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check_and_the_test_data_take_data_frames(frame: pd.DataFrame, y: np.ndarray) -> None:
     report = hf.check(frame)
     assert report.records[0].motion == hf.check(U, y, T).records[0].motion
@@ -398,6 +399,7 @@ def shown(item) -> Reader:
 EVIL = "<script>alert('a & b')</script>"
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_notebooks_show_tables_with_all_text_escaped(y: np.ndarray) -> None:
     record = hf.Record(U, y, t=T, name=EVIL, u_name=EVIL, u_unit=EVIL, y_unit=EVIL)
     result = hf.fit(MODEL, record, starts=1).with_notes(Note(Code.CHOICE, EVIL))

@@ -257,7 +257,7 @@ def test_diagnosis_names_the_noise(kind, want):
 
 def test_the_noise_model_in_use_is_not_recommended():
     """A misfit that recurs every loop: discrepancy noise is advised beside another model, and not beside itself."""
-    record, model = noisy_loop(0, "repeating")
+    record, model = noisy_loop(0, "repeating", T=600)
     fit = hf.fit(model, record, starts=1)
     notes = {name: [note.text for note in prepare(fit, noise=name).notes] for name in ("iid", "auto", "discrepancy")}
     advises = {name: any("noise='discrepancy'" in text for text in texts) for name, texts in notes.items()}

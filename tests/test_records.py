@@ -110,6 +110,7 @@ def test_stamps_that_repeat_are_recognized_and_true_ones_are_not(samples, step, 
     assert CoarseClock.of(np.sort(t)) is None
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check_and_fit_name_what_is_missed_without_time(tmp_path, capsys):
     t, u, y = wave(800)
     path = table(tmp_path / "a.csv", "t_s,u_V,y_um", np.floor(t), u, y)
@@ -313,6 +314,7 @@ def test_equal_names_are_told_apart(loops):
     assert [record.name for record in data] == ["a loop=1", "a loop=2", "b loop=1", "b loop=2"]
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_several_files_at_the_shell(loops, capsys):
     pattern = str(loops / "loop?.csv")
     assert run(["check", pattern, str(loops / "loop10.csv"), "--json"]) == 0
@@ -330,6 +332,7 @@ def test_several_files_at_the_shell(loops, capsys):
         assert run(["check", *wrong]) == 2
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_input_and_output_in_two_files(tmp_path, capsys):
     t, u, y = wave()
     first = table(tmp_path / "u.csv", "t_s,u_V", t, u)
@@ -453,6 +456,7 @@ def test_a_sequential_method_warns_that_it_does_not_weight():
 # -- integrals and smoothing ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_the_integral_of_a_current_is_its_charge(tmp_path, capsys):
     t = np.arange(1, 801) / 400
     charge = np.sin(2 * np.pi * t)
@@ -499,6 +503,7 @@ def test_impossible_smoothing_lengths_are_refused(length):
         hf.Record(u, y).smoothed(length)
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_check_advises_a_smoothing_that_removes_the_chatter(tmp_path, capsys):
     t, u, y = wave(1200)
     noisy = u + 0.03 * np.random.default_rng(5).standard_normal(u.size)
@@ -516,12 +521,14 @@ def test_check_advises_a_smoothing_that_removes_the_chatter(tmp_path, capsys):
     assert np.array_equal(record.y, hf.read_csv(path).y)
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_data_sets_by_name_take_the_same_changes(capsys):
     assert run(["check", "stage-sine", "--units", ",nm", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["records"][0]["units"]["y"] == "nm"
     assert run(["check", "stage-sine", "--rate", "7"]) == 2
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_measured_piezo_record_without_its_clock(measured, tmp_path, capsys):
     path = measured / "tidy" / "piezo_dbo_model.csv"
     whole = hf.read_csv(path)

@@ -85,7 +85,7 @@ CASES = {
 
 
 # The quick form takes one model of each family; the others take most of the time.
-QUICK = ("duhem", "bouc-wen", "prandtl-ishlinskii", "preisach")
+QUICK = ("duhem", "bouc-wen", "prandtl-ishlinskii")
 
 
 @pytest.mark.parametrize(

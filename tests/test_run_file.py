@@ -22,7 +22,7 @@ STEPS = """
 verb = "simulate"
 what = "bouc-wen"
 duration = 2
-rate = 100
+rate = 20
 
 [steps.look]
 verb = "check"
@@ -31,7 +31,7 @@ loops = ["{device}/data.csv", "loop.csv"]
 
 
 def write_loop(folder: Path, gain: float = 1.0) -> None:
-    t = np.arange(200) / 100
+    t = np.arange(40) / 20
     u = np.sin(2 * np.pi * t)
     table = np.column_stack([t, u, gain * np.sin(2 * np.pi * t - 0.2)])
     np.savetxt(folder / "loop.csv", table, delimiter=",", header="t_s,u,y", comments="")
@@ -50,6 +50,7 @@ def outcomes(study: Path) -> dict[str, tuple[int | None, str]]:
     return {row["step"]: (row["exit_status"], row.get("outcome", "")) for row in rows}
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_steps_run_once_and_again_where_their_inputs_change(study, capsys):
     out = study.parent / "study"
     assert run(["run", str(study)]) == 0
@@ -73,15 +74,16 @@ def test_steps_run_once_and_again_where_their_inputs_change(study, capsys):
     assert [row["outcome"] for row in content["steps"]] == ["unchanged", "run"]
     assert not (out / "look" / "stale.txt").exists()  # a result of other inputs is replaced as a whole
 
-    study.write_text(STEPS.replace("rate = 100", "rate = 200"), encoding="utf-8")
+    study.write_text(STEPS.replace("rate = 20", "rate = 21"), encoding="utf-8")
     assert run(["run", str(study)]) == 0
     assert outcomes(study) == {"device": (0, "run"), "look": (0, "run")}
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_the_worst_status_counts_and_what_needs_a_failed_step_is_not_run(study):
     last = '\n[steps.last]\nverb = "check"\nloops = "up.csv"\n'
     np.savetxt(study.parent / "up.csv", np.arange(80.0).reshape(40, 2), delimiter=",", header="u,y", comments="")
-    study.write_text(STEPS.replace("rate = 100", "rate = -1") + last, encoding="utf-8")
+    study.write_text(STEPS.replace("rate = 20", "rate = -1") + last, encoding="utf-8")
     assert run(["run", str(study)]) == 2
     assert outcomes(study) == {"device": (2, "run"), "look": (None, "needs device"), "last": (1, "run")}
     study.write_text(STEPS + last, encoding="utf-8")
@@ -134,6 +136,7 @@ def test_bad_files_are_refused_before_the_first_step(study, text, named, capsys)
     assert not (study.parent / "study").exists()
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_what_is_not_of_the_study_is_left_alone(study, capsys):
     kept = study.parent / "study" / "device" / "notes.txt"
     kept.parent.mkdir(parents=True)

@@ -55,6 +55,7 @@ def test_a_copied_script_runs_on_a_loop_that_does_not_determine_all_parameters(t
     assert [name for name in result.free_names if rows[name] == "-"] == unknown
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_the_run_file_runs(tmp_path):
     text = (SCRIPTS / "study.toml").read_text(encoding="utf-8").replace("../../data", (ROOT / "data").as_posix())
     (tmp_path / "study.toml").write_text(text, encoding="utf-8")

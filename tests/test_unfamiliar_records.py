@@ -83,7 +83,7 @@ def _timed(delay: int = 0, lag: float = 0.0, viscosity: float = 0.0) -> hf.Recor
     return hf.Record(u, late + 0.01 * NOISE[: u.size], np.arange(u.size) / 100)
 
 
-@pytest.mark.parametrize("delay", [12, 35])
+@pytest.mark.parametrize("delay", [12, pytest.param(35, marks=pytest.mark.slow)])
 def test_a_pure_delay_is_found_judged_without_and_put_in_front(delay: int) -> None:
     record = _timed(delay)
     found = summarize(record)
@@ -133,11 +133,11 @@ def test_a_lag_of_many_samples_is_found_and_modeled(saturating: bool) -> None:
     record = _late(14.0, saturating)
     found = summarize(record)
     assert found.slow_lag == pytest.approx(14.0, rel=0.25)
-    report = hf.check(record)
-    assert has(report.findings, Code.LAG)
-    assert report.advice is not None
+    assert has(examined(record).findings, Code.LAG)
     if not saturating:  # a curve that saturates behind a lag is described as well by weights of either sign
-        assert report.advice.model.startswith("lag+")
+        advice = hf.check(record).advice
+        assert advice is not None
+        assert advice.model.startswith("lag+")
         assert search_structure(hf.Dataset.of(record), plays=8).structure.lag == pytest.approx(14.0, rel=0.2)
 
 
@@ -159,7 +159,7 @@ def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None
     t, u, y = _beating()
     drift = 0.05 * np.ptp(y) * t / t[-1]
     steady, drifting = hf.Record(u, y, t), hf.Record(u, y + drift, t)
-    assert not has(hf.check(steady).findings, Code.DRIFT)
+    assert not has(examined(steady).findings, Code.DRIFT)
     assert not has(hf.fit("prandtl-ishlinskii", steady).notes, Code.DRIFT)
     for notes in (hf.check(drifting).findings, hf.fit("prandtl-ishlinskii", drifting).notes):
         (note,) = (note for note in notes if note.code is Code.DRIFT)
@@ -171,15 +171,16 @@ def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
     t = np.arange(1000) / 100
     for seed in range(3):
         noise = np.random.default_rng(24 + seed).normal(size=1000)
-        report = hf.check(hf.Record(10 * np.sin(2 * np.pi * t), noise, t))
+        record = hf.Record(10 * np.sin(2 * np.pi * t), noise, t)
+        report = examined(record)
         assert has(report.findings, Code.SINGLE_VALUED)
         assert not has(report.findings, Code.CROSSING, Code.DEGRADING, Code.DRIFT, Code.NOT_CLOSED)
         assert report.verdict("creep").verdict != "yes"
-        assert report.advice is None
+    assert hf.check(record).advice is None
     butterfly = hf.Record(
         u := 10 * np.sin(2 * np.pi * t), np.tanh(u - 4 * np.cos(2 * np.pi * t)) ** 2 + 0.01 * noise, t
     )
-    assert has(hf.check(butterfly).findings, Code.CROSSING)
+    assert has(examined(butterfly).findings, Code.CROSSING)
 
 
 def _growing_from_rest() -> np.ndarray:

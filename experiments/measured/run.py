@@ -85,7 +85,7 @@ def predictions(results: Results) -> list:
 def in_sample(results: Results) -> list:
     """Whole records fitted: the best structure, plain Bouc-Wen, and Preisach for the magnetic loops."""
     rows = []
-    for name in LOOPS[-1:] if results.quick else LOOPS:
+    for name in LOOPS:
         if (loaded := results.load(name, name)) is None:
             continue
         found, plain = hf.compare(loaded[0]), hf.fit(hf.BoucWenForce(), loaded[0])
@@ -95,7 +95,7 @@ def in_sample(results: Results) -> list:
         ):
             results.add(f"{name}: {label}", fit.train.nrmse_percent)
             rows.append([name, model, fit.train.nrmse_percent, fit.train.max_error_percent, fit.status])
-    for name in MAGNETIC[:1] if results.quick else MAGNETIC:
+    for name in MAGNETIC:
         if (loaded := results.load(name, name)) is None:
             continue
         found = hf.compare(loaded[0])
@@ -217,7 +217,8 @@ def main() -> None:
         "# Measured loops\n\nNRMSE and largest error in percent of the measured output range. Written by `run.py`.\n"
     ]
     pages += ["## Held-out samples\n", table(HELD_OUT_HEAD, predictions(results))]
-    pages += ["## In sample\n", table(["record", "model", "error %", "largest %", "status"], in_sample(results))]
+    if not options.quick:
+        pages += ["## In sample\n", table(["record", "model", "error %", "largest %", "status"], in_sample(results))]
     pages += ["## Rejected records\n", table(["record", "Bouc-Wen error %", "status", "reason"], refused(results))]
     if not options.quick:
         head = ["record", "model", "held out %", "largest %", "status"]

@@ -51,6 +51,7 @@ class Nested(AbstractSampler):
     chains: int = 2
 
     def __post_init__(self) -> None:
+        _blackjax()
         self.check_counts({"live": 50, "draws": 50, "chains": 1} | ({} if self.moves is None else {"moves": 1}))
         if not 0 < self.rest < 1:
             raise ParameterError(f"rest must lie between 0 and 1, got {self.rest!r}")

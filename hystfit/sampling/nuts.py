@@ -57,6 +57,7 @@ class Nuts(AbstractSampler):
     max_depth: int = 8
 
     def __post_init__(self) -> None:
+        optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
         self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
@@ -66,7 +67,6 @@ class Nuts(AbstractSampler):
 
         Where transitions diverge, the chains adapt further for a higher acceptance, and all draws are made anew.
         """
-        optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
         key, goal, notes = jax.random.key(seed), self.target_accept, ()
         chains = [
             _Chain(self, setup.target, goal, jax.random.fold_in(key, number), folder, f"nuts-{number}")
