@@ -120,12 +120,6 @@ def choose(
     return Choice(clock, given["input"], given["output"], tuple(notes))
 
 
-def _counts(table: Table, position: int) -> bool:
-    """Whether a column is a row number: whole numbers that go up by one from 0 or 1."""
-    values = table.columns[position]
-    return values[0] in (0.0, 1.0) and bool((np.diff(values) == 1.0).all())
-
-
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
     if not named and len(free) + given > 2:
@@ -146,7 +140,7 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
                 return None
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
-        if not _counts(table, k):
+        if not table.counts(k):
             reason = "always increases" if (steps > 0).all() else "never decreases"
             notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it {reason}"))
             return k

@@ -48,6 +48,8 @@ _WORD = 4  # letters from which a unit is written as a word
 _LONGEST_NAME = 200  # characters
 _LONGEST_SETTING = 1000  # characters of a line
 
+# "@attribute voltage numeric": a column of an ARFF file, below the one before.
+_ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
 _LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
 _COMMENT = r"(?:[#%!*]+|//|--)"
@@ -202,7 +204,8 @@ def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> lis
     """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        if re.search("unit", title, re.IGNORECASE) and 1 < len(units) < width and all(map(is_unit, units)):
+        known = [is_unit(unit) for unit in units if unit]
+        if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
 
@@ -234,9 +237,10 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     for first in range(len(found) - width + 1):
         block = [match for match in found[first : first + width] if match]
         if width > 1 and [int(match["number"]) - int(block[0]["number"]) for match in block] == list(range(width)):
-            if block[0]["number"] in ("0", "1"):
+            if int(block[0]["number"]) in (0, 1):
                 return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
-    return []
+    attributes = [match["name"].strip("'\"") for line in above if (match := _ATTRIBUTE.fullmatch(line.strip()))]
+    return attributes if len(attributes) == width else []
 
 
 def read_header(

@@ -147,6 +147,7 @@ def table_of_block(
         metadata=metadata,
         parts=(Part(stated=stated),) if stated else (),
         problems=problems | unclear,
+        over=header.over,
     )
 
 
