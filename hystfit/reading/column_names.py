@@ -31,6 +31,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     by_unit = quantity(unit or unit_of_name)
     if base == "T" and by_unit == "charge":
         return "temperature"  # degrees Celsius without their sign
+    if path := re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z])", base):  # a field of a structure: experiment.data.t
+        base = path[1]
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column

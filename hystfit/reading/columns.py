@@ -125,8 +125,10 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     if not named and len(free) + given > 2:
         named = [k for k in free[:2] if table.names[k] == "s" and (np.diff(table.columns[k]) > 0).all()]
     if named:
-        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {named[0]}, {table.names[named[0]]!r}"))
-        return named[0]
+        back = lambda k: int((np.diff(table.columns[k]) < 0).sum())  # the time of a step starts again where the next begins
+        clock = min(named, key=lambda k: (0 < back(k) < table.rows - 1, named.index(k)))
+        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {clock}, {table.names[clock]!r}"))
+        return clock
     if len(free) + given < 3:
         return None
     matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}

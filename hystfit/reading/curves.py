@@ -13,6 +13,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
@@ -238,11 +239,14 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
     for position, name in enumerate(table.names):
         if position in (choice.time, choice.input, choice.output):
             continue
+        kind = column_quantity(name, table.units[position])
         count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
-        elif position not in table.labels and not _STATE.search(name) and (levels := _levels(table.columns[position])):
+        elif position in table.labels or kind == "index" or table.pair is not None or _STATE.search(name):
+            continue
+        elif levels := _levels(table.columns[position]):
             shown_levels = ", ".join(f"{level:g}" for level in levels)
             text = (
                 f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "

@@ -21,6 +21,13 @@ _JOINED = re.compile(
     r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
 )
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
+_CYRILLIC = dict(
+    zip(
+        "мм см м мкм нм Н кН Па кПа МПа с сек мс В кВ мВ А мА Тл мТл Э кЭ А/м кА/м Гц мин ч".split(),
+        "mm cm m um nm N kN Pa kPa MPa s s ms V kV mV A mA T mT Oe kOe A/m kA/m Hz min h".split(),
+        strict=True,
+    )
+)
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
 _ARBITRARY = frozenset(
@@ -67,6 +74,8 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
+    if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
+        name = match[1] + _CYRILLIC[match[2]] + match[3]
     if len(name) > _LONGEST_NAME:
         return name, ""
     if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):

@@ -29,6 +29,9 @@ _RESPONSE = {
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
 _STATED, _CONTRARY = 3.2, -1.0
+# Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
+# differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
+_OVERTAKEN, _FOLLOWS = -5.0, 0.1
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _ELECTRIC = ("moment", "magnetization", "induction"), ("polarization", "charge")
 # Points of pairs that belong together, besides those of each column.
@@ -66,6 +69,7 @@ _UNRELATED, _RELATED = -3.0, 0.5
 # Points of a pair of one quantity that is proportional: a second sensor of the input. The narrowest loops, those of piezo actuators,
 # leave 0.001 to 0.02 of the variance to their hysteresis.
 _COPY, _PROPORTIONAL = -3.0, 2e-4
+_SWING = 0.02  # of the range of an input, below which it swings as noise does
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 # Points of a column whose range is a small part of its size, in units that have an origin: a condition held constant, such as 300.02 K.
 _HELD, _SMALL = -2.5, 0.01
@@ -148,6 +152,8 @@ class _Evidence:
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
+        if kinds[i] != kinds[o] and self._is_measured[i]:
+            points += _OVERTAKEN
         if not self.alone and kinds[i] == "temperature" and _extent(self.table.columns[i]) < _HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
@@ -213,6 +219,20 @@ class _Evidence:
         return _ByColumn(points)
 
     @functools.cached_property
+    def _is_measured(self) -> _ByColumn:
+        """Whether another column is the measurement of a commanded one, by column."""
+        table = self.table
+
+        def measured(k: int) -> bool:
+            command = table.columns[k]
+            others = [j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""]
+            others = [j for j in others if j != k and self._stated[j] != "input" and not _is_raw_signal(table, j)]
+            near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * _extent(command)
+            return self._stated[k] == "input" and any(map(near, others))
+
+        return _ByColumn(measured)
+
+    @functools.cached_property
     def _overtones(self) -> _ByColumn:
         return _ByColumn(lambda k: _overtones(self.table.columns[k]))
 
@@ -275,7 +295,7 @@ def _explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     u, y, part = u[both], y[both], part[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
-    if _crossings(y) > 2 * _crossings(u) + 1:  # twice for a butterfly, and once for the end of a record
+    if _crossings(y) > 2 * _swings(u) + 1:  # twice for a butterfly, and once for the end of a record
         return 0.0
     y = (y - y.mean()) / np.ptp(y)
     order = np.lexsort((u, np.gradient(u) > 0, part))
@@ -287,6 +307,22 @@ def _crossings(values: np.ndarray) -> int:
     place = (values - values.min()) / np.ptp(values)
     ends = place[(place < 0.25) | (place > 0.75)] > 0.5
     return int(np.count_nonzero(ends[1:] != ends[:-1]))
+
+
+def _swings(values: np.ndarray) -> int:
+    """How often a column moves by more than a small part of its range in the one direction and then in the other.
+
+    Where amplitudes grow, an output that saturates passes from end to end of its range in every cycle, and an input in the last ones.
+    """
+    place = (values - values.min()) / np.ptp(values)
+    count, way, extreme = 0, 0, float(place[0])
+    for value in place.tolist():
+        if way * (value - extreme) < 0 or not way:
+            if abs(value - extreme) > _SWING:
+                count, way, extreme = count + 1, 1 if value > extreme else -1, value
+        else:
+            extreme = value
+    return count
 
 
 def _proportional(u: np.ndarray, y: np.ndarray) -> bool:
