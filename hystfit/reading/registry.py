@@ -15,12 +15,15 @@ from hystfit.errors import DataError
 from hystfit.reading.adjusted import with_adjusted
 from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
+from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.json_text import read_json
+from hystfit.reading.key_values import read_key_values
 from hystfit.reading.magic_tables import read_magic
+from hystfit.reading.markup import read_markup
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
@@ -115,9 +118,12 @@ FORMATS = (
 # Each gives None for text of another layout; the last one reads any.
 TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_json,
+    read_markup,
     read_micromag,
     read_magic,
     read_easyexpert,
+    read_assigned_arrays,
+    read_key_values,
     read_sections,
     read_tables,
     read_transposed,
