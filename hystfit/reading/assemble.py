@@ -69,6 +69,8 @@ def assemble(
     named = {"time": None if isinstance(time, bool) or time == "none" else time, "input": input, "output": output}
     _check_problems(table, [None if key is None else find(table, key, role) for role, key in named.items()])
     choice = choose(table, time, input, output, [*others, *dividers])
+    if choice.untimed:
+        table = dataclasses.replace(table, interval=None)
     _check_problems(table, [choice.time, choice.input, choice.output])
     notes += [*choice.notes, *_unread_time(table, choice, time)]
     for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
@@ -187,7 +189,9 @@ def _records_of(
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
     if "time" in data and data["time"].size > 2 and (np.diff(data["time"]) < 0).all():
-        notes.append(Note(Code.TIME_STEPS, "the time decreases from row to row: the rows are read from the last to the first"))
+        notes.append(
+            Note(Code.TIME_STEPS, "the time decreases from row to row: the rows are read from the last to the first")
+        )
         table, data = table.take(np.arange(table.rows)[::-1]), {role: values[::-1] for role, values in data.items()}
     good = np.isfinite(data["input"])
     if "time" in data:
@@ -211,7 +215,7 @@ def _records_of(
             record = record.replace(weight=np.where(table.calibration[start:stop], 0.0, record.weight))
         if sigma is not None:
             record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
-        records.append(treatment.of(record))
+        records.append(treatment.of(record, table.interval))
     return records
 
 
@@ -273,7 +277,14 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
 
 def _unit_of_epoch(time: np.ndarray) -> str:
     """The unit of a time since 1970 by its size, where that is no second; "" for other times."""
-    return next((unit for unit, second in _EPOCH_UNITS.items() if (_THIS_AGE[0] * second < time).all() and time[-1] < _THIS_AGE[1] * second), "")
+    return next(
+        (
+            unit
+            for unit, second in _EPOCH_UNITS.items()
+            if (_THIS_AGE[0] * second < time).all() and time[-1] < _THIS_AGE[1] * second
+        ),
+        "",
+    )
 
 
 def _constants(table: Table, choice: Choice) -> dict[str, str]:

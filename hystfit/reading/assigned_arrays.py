@@ -15,9 +15,12 @@ from hystfit.reading.text_file import TextFile
 _NUMBER = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)"
 # name = [, name = np.array([, name[600] = {, name <- c(: up to the first number.
 _START = re.compile(
-    rf"([A-Za-z_][\w.]*)(?:\s*\[\d*\])*\s*(?:<-|=)\s*(?:[A-Za-z_][\w.]*\s*)?([\[({{][\[({{\s]*)(?={_NUMBER}[\s,;\])}}])", re.IGNORECASE
+    rf"([A-Za-z_][\w.]*)(?:\s*\[\d*\])*\s*(?:<-|=)\s*(?:[A-Za-z_][\w.]*\s*)?([\[({{][\[({{\s]*)(?={_NUMBER}[\s,;\])}}])",
+    re.IGNORECASE,
 )
-_LISTED = re.compile(rf"^[ \t]*([A-Za-z_]\w*)[ \t]*:[ \t]*\n((?:[ \t]*-[ \t]+{_NUMBER}[ \t]*(?:\n|$))+)", re.MULTILINE | re.IGNORECASE)
+_LISTED = re.compile(
+    rf"^[ \t]*([A-Za-z_]\w*)[ \t]*:[ \t]*\n((?:[ \t]*-[ \t]+{_NUMBER}[ \t]*(?:\n|$))+)", re.MULTILINE | re.IGNORECASE
+)
 _CLOSING = str.maketrans("[({", "])}")
 _FEWEST = 4  # numbers of an array
 _LOOKED_AT = 4000  # characters in which the first array begins
@@ -51,7 +54,9 @@ def _assigned(content: str) -> list[_Array]:
             end = re.compile(rf"[\])}}][\s,;]*{re.escape(closing)}").search(content, match.end())
         if end is None:
             break
-        found.append((match[1], _array(content[match.end() : end.start()], nested=bool(inner)), end.end() - match.start()))
+        found.append(
+            (match[1], _array(content[match.end() : end.start()], nested=bool(inner)), end.end() - match.start())
+        )
         place = end.end()
     return found
 

@@ -26,12 +26,13 @@ _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Positions of the time (None: no time), input and output columns, and a note for every guess."""
+    """Positions of the time (None: no time), input and output columns, a note for every guess, and whether the user wants no time."""
 
     time: int | None
     input: int
     output: int
     notes: tuple[Note, ...]
+    untimed: bool = False
 
 
 def _composed(name: str) -> str:
@@ -117,7 +118,7 @@ def choose(
     for k, label in table.labels.items():
         if k not in taken and (label != label[0]).any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
-    return Choice(clock, given["input"], given["output"], tuple(notes))
+    return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -125,7 +126,9 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     if not named and len(free) + given > 2:
         named = [k for k in free[:2] if table.names[k] == "s" and (np.diff(table.columns[k]) > 0).all()]
     if named:
-        back = lambda k: int((np.diff(table.columns[k]) < 0).sum())  # the time of a step starts again where the next begins
+        back = lambda k: int(
+            (np.diff(table.columns[k]) < 0).sum()
+        )  # the time of a step starts again where the next begins
         clock = min(named, key=lambda k: (0 < back(k) < table.rows - 1, named.index(k)))
         notes.append(Note(Code.COLUMN_CHOICE, f"time: column {clock}, {table.names[clock]!r}"))
         return clock

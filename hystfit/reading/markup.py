@@ -16,7 +16,9 @@ from hystfit.reading.text_file import TextFile
 
 _HTML = re.compile(r"<!doctype html|<html|<t(?:able|r|body)\b", re.IGNORECASE)
 _FEWEST = 4  # elements that are rows, and numbers in the text of an element that is a column
-_OF_VALUES = frozenset({"value", "val", "v", "data", "number", "double", "float"})  # elements named by the one around them
+_OF_VALUES = frozenset(
+    {"value", "val", "v", "data", "number", "double", "float"}
+)  # elements named by the one around them
 
 
 def read_markup(text: TextFile) -> Table | None:
@@ -26,7 +28,9 @@ def read_markup(text: TextFile) -> Table | None:
     page = _HTML.search(text.content[:20_000]) is not None
     lines = _html_lines(text.content) if page else _xml_lines(text)
     if page and not lines:
-        raise DataError(f"{text.source} is a web page without a table: download the file itself instead of the page that shows it")
+        raise DataError(
+            f"{text.source} is a web page without a table: download the file itself instead of the page that shows it"
+        )
     if not lines:
         return None
     kind = "HTML" if page else "XML"
@@ -101,7 +105,9 @@ def _columns(root: ElementTree.Element) -> dict[str, list[str]]:
     for element in root.iter():
         parts = re.split(r"[\s,;]+", (element.text or "").strip())
         if len(parts) >= _FEWEST and re.fullmatch(r"[\d.eE+\s,;-]+", element.text or ""):
-            name = next((element.attrib[key] for key in ("name", "id", "label") if key in element.attrib), _local(element.tag))
+            name = next(
+                (element.attrib[key] for key in ("name", "id", "label") if key in element.attrib), _local(element.tag)
+            )
             found[_with_unit(name, element)] = parts
     return found if len(found) > 1 and len({*map(len, found.values())}) == 1 else {}
 
@@ -118,7 +124,9 @@ def _rows(elements: Sequence[ElementTree.Element]) -> list[str]:
     usual = names.most_common(1)[0][0]
     if len({*usual}) == len(usual):
         return ["\t".join(usual), *("\t".join(dict(row).get(name, "") for name in usual) for row in rows)]
-    inner = [[cell for cell in element if len(cell) or (cell.text or "").strip()] for element in elements]  # cells of one name
+    inner = [
+        [cell for cell in element if len(cell) or (cell.text or "").strip()] for element in elements
+    ]  # cells of one name
     return ["\t".join(_plain("".join(cell.itertext())) for cell in row) for row in inner]
 
 
@@ -129,6 +137,12 @@ def _cells(element: ElementTree.Element) -> list[tuple[str, str]]:
     for leaf in element.iter():
         if len(leaf) or not (leaf.text or "").strip():
             continue
-        named = around[leaf] if leaf in around and _local(leaf.tag).lower() in _OF_VALUES and around[leaf] is not element else leaf
-        cells.append((_with_unit(_local(named.tag), named if "unit" in named.attrib else leaf), _plain(leaf.text or "")))
+        named = (
+            around[leaf]
+            if leaf in around and _local(leaf.tag).lower() in _OF_VALUES and around[leaf] is not element
+            else leaf
+        )
+        cells.append(
+            (_with_unit(_local(named.tag), named if "unit" in named.attrib else leaf), _plain(leaf.text or ""))
+        )
     return cells

@@ -43,13 +43,13 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
             ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
-            ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"),
+            ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
             *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
             ("displacement", "moment"),
         ],
         3.0,
     )
-    | {("induction", "voltage"): 1.5}
+    | {("voltage", "force"): 2.0, ("induction", "voltage"): 1.5}  # less than a displacement and its force beside a gauge in volts
     | dict.fromkeys(itertools.product(["temperature"], ["displacement", "strain", "force", "stress", "current", ""]), 3.0)
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
@@ -225,7 +225,9 @@ class _Evidence:
 
         def measured(k: int) -> bool:
             command = table.columns[k]
-            others = [j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""]
+            others = [
+                j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""
+            ]
             others = [j for j in others if j != k and self._stated[j] != "input" and not _is_raw_signal(table, j)]
             near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * _extent(command)
             return self._stated[k] == "input" and any(map(near, others))

@@ -51,6 +51,7 @@ class Table:
         parts: what the file says of each of these records, by number; of a file that is not divided the only one, or ().
         pair: positions of the input and the output, where the layout of the file determines them.
         problems: why the numbers of a column are in doubt, by position; an error where the column is used.
+        interval: time between two rows that the file states [s]; None where it states none.
         over: the cells above the names, which name groups of columns ("W1", "", "W2", ""); () without such a line.
     """
 
@@ -75,6 +76,7 @@ class Table:
     parts: tuple[Part, ...] = ()
     pair: tuple[int, int] | None = None
     problems: dict[int, str] = dataclasses.field(default_factory=dict)
+    interval: float | None = None
     over: tuple[str, ...] = ()
 
     @property

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from hystfit.errors import DataError
 from hystfit.reading.adjusted import with_adjusted
-from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays
+from hystfit.reading.array_files import hdf5_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.charge_throughput import with_throughput
@@ -24,6 +24,7 @@ from hystfit.reading.json_text import read_json
 from hystfit.reading.key_values import read_key_values
 from hystfit.reading.magic_tables import read_magic
 from hystfit.reading.markup import read_markup
+from hystfit.reading.matlab import read_matlab
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
@@ -91,9 +92,9 @@ FORMATS = (
     ),
     Format(
         (".mat",),
-        'MATLAB variables, also within structures; version 7.3 files need the extra "files"',
+        'MATLAB variables, also within structures, of which an array has a record or a channel in each; version 7.3 files need the extra "files"',
         _is_matlab,
-        functools.partial(read_arrays, matlab_arrays),
+        read_matlab,
     ),
     Format(
         (".h5", ".hdf5", ".nc"),
