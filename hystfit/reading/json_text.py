@@ -157,7 +157,7 @@ def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
     if (
         len(lists) != 1
         or not (label and (unit or plain or not name))
-        or (array := _array([*lists.values()][0])) is None
+        or (array := _array(next(iter(lists.values())))) is None
     ):
         return None
     return {f"{label} [{unit}]" if unit else label: array}

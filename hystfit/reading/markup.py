@@ -45,7 +45,7 @@ class _Rows(html.parser.HTMLParser):
         self.rows: list[list[str]] = []
         self._cell: list[str] | None = None
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002 - the signature of the base class
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         if tag == "tr" or (tag == "table" and self.rows):
             self.rows.append([])
         elif tag in ("td", "th") and self.rows:
@@ -78,7 +78,7 @@ def _xml_lines(text: TextFile) -> list[str]:
     if "<!DOCTYPE" in text.content or "<!ENTITY" in text.content:
         raise DataError(f"{text.source} is XML with definitions of its own, which are not read: write the table as CSV")
     try:
-        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text.content.lstrip("\ufeff")).strip())  # noqa: S314 - no entities
+        root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text.content.lstrip("\ufeff")).strip())
     except ElementTree.ParseError as error:
         raise DataError(f"{text.source} begins as XML and is not: {error}; write it again") from error
     if columns := _columns(root):

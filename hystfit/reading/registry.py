@@ -92,7 +92,7 @@ FORMATS = (
     ),
     Format(
         (".mat",),
-        'MATLAB variables, also within structures, of which an array has a record or a channel in each; version 7.3 files need the extra "files"',
+        'MATLAB variables, also within structures: an array of these has a record or a channel each; version 7.3 needs the extra "files"',
         _is_matlab,
         read_matlab,
     ),
@@ -110,7 +110,7 @@ FORMATS = (
     ),
     Format(
         (".xlsx", ".xlsm"),
-        'Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"',
+        'Excel sheets, the first with rows of numbers and those with the same columns, unless `--sheet` names one; needs the extra "files"',
         _is_workbook,
         read_workbook,
     ),

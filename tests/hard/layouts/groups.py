@@ -1,4 +1,4 @@
-"""Specimens side by side in groups of columns, commands beside measurements, headers that a line ends, times that run back or start again."""
+"""Specimens side by side in groups of columns, commands beside measurements, marked headers, times that run back or start again."""
 
 from __future__ import annotations
 
