@@ -231,6 +231,86 @@ def test_specimens_side_by_side_have_the_names_above_them(clock: bool, gap: bool
     assert (data[0].t is not None) == clock
 
 
+@pytest.mark.parametrize(
+    ("names", "titles"),
+    [
+        ("d_300K (mm),F_300K (kN),d_77K (mm),F_77K (kN)", ["300K", "77K"]),
+        ("Wall A - Disp (mm),Wall A - Force (kN),Wall B - Disp (mm),Wall B - Force (kN)", ["Wall A", "Wall B"]),
+    ],
+)
+def test_the_words_of_a_group_name_its_record(names: str, titles: list[str], tmp_path: Path) -> None:
+    data = Dataset.of(read(written(tmp_path, names + "\n" + rows(",", U, Y, 2 * U, 3 * Y))))
+    assert [record.name for record in data] == titles
+    is_pair(data[0], units=("mm", "kN"))
+    is_pair(data[1], 2 * U, 3 * Y)
+
+
+def test_numbered_loops_that_close_are_no_branches(tmp_path: Path) -> None:
+    """Two loops that begin and end at rest would meet at their ends as branches do."""
+    k = np.arange(120)
+    u = np.round(np.sin(2 * np.pi * k / 120), 4)
+    y = np.round(u - 0.3 * np.cos(2 * np.pi * k / 120) * np.sin(np.pi * k / 120), 4)
+    data = Dataset.of(read(written(tmp_path, "d1,F1,d2,F2\n" + rows(",", u, y, 2 * u, 2 * y))))
+    assert [len(record) for record in data] == [120, 120]
+
+
+def test_letters_of_phases_are_no_units(tmp_path: Path) -> None:
+    content = "Disp_A,Force_A,Disp_B,Force_B\n" + rows(",", U, Y, 2 * U, 2 * Y)
+    data = Dataset.of(read(written(tmp_path, content)))
+    assert [(record.name, record.u_unit) for record in data] == [("A", ""), ("B", "")]
+    alone = one(written(tmp_path, "disp_mm,I_A\n" + rows(",", U, Y), "b.csv"), input="disp_mm")
+    assert alone.y_unit == "A"
+
+
+def test_sensors_with_words_of_their_own_share_a_record(tmp_path: Path) -> None:
+    """Two sensors of a device are no groups: only one of them has a displacement."""
+    record = one(
+        written(tmp_path, "Left disp,Left force,Right strain,Right force\n" + rows(",", U, Y, 0.1 * U, 0.5 * Y))
+    )
+    is_pair(record)
+
+
+def test_a_row_for_each_value_of_each_sensor(tmp_path: Path) -> None:
+    lines = "".join(f"{t},disp [mm],{u}\n{t},force [kN],{y}\n" for t, u, y in zip(T, U, Y, strict=True))
+    record = one(written(tmp_path, "time,sensor,value\n" + lines))
+    is_pair(record, units=("mm", "kN"))
+    np.testing.assert_array_equal(record.t, T)
+
+
+def test_reversal_curves_are_told_apart_by_their_reversal_field(tmp_path: Path) -> None:
+    fields, ends = np.linspace(-1, 1, 40), np.array([0.8, 0.4, 0.0, -0.4])
+    table = np.array(
+        [(end, h, np.tanh(2 * h) - 0.1 * (1 - h) * (1 - end)) for end in ends for h in fields[fields >= end]]
+    )
+    data = Dataset.of(read(written(tmp_path, "Ha (T),Hb (T),M (A/m)\n" + rows(",", *np.round(table.T, 5)))))
+    assert [record.name for record in data] == ["Ha=0.8", "Ha=0.4", "Ha=0", "Ha=-0.4"]
+    assert data[2].u_name == "Hb (T)"
+    np.testing.assert_allclose(data[2].u, fields[fields >= 0], atol=1e-5)
+
+
+def test_adsorbed_and_desorbed_are_the_branches_of_an_isotherm(tmp_path: Path) -> None:
+    p = np.round(np.linspace(0.01, 0.99, 30), 4)
+    content = "P/P0,Adsorbed (cm3/g),Desorbed (cm3/g)\n" + rows(
+        ",", p, np.round(50 * p**2, 3), np.round(50 * p**1.5, 3)
+    )
+    record = one(written(tmp_path, content))
+    assert len(record) == 60
+    assert record.y_name == "Adsorbed (cm3/g)"
+
+
+def test_numbers_of_nodes_are_no_units(tmp_path: Path) -> None:
+    record = one(written(tmp_path, "U1_N5,RF1_N5\n" + rows(",", U, Y)))
+    assert (record.u_name, record.u_unit, record.y_unit) == ("U1_N5", "", "")
+
+
+def test_milliseconds_behind_a_colon(tmp_path: Path) -> None:
+    stamps = [f"03/04/2020 10:00:{k // 20:02d}:{50 * (k % 20):03d}" for k in range(N)]
+    record = one(
+        written(tmp_path, "Time,disp,force\n" + "".join(f"{s},{u},{y}\n" for s, u, y in zip(stamps, U, Y, strict=True)))
+    )
+    np.testing.assert_allclose(record.t, T, atol=1e-9)
+
+
 def test_numbered_rows_beside_specimens(tmp_path: Path) -> None:
     content = "No,Disp,Force,Disp,Force\n" + rows(",", 1 + np.arange(N), U, Y, U, 2 * Y)
     data = Dataset.of(read(written(tmp_path, content)))

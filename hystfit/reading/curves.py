@@ -196,8 +196,9 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
     u, y = table.columns[choice.input], table.columns[choice.output]
     for position, name in enumerate(table.names):
         numbers = table.columns[position]
-        if position in chosen or _plain(name) not in CURVE_NAMES or not np.isfinite(numbers).all():
+        if position in chosen or position in table.labels or not np.isfinite(numbers).all():
             continue
+        named = _plain(name) in CURVE_NAMES
         changes = np.flatnonzero(np.diff(numbers))
         if (
             not changes.size
@@ -208,7 +209,9 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         apart = _jumps(u, changes) | _jumps(y, changes)
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
-        if apart.mean() >= 0.5 or (choice.time is None and _closed_loops(u, y, changes)):
+        # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
+        alike = choice.time is None and _closed_loops(u, y, changes)
+        if (apart.mean() >= 0.5 or alike) if named else (changes.size > 1 and bool(_jumps(u, changes).all())):
             return position
     return None
 

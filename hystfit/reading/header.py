@@ -12,7 +12,7 @@ _BASE = (
     r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
     r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
 )
-_POWER = r"(?:\^?[-⁻]?[\d¹²³])?"
+_POWER = r"(?:\^?[-⁻]?[1-4¹²³])?"
 _UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER})*")
 # Quotients whose slash is an underscore in a name: numerator_denominator.
 _JOINED = re.compile(
@@ -37,6 +37,7 @@ _NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names o
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
+_NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
@@ -106,6 +107,10 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
+        others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
+        labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
+        if labels or _NODE.fullmatch(match[2]):  # I_A, I_B, I_C are currents of three phases
+            return name, ""
         return (name, "") if _is_role(match[1], match[2], siblings) else (match[1], match[2])
     return name, ""
 

@@ -22,6 +22,7 @@ from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.json_text import read_json
 from hystfit.reading.key_values import read_key_values
+from hystfit.reading.long_format import widened
 from hystfit.reading.magic_tables import read_magic
 from hystfit.reading.markup import read_markup
 from hystfit.reading.matlab import read_matlab
@@ -135,7 +136,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
 ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_throughput, divided)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
-REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked)
+REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 
 
 def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False) -> Table:

@@ -12,19 +12,21 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.header import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
+_WORD = re.compile(r"[^\W_]+")
 _FEWEST_ROWS = 4
 
 
 def stacked(table: Table) -> Table | None:
     """Loops side by side, of the same columns each (H1, B1, H2, B2, or t, x, F, t, x, F), are a record each; None for other tables.
 
-    No other column of numbers stands beside them, apart from one that numbers the rows: channels of one experiment, which share a time, are
-    no loops of their own. Groups of columns follow each other, or the columns of a matrix of inputs precede those of a matrix of outputs
-    (H1, H2, B1, B2). Columns may end at different rows. Words above the names, one over each group, name the records.
+    Names may have words of their group (M_300K, H_300K). No other column of numbers stands beside them, apart from one that numbers the
+    rows: channels of one experiment, which share a time, are no loops of their own. Groups of columns follow each other, or the columns of
+    a matrix of inputs precede those of a matrix of outputs (H1, H2, B1, B2). Columns may end at different rows. Words above the names, one
+    over each group, name the records.
     """
     there = [k for k in range(len(table.names)) if k in table.labels or np.isfinite(table.columns[k]).any()]
     if there and table.counts(there[0]) and column_quantity(table.names[there[0]]) in ("", "index"):
@@ -37,10 +39,35 @@ def stacked(table: Table) -> Table | None:
         groups = [there[k : k + size] for k in range(0, count, size)]
         if count % size == 0 and len({*bases[:size]}) == size and bases == bases[:size] * len(groups):
             return _below_each_other(table, groups)
+    for size in range(2, count // 2 + 1):
+        groups = [there[k : k + size] for k in range(0, count, size)]
+        titles, names = (
+            _titles([[table.names[k] for k in group] for group in groups]) if count % size == 0 else ([], [])
+        )
+        if titles and (below := _below_each_other(table, groups, titles)) is not None:
+            return dataclasses.replace(below, names=tuple(names))
     half = count // 2
     if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
         return _below_each_other(table, [[there[k], there[k + half]] for k in range(half)])
     return None
+
+
+def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
+    """The words that all names of a group have, and those of no other group, and the rest of the names, which is that of all groups.
+
+    In M_300K and H_300K beside M_77K and H_77K these are 300K, 77K, and M, H; none where the names are made in another way.
+    """
+    bare = lambda name: split_unit(name)[0] if name.endswith((")", "]")) and is_unit(split_unit(name)[1]) else name
+    words = [[_WORD.findall(bare(name)) for name in group] for group in groups]
+    shared = [set.intersection(*map(set, names)) for names in words]
+    common = set.intersection(*shared)
+    rest = [
+        [" ".join(w for w in name if w not in own) for name in names] for names, own in zip(words, shared, strict=True)
+    ]
+    titles = [" ".join(w for w in names[0] if w in own) for names, own in zip(words, shared, strict=True)]
+    told = all(own - common for own in shared) and len({*titles}) == len(titles)
+    alike = all(other == rest[0] for other in rest) and all(rest[0]) and len({*rest[0]}) == len(rest[0])
+    return (titles, rest[0]) if told and alike else ([], [])
 
 
 def stacked_files(table: Table, inputs: int) -> Table | None:
@@ -58,11 +85,12 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
     return _below_each_other(table, [[k, k + inputs] for k in range(inputs)])
 
 
-def _below_each_other(table: Table, groups: Sequence[Sequence[int]]) -> Table | None:
+def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Sequence[str] = ()) -> Table | None:
     """The loops in groups of columns, one below the other; None where these hold something else.
 
     Args:
         groups: positions of the columns of each, in the same order.
+        titles: of the records; the words above the columns where there are none.
     """
     first, width = groups[0], len(groups[0])
     kinds = [column_quantity(table.names[k], table.units[k]) if table.named else "" for k in first]
@@ -80,7 +108,7 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]]) -> Table | 
     )
     number = np.repeat(np.arange(len(groups)), [rows.size for rows in kept])
     base = table.parts[0] if table.parts else Part()
-    titles = [table.over[group[0]] if table.over else "" for group in groups]
+    titles = titles or [table.over[group[0]] if table.over else "" for group in groups]
     named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
     text = f"{len(groups)} loops side by side, each of {width} columns named alike, are read as curves"
     return dataclasses.replace(

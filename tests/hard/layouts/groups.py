@@ -101,3 +101,30 @@ def restarted(draw: Draw) -> Layout:
     total = t.renamed("Total Time")
     lines = table(draw, [step, total, x, f], dialect)
     return Layout("", {"steps.csv": packed(draw, lines)}, loops(loop(x, f, total)))
+
+
+@kind("groups told apart by words of their names")
+def titled(draw: Draw) -> Layout:
+    words = draw.pick(["300K", "77K", "10K"], ["A", "B", "C"], ["S1", "S2", "S3"])[: draw.whole(2, 3)]
+    form = draw.pick("{name}_{word}", "{word} {name}", "Sample {word} - {name}", "{name} ({word})")
+    columns, truth = [], []
+    n = draw.whole(60, 150)
+    for word in words:
+        _, x, f = _specimen(draw, n)
+        group = [c.renamed(form.format(name=c.name, word=word)) for c in (x, f)]
+        columns += group
+        truth.append(loop(*group))
+    dialect = Dialect(draw.pick(",", "\t"), style=draw.pick("brackets", "row"))
+    return Layout("", {draw.pick("samples.csv", "all.txt"): packed(draw, table(draw, columns, dialect))}, loops(truth))
+
+
+@kind("a row for each value of a sensor")
+def long_format(draw: Draw) -> Layout:
+    t, x, f = _specimen(draw, draw.whole(60, 150))
+    mark, lines = draw.pick(",", ";"), []
+    for cells in zip(t.cells, x.cells, f.cells, strict=True):
+        lines += [
+            mark.join((cells[0], f"{c.name} [{c.unit}]", cell)) for c, cell in zip((x, f), cells[1:], strict=True)
+        ]
+    head = mark.join(draw.pick(("time", "sensor", "value"), ("Time (s)", "channel", "reading")))
+    return Layout("", {draw.pick("log.csv", "sensors.csv"): packed(draw, [head, *lines])}, loops(loop(x, f, t)))
