@@ -328,6 +328,12 @@ def test_what_an_actuator_reached_drives_the_force(tmp_path: Path) -> None:
     is_pair(far, u=told)
 
 
+def test_the_displacement_of_the_whole_device_drives_its_force(tmp_path: Path) -> None:
+    content = "Load (kN),Uplift (mm),Slip (mm),Top (mm)\n"
+    record = one(written(tmp_path, content + rows(",", Y, np.round(0.02 * U, 4), np.round(0.1 * U, 4), U)))
+    is_pair(record)
+
+
 # Time ---------------------------------------------------------------------------------------------------------------------------
 
 

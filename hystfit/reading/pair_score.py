@@ -32,6 +32,8 @@ _STATED, _CONTRARY = 3.2, -1.0
 # Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
+# Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
+_PARTIAL, _OF_LARGEST = -1.0, 0.3
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _ELECTRIC = ("moment", "magnetization", "induction"), ("polarization", "charge")
 # Points of pairs that belong together, besides those of each column.
@@ -152,6 +154,7 @@ class _Evidence:
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
+        points += _PARTIAL * self._is_partial[i]
         if kinds[i] != kinds[o] and self._is_measured[i]:
             points += _OVERTAKEN
         if not self.alone and kinds[i] == "temperature" and _extent(self.table.columns[i]) < _HEATED:
@@ -217,6 +220,22 @@ class _Evidence:
             )
 
         return _ByColumn(points)
+
+    @functools.cached_property
+    def _is_partial(self) -> _ByColumn:
+        """Whether a column is the displacement of a part of the device, by column."""
+        extents: dict[str, float] = {}
+        for k in self.ranks:
+            if self.kinds[k] == "displacement":
+                extents[self.table.units[k]] = max(
+                    extents.get(self.table.units[k], 0.0), _extent(self.table.columns[k])
+                )
+
+        def partial(k: int) -> bool:
+            whole = extents.get(self.table.units[k], 0.0) if self.kinds[k] == "displacement" else 0.0
+            return bool(self.table.units[k]) and _extent(self.table.columns[k]) < _OF_LARGEST * whole
+
+        return _ByColumn(partial)
 
     @functools.cached_property
     def _is_measured(self) -> _ByColumn:
