@@ -349,6 +349,27 @@ def test_a_time_that_goes_on_before_one_that_starts_again(tmp_path: Path) -> Non
     np.testing.assert_array_equal(one(written(tmp_path, content)).t, T)
 
 
+def test_runs_whose_time_starts_again_are_records(tmp_path: Path) -> None:
+    """Unless a half cycle goes on where it starts, as it does from step to step of a test."""
+    angle = 2 * np.pi * np.arange(100) / 100
+    x, f = np.round(np.sin(angle), 4), np.round(np.sin(angle) - 0.3 * np.cos(angle), 4)
+    header = "t_s,disp_mm,force_kN\n"
+    runs = rows(",", np.tile(T[:50], 4), np.tile(x, 2), np.r_[f, 2 * f])
+    with pytest.raises(DataError, match="time decreases"):
+        read(written(tmp_path, header + runs))
+    time = np.round(0.05 * np.arange(100), 2)
+    data = Dataset.of(
+        read(written(tmp_path, header + rows(",", np.tile(time, 2), np.r_[x, 2 * x], np.r_[f, 1.2 * f]), "b.csv"))
+    )
+    is_pair(data[0], x, f)
+    is_pair(data[1], 2 * x, 1.2 * f)
+    set_of = "run_label,t_s,disp_mm,force_kN\n" + rows(
+        ",", np.repeat([3, 8], 100), np.tile(time, 2), np.r_[x, 2 * x], np.r_[f, 3 * f]
+    )
+    named = Dataset.of(read(written(tmp_path, set_of, "c.csv")))
+    assert [record.name for record in named] == ["run_label=3", "run_label=8"]
+
+
 def test_milliseconds_since_1970(tmp_path: Path) -> None:
     stamps = 1_700_000_000_000 + 50 * np.arange(N)
     assert one(written(tmp_path, "timestamp,disp,force\n" + rows(",", stamps, U, Y))).t_unit == "ms"
