@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
 
 WALL = {"kappa_x": 0.4, "kappa_w": 8.0, "zy": 1.5, "beta": 0.7, "n": 1.3, "dnu": 0.004, "deta": 0.02}
 PINCH = {"zs": 0.9, "p": 0.05, "q": 0.1, "psi": 0.25}
@@ -175,6 +177,9 @@ def test_self_similar_stops_describe_peak_oriented_damage_where_plain_stops_cann
     scaled, plain = hf.fit("self-similar-stops", record), hf.fit("prandtl-ishlinskii-stop", record)
     assert scaled.train.nrmse_percent < 0.5 * plain.train.nrmse_percent
     assert scaled.usable
+    broken = hf.fit("self-similar-stops", record.replace(y=np.where(np.arange(y.size) > 0.9 * y.size, 0.05 * y, y)))
+    assert broken.status is Status.ROUGH
+    assert has(broken.notes, Code.MODEL_MISMATCH)  # degrading terms do not describe a joint that breaks
 
 
 def test_weights_of_self_similar_stops_are_found() -> None:

@@ -1073,9 +1073,9 @@ def test_a_curve_written_twice_is_read_once(tmp_path: Path) -> None:
 def test_the_other_sheets_of_a_workbook_are_named(tmp_path: Path) -> None:
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()
-    for title, scale in (("run 1", 1.0), ("run 2", 2.0)):
+    for title, name, scale in (("run 1", "y_um", 1.0), ("run 2", "z_um", 2.0)):
         page = book.create_sheet(title)
-        for row in (["t_s", "u_V", "y_um"], *zip(T, U, [scale * y for y in Y], strict=True)):
+        for row in (["t_s", "u_V", name], *zip(T, U, [scale * y for y in Y], strict=True)):
             page.append(list(row))
     book.create_sheet("remarks").append(["measured at noon"])
     book.save(tmp_path / "two.xlsx")

@@ -187,6 +187,22 @@ def test_a_window_is_proposed_only_where_it_leaves_a_loop(count):
     assert has(fit.notes, Code.INITIAL_STATE) == (count == 3)
 
 
+@pytest.mark.parametrize(("place", "status"), [(0.2, Status.OK), (3.2, Status.ROUGH)])
+def test_a_start_from_elsewhere_does_not_make_a_fit_rough(place, status):
+    """An error of a fifth of the range in the first half cycle is that of the unknown initial state, elsewhere that of the model."""
+    cycles = 10 * np.arange(N) / N
+    u, loop = (
+        50 * np.cos(2 * np.pi * cycles),
+        hf.PrandtlIshlinskii(w=[[2, 1]], r=(0.1, 0.2), low=-50.0, high=50.0, b=(2.0,)),
+    )
+    y = np.asarray(hf.simulate(loop, u)[0])
+    fit = hf.fit(
+        "prandtl-ishlinskii", hf.Record(u=u, y=y + 0.2 * np.ptp(y) * np.exp(-(((cycles - place) / 0.04) ** 2)))
+    )
+    assert fit.status is status
+    assert has(fit.notes, Code.INITIAL_STATE) == (status is Status.OK)
+
+
 # -- yardsticks ------------------------------------------------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
-from hystfit.quality.loops import SLACK
+from hystfit.quality.loops import SLACK, clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise, is_single_valued_error
@@ -29,6 +29,7 @@ POOR = 10.0  # percent of range above which no fit is called usable, unless the 
 _ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
 _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
+_CYCLED = 4  # reversals: the half cycles after the first one that show whether the model describes the loop
 _FEWEST = 10  # samples, below which no fit is usable
 
 
@@ -77,7 +78,7 @@ def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list
 def _whole_part(fitted: Fitted) -> tuple[str, str] | None:
     """The window of a single damaged record in which no damage is seen, as an option."""
     part, *others = fitted.parts
-    if others or len(part) < len(fitted.data[0]) or not _degrading(fitted):
+    if others or len(part) < len(fitted.data[0]) or not _shows_damage(fitted):
         return None
     until = whole_until(part, summarize(part))
     return None if until is None else ("window", f":{until:.10g}")
@@ -113,9 +114,20 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if white:
         return Status.OK, _noise_notes(fitted)
-    rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, fitted.rows, baselines)]
+    rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]
     status = Status.ROUGH if rough else Status.OK
-    return status, [*rough, *(_damaged(fitted) if rough or (percent > VISIBLE and fitted.may_change) else [])]
+    visible = percent > VISIBLE and fitted.may_change and not fitted.model.degrades
+    return status, [*rough, *(_damaged(fitted) if rough or visible else [])]
+
+
+def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
+    """Errors of each record after the first half cycle, in which the unknown initial state dies out; of a few cycles, all of them."""
+    rows = []
+    for row, record in zip(fitted.rows, fitted.data, strict=True):
+        turns = clear_reversals(record.u)
+        later = np.flatnonzero(record.used) > (turns[0] if turns.size >= _CYCLED else -1)
+        rows.append(row[later] if later.any() else row)
+    return rows
 
 
 def _records_apart(fitted: Fitted) -> Note | None:
@@ -166,10 +178,11 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
 
 
 def _damaged(fitted: Fitted) -> list[Note]:
-    """A warning where the device degrades, and the model does not."""
-    if not _degrading(fitted):
+    """A warning where the device degrades more than the model does."""
+    if not _shows_damage(fitted):
         return []
-    text = f"{_damage(fitted)}: the model has no term for it (see hystfit check)"
+    lacks = "its terms for this do not describe all of it" if fitted.model.degrades else "the model has no term for it"
+    text = f"{_damage(fitted)}: {lacks} (see hystfit check)"
     return [dataclasses.replace(warn(Code.MODEL_MISMATCH, text), option=_whole_part(fitted))]
 
 
@@ -180,9 +193,14 @@ def _damage(fitted: Fitted) -> str:
     return "the loop loses stiffness or strength from cycle to cycle (damage)"
 
 
+def _shows_damage(fitted: Fitted) -> bool:
+    """Whether the records show damage."""
+    return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
+
+
 def _degrading(fitted: Fitted) -> bool:
     """Whether the records show damage that the model has no term for."""
-    return fitted.thorough and not fitted.model.degrades and any(quality.degrading for quality in fitted.qualities)
+    return not fitted.model.degrades and _shows_damage(fitted)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:

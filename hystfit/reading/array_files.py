@@ -1,21 +1,19 @@
-"""Arrays in numpy, MATLAB and HDF5 files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
+"""Arrays in numpy and HDF5 files. Sizes are checked before anything is unpacked or allocated, and pickles never loaded."""
 
 from __future__ import annotations
 
 import io
 import math
 import zipfile
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.reading.file_bytes import allowed
-from hystfit.reading.mat_structure import check_structure
 
 _CHUNK = 2**20
-_DOUBLE = 8  # bytes that every number takes in the end
+DOUBLE = 8  # bytes that every number takes in the end
 
 
 def check_size(size: int, raw: bytes) -> None:
@@ -72,30 +70,7 @@ def _npy_size(start: bytes, size: int) -> int:
         raise DataError(
             f"an array of shape {shape} is announced, and its numbers are not there: it is damaged, save it again"
         )
-    return count * max(_DOUBLE, dtype.itemsize)
-
-
-def matlab_arrays(raw: bytes) -> dict[str, np.ndarray]:
-    """MATLAB variables, also within structures; version 7.3 files need the extra "files"."""
-    from scipy.io import loadmat, whosmat
-
-    if raw[:128].startswith(b"MATLAB 7.3") or raw[:4] == b"\x89HDF" or raw[512:516] == b"\x89HDF":
-        return {name: array.T for name, array in hdf5_arrays(raw).items()}  # MATLAB stores columns first
-    check_structure(raw)
-    shapes = [shape for _, shape, _ in whosmat(io.BytesIO(raw))]
-    check_size(sum(_DOUBLE * math.prod(map(int, shape)) for shape in shapes), raw)
-    found = loadmat(io.BytesIO(raw), simplify_cells=True)
-    return _flatten({name: value for name, value in found.items() if not name.startswith("__")})
-
-
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            arrays.update(_flatten(value, f"{prefix}{name}."))
-        elif isinstance(value, np.ndarray):
-            arrays[f"{prefix}{name}"] = value
-    return arrays
+    return count * max(DOUBLE, dtype.itemsize)
 
 
 def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
@@ -113,7 +88,7 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
             settings = item.id.get_create_plist()
             if settings.get_external_count() or settings.get_layout() == h5py.h5d.VIRTUAL:
                 raise DataError(f"{name!r} lies in another file, which is not read: store the numbers themselves")
-        check_size(sum(math.prod(item.shape or ()) * max(_DOUBLE, item.dtype.itemsize) for _, item in found), raw)
+        check_size(sum(math.prod(item.shape or ()) * max(DOUBLE, item.dtype.itemsize) for _, item in found), raw)
         arrays: dict[str, np.ndarray] = {}
         for name, item in found:
             values = item[()]

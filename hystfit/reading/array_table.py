@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -23,10 +24,18 @@ def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: Fi
     Args:
         arrays_of: the arrays in the bytes of a file.
     """
+    with errors_of(file, opening):
+        arrays = arrays_of(file.raw)
+    return table_of_arrays(arrays, file.source, file.sha256, file.notes)
+
+
+@contextlib.contextmanager
+def errors_of(file: FileBytes, opening: Opening) -> Iterator[None]:
+    """The errors of the libraries that unpack a file as errors that name it."""
     if opening.sheet is not None:
         raise DataError(f"{file.source} has no sheets; leave out sheet=")
     try:
-        arrays = arrays_of(file.raw)
+        yield
     except MissingExtraError:
         raise
     except DataError as error:
@@ -34,7 +43,6 @@ def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: Fi
     except Exception as error:  # each library raises its own kinds on damaged files
         kind = file.suffix or "a file of arrays"
         raise DataError(f"{file.source} cannot be read as {kind}: {error}; it is damaged or of another kind") from error
-    return table_of_arrays(arrays, file.source, file.sha256, file.notes)
 
 
 def table_of_arrays(

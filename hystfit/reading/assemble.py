@@ -26,6 +26,8 @@ from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int
 _UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
+_EPOCH_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # and how many of them a second has
+_THIS_AGE = 6e8, 4e9  # s from 1970 to the years 1989 and 2096
 _RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
@@ -67,6 +69,8 @@ def assemble(
     named = {"time": None if isinstance(time, bool) or time == "none" else time, "input": input, "output": output}
     _check_problems(table, [None if key is None else find(table, key, role) for role, key in named.items()])
     choice = choose(table, time, input, output, [*others, *dividers])
+    if choice.untimed:
+        table = dataclasses.replace(table, interval=None)
     _check_problems(table, [choice.time, choice.input, choice.output])
     notes += [*choice.notes, *_unread_time(table, choice, time)]
     for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
@@ -184,6 +188,11 @@ def _records_of(
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
+    if "time" in data and data["time"].size > 2 and (np.diff(data["time"]) < 0).all():
+        notes.append(
+            Note(Code.TIME_STEPS, "the time decreases from row to row: the rows are read from the last to the first")
+        )
+        table, data = table.take(np.arange(table.rows)[::-1]), {role: values[::-1] for role, values in data.items()}
     good = np.isfinite(data["input"])
     if "time" in data:
         good &= np.isfinite(data["time"])
@@ -206,7 +215,7 @@ def _records_of(
             record = record.replace(weight=np.where(table.calibration[start:stop], 0.0, record.weight))
         if sigma is not None:
             record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
-        records.append(treatment.of(record))
+        records.append(treatment.of(record, table.interval))
     return records
 
 
@@ -266,6 +275,18 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
         notes.append(Note(Code.TIME_STEPS, text))
 
 
+def _unit_of_epoch(time: np.ndarray) -> str:
+    """The unit of a time since 1970 by its size, where that is no second; "" for other times."""
+    return next(
+        (
+            unit
+            for unit, second in _EPOCH_UNITS.items()
+            if (_THIS_AGE[0] * second < time).all() and time[-1] < _THIS_AGE[1] * second
+        ),
+        "",
+    )
+
+
 def _constants(table: Table, choice: Choice) -> dict[str, str]:
     """Columns of one number besides those of the record, by name: a temperature, a preload, a frequency."""
     others = [k for k in range(len(table.names)) if table.named and k not in (choice.time, choice.input, choice.output)]
@@ -274,7 +295,7 @@ def _constants(table: Table, choice: Choice) -> dict[str, str]:
 
 
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
-    time_unit = "s" if choice.time is None else table.units[choice.time]
+    time_unit = "s" if choice.time is None else table.units[choice.time] or _unit_of_epoch(data["time"])
     part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
     if not time_unit:
         notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 
 RISING = frozenset(
-    "up rising rise ascending asc increasing inc loading load heating upward upscale charging charge forward fwd positive pos".split()
+    "up rising rise ascending asc increasing inc loading load heating upward upscale charging charge "
+    "adsorption adsorbed forward fwd positive pos".split()
 )
 FALLING = frozenset(
-    "down falling fall descending desc decreasing dec unloading unload cooling downward downscale discharging discharge backward bwd "
-    "reverse rev return negative neg".split()
+    "down falling fall descending desc decreasing dec unloading unload cooling downward downscale discharging discharge "
+    "desorption desorbed backward bwd reverse rev return negative neg".split()
 )
 BRANCHES = RISING | FALLING
 

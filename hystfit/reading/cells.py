@@ -29,7 +29,7 @@ _STAMP = re.compile(
     r"""(?:(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})
             |(?P<p>\d{1,2})[-/.](?P<q>\d{1,2})[-/.](?P<yy>\d{4}|\d{2})))?
         (?P<gap>[T ,]*)
-        (?:(?P<hh>\d{1,3}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*)?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
+        (?:(?P<hh>\d{1,3}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*|:\d{3})?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
            |(?P<min>\d{1,3}):(?P<sec>\d{2}[.,]\d+))?
         (?P<zone>Z|[+-]\d{2}:?\d{2})?""",
     re.VERBOSE | re.ASCII,
@@ -297,7 +297,9 @@ def _stamp(cell: str) -> _Stamp | None:
         hour = int(stamp["hh"])
         if stamp["half"]:
             hour = hour % 12 + (12 if stamp["half"][0] in "pP" else 0)
-        clock = 3600.0 * hour + 60.0 * int(stamp["mm"]) + float((stamp["ss"] or "0").replace(",", "."))
+        clock = (
+            3600.0 * hour + 60.0 * int(stamp["mm"]) + float((stamp["ss"] or "0").replace(",", ".").replace(":", "."))
+        )
     zone = stamp["zone"]
     if zone and zone != "Z":
         clock -= (1 if zone[0] == "+" else -1) * 60.0 * (60 * int(zone[1:3]) + int(zone[-2:]))

@@ -31,6 +31,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     by_unit = quantity(unit or unit_of_name)
     if base == "T" and by_unit == "charge":
         return "temperature"  # degrees Celsius without their sign
+    base = _field(base)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
@@ -53,6 +54,12 @@ def column_quantity(name: str, unit: str = "") -> str:
     return by_unit or named or ("velocity" if base == "v" else "")
 
 
+def _field(base: str) -> str:
+    """The letter that a field of a structure is called by (t in experiment.data.t); other names as they are."""
+    path = re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z])", base)
+    return path[1] if path else base
+
+
 def column_unit(name: str, unit: str) -> str:
     """The unit of a column; degrees of a temperature that are written without their sign are named so."""
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
@@ -60,7 +67,7 @@ def column_unit(name: str, unit: str) -> str:
 
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
-    base = split_unit(name)[0].strip()
+    base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     roles = {_ROLES[word] for word in _words(base) if word in _ROLES}

@@ -26,12 +26,13 @@ _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """Positions of the time (None: no time), input and output columns, and a note for every guess."""
+    """Positions of the time (None: no time), input and output columns, a note for every guess, and whether the user wants no time."""
 
     time: int | None
     input: int
     output: int
     notes: tuple[Note, ...]
+    untimed: bool = False
 
 
 def _composed(name: str) -> str:
@@ -117,13 +118,7 @@ def choose(
     for k, label in table.labels.items():
         if k not in taken and (label != label[0]).any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
-    return Choice(clock, given["input"], given["output"], tuple(notes))
-
-
-def _counts(table: Table, position: int) -> bool:
-    """Whether a column is a row number: whole numbers that go up by one from 0 or 1."""
-    values = table.columns[position]
-    return values[0] in (0.0, 1.0) and bool((np.diff(values) == 1.0).all())
+    return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -131,8 +126,12 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     if not named and len(free) + given > 2:
         named = [k for k in free[:2] if table.names[k] == "s" and (np.diff(table.columns[k]) > 0).all()]
     if named:
-        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {named[0]}, {table.names[named[0]]!r}"))
-        return named[0]
+        back = lambda k: int(
+            (np.diff(table.columns[k]) < 0).sum()
+        )  # the time of a step starts again where the next begins
+        clock = min(named, key=lambda k: (0 < back(k) < table.rows - 1, named.index(k)))
+        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {clock}, {table.names[clock]!r}"))
+        return clock
     if len(free) + given < 3:
         return None
     matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}
@@ -146,7 +145,7 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
                 return None
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
-        if not _counts(table, k):
+        if not table.counts(k):
             reason = "always increases" if (steps > 0).all() else "never decreases"
             notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it {reason}"))
             return k

@@ -13,6 +13,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
@@ -69,8 +70,10 @@ def split_curves(
             text = f"{len(curves)} curves, numbered by column {table.names[numbering]!r}: the samples jump from one curve to the next"
             notes.append(Note(Code.CURVES, text))
             return curves, True
-        _suggest(table, choice, notes)
-        return [("", np.arange(table.rows))], False
+        number[1:] = np.cumsum(_restarts(table, choice, notes))
+        if number[-1] == 0:
+            _suggest(table, choice, notes)
+            return [("", np.arange(table.rows))], False
     if number[-1] > _MOST_CURVES:
         raise DataError(
             f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {_MOST_CURVES} are the "
@@ -168,6 +171,29 @@ def _numbers_of_curves(table: Table, choice: Choice, notes: list[Note]) -> np.nd
     return np.cumsum(begins)
 
 
+def _restarts(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
+    """Where the time starts again as it began, and the loop as well or anew, shape (rows - 1,): nowhere if a half cycle goes on there."""
+    if choice.time is None:
+        return np.zeros(table.rows - 1, dtype=bool)
+    clock, loop = table.columns[choice.time], [table.columns[k] for k in (choice.input, choice.output)]
+    steps = np.diff(clock)
+    back = steps < 0
+    nowhere = np.zeros(steps.size, dtype=bool)
+    if not back.any() or not (steps > 0).any() or (back.size - back.sum() < _FEWEST_ROWS * (back.sum() + 1)):
+        return nowhere
+    again = np.abs(clock[1:][back] - clock[0]) <= np.median(steps[steps > 0])
+    starts = np.append(0, np.flatnonzero(back) + 1)
+    # Each part begins where the one before began, or far from where that ended.
+    alike = np.all(
+        [np.abs(v[starts[1:]] - v[starts[:-1]]) <= 2 * _NEAR * np.ptp(v[np.isfinite(v)]) for v in loop], axis=0
+    )
+    jumps = np.any([_jumps(v, np.flatnonzero(back)) for v in loop], axis=0)
+    if not again.all() or not (alike | jumps).all():
+        return nowhere
+    notes.append(Note(Code.CURVES, f"the time starts again {int(back.sum())} times: each part is a curve"))
+    return back
+
+
 def _of_several_rows(
     groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
 ) -> list[tuple[str, np.ndarray]]:
@@ -195,8 +221,9 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
     u, y = table.columns[choice.input], table.columns[choice.output]
     for position, name in enumerate(table.names):
         numbers = table.columns[position]
-        if position in chosen or _plain(name) not in CURVE_NAMES or not np.isfinite(numbers).all():
+        if position in chosen or position in table.labels or not np.isfinite(numbers).all():
             continue
+        named = _plain(name) in CURVE_NAMES
         changes = np.flatnonzero(np.diff(numbers))
         if (
             not changes.size
@@ -207,7 +234,12 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         apart = _jumps(u, changes) | _jumps(y, changes)
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
-        if apart.mean() >= 0.5 or (choice.time is None and _closed_loops(u, y, changes)):
+        # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
+        alike = choice.time is None and _closed_loops(u, y, changes)
+        told = changes.size > 1 and bool(_jumps(u, changes).all())
+        if choice.time is not None:
+            told |= np.array_equal(np.flatnonzero(np.diff(table.columns[choice.time]) < 0), changes)
+        if (apart.mean() >= 0.5 or alike) if named else told:
             return position
     return None
 
@@ -238,11 +270,14 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
     for position, name in enumerate(table.names):
         if position in (choice.time, choice.input, choice.output):
             continue
+        kind = column_quantity(name, table.units[position])
         count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
-        elif position not in table.labels and not _STATE.search(name) and (levels := _levels(table.columns[position])):
+        elif position in table.labels or kind == "index" or table.pair is not None or _STATE.search(name):
+            continue
+        elif levels := _levels(table.columns[position]):
             shown_levels = ", ".join(f"{level:g}" for level in levels)
             text = (
                 f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "

@@ -12,7 +12,7 @@ _BASE = (
     r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
     r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
 )
-_POWER = r"(?:\^?[-⁻]?[\d¹²³])?"
+_POWER = r"(?:\^?[-⁻]?[1-4¹²³])?"
 _UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER})*")
 # Quotients whose slash is an underscore in a name: numerator_denominator.
 _JOINED = re.compile(
@@ -21,6 +21,13 @@ _JOINED = re.compile(
     r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
 )
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
+_CYRILLIC = dict(
+    zip(
+        "мм см м мкм нм Н кН Па кПа МПа с сек мс В кВ мВ А мА Тл мТл Э кЭ А/м кА/м Гц мин ч".split(),
+        "mm cm m um nm N kN Pa kPa MPa s s ms V kV mV A mA T mT Oe kOe A/m kA/m Hz min h".split(),
+        strict=True,
+    )
+)
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
 _ARBITRARY = frozenset(
@@ -30,6 +37,7 @@ _NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names o
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
+_NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
@@ -48,6 +56,8 @@ _WORD = 4  # letters from which a unit is written as a word
 _LONGEST_NAME = 200  # characters
 _LONGEST_SETTING = 1000  # characters of a line
 
+# "@attribute voltage numeric": a column of an ARFF file, below the one before.
+_ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
 _LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
 _COMMENT = r"(?:[#%!*]+|//|--)"
@@ -65,6 +75,8 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
+    if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
+        name = match[1] + _CYRILLIC[match[2]] + match[3]
     if len(name) > _LONGEST_NAME:
         return name, ""
     if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
@@ -95,6 +107,10 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
+        others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
+        labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
+        if labels or _NODE.fullmatch(match[2]):  # I_A, I_B, I_C are currents of three phases
+            return name, ""
         return (name, "") if _is_role(match[1], match[2], siblings) else (match[1], match[2])
     return name, ""
 
@@ -202,7 +218,8 @@ def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> lis
     """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        if re.search("unit", title, re.IGNORECASE) and 1 < len(units) < width and all(map(is_unit, units)):
+        known = [is_unit(unit) for unit in units if unit]
+        if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
 
@@ -234,9 +251,10 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     for first in range(len(found) - width + 1):
         block = [match for match in found[first : first + width] if match]
         if width > 1 and [int(match["number"]) - int(block[0]["number"]) for match in block] == list(range(width)):
-            if block[0]["number"] in ("0", "1"):
+            if int(block[0]["number"]) in (0, 1):
                 return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
-    return []
+    attributes = [match["name"].strip("'\"") for line in above if (match := _ATTRIBUTE.fullmatch(line.strip()))]
+    return attributes if len(attributes) == width else []
 
 
 def read_header(

@@ -14,6 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
@@ -21,6 +22,9 @@ from hystfit.reading.text_file import TextFile
 
 _FEWEST = 2  # numbers of an array that is a column
 _MOST_METADATA = 40
+_OF_VALUES = frozenset(
+    {"data", "values", "samples", "value"}
+)  # names of the numbers of a column that has a name of its own
 _LONGEST = 200  # characters of a text that is kept
 _DEEPEST = 30
 
@@ -36,13 +40,24 @@ def read_json(text: TextFile) -> Table | None:
         if start == "[" and not isinstance(error, RecursionError):
             return None  # text that begins with a section such as [Header]
         raise DataError(f"{text.source} begins as JSON and is not: {error}; write it again") from error
+    return table_of_tree(content, text, Note(Code.FILE_FORMAT, "JSON"))
+
+
+def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table:
+    """The records in lists and mappings within each other, as JSON has them and the structures of MATLAB.
+
+    Raises:
+        DataError: there are no arrays of numbers.
+    """
     parts = _parts(_columnar(content))
     if not parts:
-        raise DataError(f"{text.source} holds no arrays of numbers; write each column as a list under its name")
+        raise DataError(f"{file.source} holds no arrays of numbers; write each column as a list under its name")
     units = {*_unit_texts(content)}
-    tables = [_table(text, _with_units(arrays, units)) for arrays, _, _ in parts]
+    tables = [_table(file, _with_units(arrays, units), note) for arrays, _, _ in parts]
     table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
+    if len(parts) > 1 and len({*(part.name for part in described), ""}) <= len(parts):
+        described = [dataclasses.replace(part, name=f"record={k}") for k, part in enumerate(described)]
     return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
 
 
@@ -134,10 +149,16 @@ def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
     Args:
         name: used where the mapping has none; "" requires one there.
     """
-    lists = [value for value in item.values() if isinstance(value, list)]
+    lists = {str(key).lower(): value for key, value in item.items() if isinstance(value, list)}
+    plain = not lists.keys() - _OF_VALUES  # {"name": "H", "data": [...]} beside {"name": "specimen A", "force": [...]}
+    item = {str(key).lower(): value for key, value in item.items()}
     unit = next((item[key] for key in ("unit", "units") if isinstance(item.get(key), str)), None)
     label = next((str(item[key]) for key in ("label", "name", "title") if key in item), name)
-    if len(lists) != 1 or not (label and (unit or not name)) or (array := _array(lists[0])) is None:
+    if (
+        len(lists) != 1
+        or not (label and (unit or plain or not name))
+        or (array := _array(next(iter(lists.values())))) is None
+    ):
         return None
     return {f"{label} [{unit}]" if unit else label: array}
 
@@ -181,9 +202,8 @@ def _with_units(arrays: Mapping[str, np.ndarray], known: Collection[tuple[str, s
     return found
 
 
-def _table(text: TextFile, arrays: Mapping[str, np.ndarray]) -> Table:
-    notes = (*text.notes, Note(Code.FILE_FORMAT, "JSON"))
-    table = table_of_arrays(arrays, text.source, text.sha256, notes)
+def _table(file: TextFile | FileBytes, arrays: Mapping[str, np.ndarray], note: Note) -> Table:
+    table = table_of_arrays(arrays, file.source, file.sha256, (*file.notes, note))
     return dataclasses.replace(table, named=not all(name.startswith("column ") for name in table.names))
 
 

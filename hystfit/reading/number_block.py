@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,12 +18,22 @@ from hystfit.reading.dialect import Dialect, Text, split
 _HEAD = 200  # lines in which clean rows must begin
 _REMARKS = 2  # cells of text after the last column of a row
 _FEW = 3  # rows of numbers above a header
+_SETTINGS = (
+    12  # rows of a header that hold a number for each channel: samples, scale, offset, start and step of LabVIEW
+)
+# A line that parts the header from the numbers: ***End_of_Header***, # END_HEADER, @@Data, [Data], ***DATA***.
+_MARK = re.compile(r"\W*(?:end[ _]?(?:of[ _]?)?header|(?:begin|start)?[ _]?data)\W*", re.IGNORECASE)
 _COMMENT_MARKS = ("#", "%", "//", "!")
 
 
 def is_comment(line: str) -> bool:
     """Whether a line begins with a comment mark."""
     return line.lstrip().startswith(_COMMENT_MARKS)
+
+
+def is_mark(line: str) -> bool:
+    """Whether a line says that the header ends there or that the numbers begin."""
+    return _MARK.fullmatch(line) is not None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +88,7 @@ def careful_block(text: Text, rows: list[list[str]]) -> Block:
     keep[keep] = _main_runs(rows, index, dialect, lines)
     index, above = np.array(candidates)[keep], 0
     if index.size:
-        above = _above_header(rows, lines, index, dialect)
+        above = _above_header(rows, lines, index, dialect) or _above_mark(lines, index)
         keep[np.flatnonzero(keep)[:above]] = False
         index = index[above:]
     if index.size < 2:
@@ -173,6 +184,13 @@ def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np
     is_name = lambda cell: cells.kind(cell, dialect.decimal) == cells.TEXT
     headers = [k for k in between if len(rows[k]) == dialect.width and all(map(is_name, rows[k]))]
     return top if headers and len(headers) == len(between) else 0
+
+
+def _above_mark(lines: Sequence[str], index: np.ndarray) -> int:
+    """Number of rows of numbers that stand above the line that ends the header, which is followed by many more."""
+    marks = [k for k in range(int(index[0]), int(index[0]) + _HEAD) if k < len(lines) and is_mark(lines[k])]
+    above = int(np.searchsorted(index, marks[-1])) if marks else 0
+    return above if above <= _SETTINGS and index.size - above > 2 * above else 0
 
 
 def _main_runs(rows: list[list[str]], index: np.ndarray, dialect: Dialect, lines: Sequence[str]) -> np.ndarray:

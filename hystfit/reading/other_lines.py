@@ -11,8 +11,8 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import listed_names, read_header, split_unit, stated_units
-from hystfit.reading.number_block import Block, is_comment
+from hystfit.reading.header import is_unit, listed_names, read_header, split_unit, stated_units
+from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _BETWEEN = 3  # lines between the names and the numbers
 _WORDS = {
@@ -41,12 +41,16 @@ class LeftOut:
 
 @dataclasses.dataclass(frozen=True)
 class Header:
-    """Names and units of the columns, "" where there is none, in how many lines they stand, and whether other lines follow them."""
+    """Names and units of the columns, "" where there is none, in how many lines they stand, and whether other lines follow them.
+
+    `over` has the cells of the line above the names, where these name groups of columns.
+    """
 
     names: list[str]
     units: list[str]
     used: int
     apart: bool = False
+    over: tuple[str, ...] = ()
 
 
 def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
@@ -77,9 +81,21 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     elif not used and first and text.lines[first - 1].strip():
         names, used = _uneven(text, block)
         units = [split_unit(name, names)[1] for name in names]
+        if not used:
+            names, units, used = _labeled_units(text, block)
     if not any(units):
         units = stated_units(text.lines[:first], dialect.width, dialect.delimiter)
-    return Header(names, units, used, apart=place > 0)
+    over = () if not used or place else _over(text, block, first - used - 1)
+    return Header(names, units, used, apart=place > 0, over=over)
+
+
+def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
+    """The cells of the line above the names, where it has fewer words than there are columns; () for other lines."""
+    width, row = text.dialect.width, [cells.clean(cell) for cell in block.rows[place]] if place >= 0 else []
+    row = [*row, *[""] * (width - len(row))]
+    words = [*filter(None, row)]
+    several = 1 < len(words) == len({*words}) < width
+    return tuple(row) if text.dialect.delimiter and len(row) == width and row[1:] and several else ()
 
 
 def _apart(text: Text, block: Block) -> int:
@@ -88,6 +104,8 @@ def _apart(text: Text, block: Block) -> int:
     They are words without cells ("@@Data"), or rows of numbers of another width.
     """
     dialect, first = text.dialect, int(block.index[0])
+    if first > 1 and is_mark(text.lines[first - 1]):
+        return first - 1
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
         between = block.rows[place]
         if len(between) == dialect.width or (len(between) > 1 and not _mostly_numbers(between, text)[0]):
@@ -107,9 +125,23 @@ def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
     numbered = [block.rows[k][0].strip(' "') for k in range(first, min(first + 2, len(block.rows))) if block.rows[k]]
     if len(row) == width - 1 and numbered in (["0", "1"], ["1", "2"]):
         return ["", *row], 1
-    if dialect.delimiter is not None and width < len(row) <= width + 2:
+    if dialect.delimiter is not None and width < len(row) <= width + 2 and not all(map(is_unit, row[1:])):
         return row[:width], 1
     return [""] * width, 0
+
+
+def _labeled_units(text: Text, block: Block) -> tuple[list[str], list[str], int]:
+    """Names and units, and their lines, where the units are behind a word of their own ("Units  s  V  um") and the names above them."""
+    dialect, first = text.dialect, int(block.index[0])
+    width, units = dialect.width, [cells.clean(cell) for cell in block.rows[first - 1][1:]]
+    if len(units) != width or not all(map(is_unit, units)) or is_unit(cells.clean(block.rows[first - 1][0])):
+        return [""] * width, [""] * width, 0
+    for place in range(first - 2, max(-1, first - 2 - _BETWEEN), -1):
+        names = [cells.clean(cell) for cell in block.rows[place]]
+        names = names[1:] if len(names) == width + 1 else names
+        if len(names) == width and all(cells.kind(name, dialect.decimal) == cells.TEXT for name in names):
+            return names, units, first - place
+    return [""] * width, units, 1
 
 
 def left_out(text: Text, block: Block, header: Header) -> LeftOut:

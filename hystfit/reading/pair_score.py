@@ -16,6 +16,7 @@ from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_role, is_channel, secondary
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.signal_evidence import explained, extent, is_held, overtones, proportional, roughness, sample
 
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
@@ -29,6 +30,11 @@ _RESPONSE = {
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
 _STATED, _CONTRARY = 3.2, -1.0
+# Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
+# differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
+_OVERTAKEN, _FOLLOWS = -5.0, 0.1
+# Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
+_PARTIAL, _OF_LARGEST = -1.0, 0.3
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _ELECTRIC = ("moment", "magnetization", "induction"), ("polarization", "charge")
 # Points of pairs that belong together, besides those of each column.
@@ -40,13 +46,13 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
             ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
-            ("induction", "magnetization"), ("pressure", "displacement"), ("voltage", "force"), ("current", "force"),
+            ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
             *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
             ("displacement", "moment"),
         ],
         3.0,
     )
-    | {("induction", "voltage"): 1.5}
+    | {("voltage", "force"): 2.0, ("induction", "voltage"): 1.5}  # less than a displacement and its force beside a gauge in volts
     | dict.fromkeys(itertools.product(["temperature"], ["displacement", "strain", "force", "stress", "current", ""]), 3.0)
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
@@ -63,12 +69,8 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-# Points of a pair of one quantity that is proportional: a second sensor of the input. The narrowest loops, those of piezo actuators,
-# leave 0.001 to 0.02 of the variance to their hysteresis.
-_COPY, _PROPORTIONAL = -3.0, 2e-4
-_MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
-# Points of a column whose range is a small part of its size, in units that have an origin: a condition held constant, such as 300.02 K.
-_HELD, _SMALL = -2.5, 0.01
+_COPY = -3.0  # points of a pair of one quantity that is proportional: a second sensor of the input
+_HELD = -2.5  # points of a column that stays near one value far from zero: a condition held constant, such as 300.02 K
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
@@ -148,7 +150,10 @@ class _Evidence:
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
-        if not self.alone and kinds[i] == "temperature" and _extent(self.table.columns[i]) < _HEATED:
+        points += _PARTIAL * self._is_partial[i]
+        if kinds[i] != kinds[o] and self._is_measured[i]:
+            points += _OVERTAKEN
+        if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < _HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
         if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
@@ -168,9 +173,7 @@ class _Evidence:
                 return 0.0
             u, y = columns[reading.input], columns[reading.output]
             same = self.kinds[reading.input] == self.kinds[reading.output]
-            return _UNRELATED * max(0.0, 1.0 - _explained(u, y, part) / _RELATED) + _COPY * (
-                same and _proportional(u, y)
-            )
+            return _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED) + _COPY * (same and proportional(u, y))
 
         return [
             dataclasses.replace(
@@ -201,8 +204,8 @@ class _Evidence:
 
         def points(k: int) -> float:
             values = table.columns[k]
-            few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (_sample(values), values))
-            held = not self.alone and _is_held(values)
+            few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
+            held = not self.alone and is_held(values)
             return (
                 _SECONDARY * secondary(table.names[k])
                 + _RAW_VOLTS * _is_raw_signal(table, k)
@@ -213,12 +216,42 @@ class _Evidence:
         return _ByColumn(points)
 
     @functools.cached_property
+    def _is_partial(self) -> _ByColumn:
+        """Whether a column is the displacement of a part of the device, by column."""
+        extents: dict[str, float] = {}
+        for k in self.ranks:
+            if self.kinds[k] == "displacement":
+                extents[self.table.units[k]] = max(extents.get(self.table.units[k], 0.0), extent(self.table.columns[k]))
+
+        def partial(k: int) -> bool:
+            whole = extents.get(self.table.units[k], 0.0) if self.kinds[k] == "displacement" else 0.0
+            return bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+
+        return _ByColumn(partial)
+
+    @functools.cached_property
+    def _is_measured(self) -> _ByColumn:
+        """Whether another column is the measurement of a commanded one, by column."""
+        table = self.table
+
+        def measured(k: int) -> bool:
+            command = table.columns[k]
+            others = [
+                j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""
+            ]
+            others = [j for j in others if j != k and self._stated[j] != "input" and not _is_raw_signal(table, j)]
+            near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * extent(command)
+            return self._stated[k] == "input" and any(map(near, others))
+
+        return _ByColumn(measured)
+
+    @functools.cached_property
     def _overtones(self) -> _ByColumn:
-        return _ByColumn(lambda k: _overtones(self.table.columns[k]))
+        return _ByColumn(lambda k: overtones(self.table.columns[k]))
 
     @functools.cached_property
     def _roughness(self) -> _ByColumn:
-        return _ByColumn(lambda k: _roughness(self.table.columns[k]))
+        return _ByColumn(lambda k: roughness(self.table.columns[k]))
 
 
 class _ByColumn(dict[int, float]):
@@ -244,73 +277,3 @@ def _is_raw_signal(table: Table, position: int) -> bool:
         return False
     same = [k for k, other in enumerate(table.names) if split_unit(other)[0].strip().lower() == name and k != position]
     return any(quantity(table.units[k]) not in ("", "voltage") for k in same)
-
-
-def _extent(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.ptp(finite)) if finite.size else 0.0
-
-
-def _sample(values: np.ndarray) -> np.ndarray:
-    """Every nth sample of a long column."""
-    return values[:: max(1, values.size // _MOST_SAMPLES)]
-
-
-def _is_held(values: np.ndarray) -> bool:
-    """Whether a column stays near one value far from zero."""
-    finite = values[np.isfinite(values)]
-    return finite.size > 0 and float(np.ptp(finite)) < _SMALL * float(np.abs(finite).min())
-
-
-def _explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
-    """Part of the variance of an output that its input explains: that which samples of neighboring inputs have in common.
-
-    Samples of a rising and of a falling input are compared apart (von Neumann's ratio of each, in the order of the input).
-
-    Args:
-        part: number of the record that a sample is in, shape (rows,); samples of different records are compared apart too.
-    """
-    u, y, part = (_sample(values) for values in (u, y, part))
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y, part = u[both], y[both], part[both]
-    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
-        return 1.0
-    if _crossings(y) > 2 * _crossings(u) + 1:  # twice for a butterfly, and once for the end of a record
-        return 0.0
-    y = (y - y.mean()) / np.ptp(y)
-    order = np.lexsort((u, np.gradient(u) > 0, part))
-    return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
-
-
-def _crossings(values: np.ndarray) -> int:
-    """How often a column passes from the lower quarter of its range to the upper one or back."""
-    place = (values - values.min()) / np.ptp(values)
-    ends = place[(place < 0.25) | (place > 0.75)] > 0.5
-    return int(np.count_nonzero(ends[1:] != ends[:-1]))
-
-
-def _proportional(u: np.ndarray, y: np.ndarray) -> bool:
-    """Whether a straight line leaves nearly nothing of an output."""
-    u, y = _sample(u), _sample(y)
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y = u[both], y[both]
-    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
-        return False
-    u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
-    return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y))) < _PROPORTIONAL
-
-
-def _roughness(values: np.ndarray) -> float:
-    """Median third difference over the range: the noise of a column that is sampled often."""
-    values = values[np.isfinite(values)]
-    return (
-        float(np.median(np.abs(np.diff(values, 3))) / np.ptp(values)) if values.size > 3 and np.ptp(values) > 0 else 0.0
-    )
-
-
-def _overtones(values: np.ndarray) -> float:
-    """Power of a column apart from its strongest frequency, as a part of the whole: small for a sine, 0.014 for a triangle."""
-    values = values[np.isfinite(values)]
-    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
-    peak, total = int(np.argmax(power)), float(power.sum())
-    return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0

@@ -51,6 +51,8 @@ class Table:
         parts: what the file says of each of these records, by number; of a file that is not divided the only one, or ().
         pair: positions of the input and the output, where the layout of the file determines them.
         problems: why the numbers of a column are in doubt, by position; an error where the column is used.
+        interval: time between two rows that the file states [s]; None where it states none.
+        over: the cells above the names, which name groups of columns ("W1", "", "W2", ""); () without such a line.
     """
 
     names: tuple[str, ...]
@@ -74,6 +76,8 @@ class Table:
     parts: tuple[Part, ...] = ()
     pair: tuple[int, int] | None = None
     problems: dict[int, str] = dataclasses.field(default_factory=dict)
+    interval: float | None = None
+    over: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
@@ -85,6 +89,11 @@ class Table:
         values = self.columns[position]
         values = values[np.isfinite(values)]
         return values.size == 0 or bool((values == values[0]).all())
+
+    def counts(self, position: int) -> bool:
+        """Whether a column is a row number: whole numbers that go up by one from 0 or 1."""
+        values = self.columns[position]
+        return values[0] in (0.0, 1.0) and bool((np.diff(values) == 1.0).all())
 
     def take(self, rows: np.ndarray) -> Table:
         """The table of some rows, chosen by mask or by index."""
@@ -115,6 +124,7 @@ class Table:
             problems=of(self.problems),
             stamps=frozenset(place[k] for k in self.stamps if k in place),
             pair=pair,
+            over=tuple(self.over[k] for k in positions) if self.over else (),
         )
 
     def noted(self, *notes: Note) -> Table:

@@ -13,14 +13,19 @@ from collections.abc import Callable
 
 from hystfit.errors import DataError
 from hystfit.reading.adjusted import with_adjusted
-from hystfit.reading.array_files import hdf5_arrays, matlab_arrays, numpy_arrays
+from hystfit.reading.array_files import hdf5_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
+from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.json_text import read_json
+from hystfit.reading.key_values import read_key_values
+from hystfit.reading.long_format import widened
 from hystfit.reading.magic_tables import read_magic
+from hystfit.reading.markup import read_markup
+from hystfit.reading.matlab import read_matlab
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
@@ -88,9 +93,9 @@ FORMATS = (
     ),
     Format(
         (".mat",),
-        'MATLAB variables, also within structures; version 7.3 files need the extra "files"',
+        'MATLAB variables, also within structures: an array of these has a record or a channel each; version 7.3 needs the extra "files"',
         _is_matlab,
-        functools.partial(read_arrays, matlab_arrays),
+        read_matlab,
     ),
     Format(
         (".h5", ".hdf5", ".nc"),
@@ -106,7 +111,7 @@ FORMATS = (
     ),
     Format(
         (".xlsx", ".xlsm"),
-        'Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"',
+        'Excel sheets, the first with rows of numbers and those with the same columns, unless `--sheet` names one; needs the extra "files"',
         _is_workbook,
         read_workbook,
     ),
@@ -115,9 +120,12 @@ FORMATS = (
 # Each gives None for text of another layout; the last one reads any.
 TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_json,
+    read_markup,
     read_micromag,
     read_magic,
     read_easyexpert,
+    read_assigned_arrays,
+    read_key_values,
     read_sections,
     read_tables,
     read_transposed,
@@ -128,7 +136,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
 ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_throughput, divided)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
-REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked)
+REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 
 
 def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False) -> Table:

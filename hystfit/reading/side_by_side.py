@@ -1,37 +1,74 @@
-"""Tables in which several loops stand side by side: an input and an output each, named alike but for their numbers."""
+"""Tables in which several loops stand side by side, in groups of columns that are named alike but for their numbers."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.outcome import Code, Note
+from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
-from hystfit.reading.raw_table import Table
+from hystfit.reading.header import is_unit, split_unit
+from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
+_WORD = re.compile(r"[^\W_]+")
 _FEWEST_ROWS = 4
 
 
 def stacked(table: Table) -> Table | None:
-    """Loops side by side, of an input and an output each (H1, B1, H2, B2), are a record each; None for other tables.
+    """Loops side by side, of the same columns each (H1, B1, H2, B2, or t, x, F, t, x, F), are a record each; None for other tables.
 
-    The pairs of columns have the same two names, and no other column of numbers stands beside them: channels of one experiment, which
-    share a time, are no loops of their own. The inputs and the outputs alternate (H1, B1, H2, B2), or the columns of a matrix of inputs
-    precede those of a matrix of outputs (H1, H2, B1, B2). Columns may end at different rows.
+    Names may have words of their group (M_300K, H_300K). No other column of numbers stands beside them, apart from one that numbers the
+    rows: channels of one experiment, which share a time, are no loops of their own. Groups of columns follow each other, or the columns of
+    a matrix of inputs precede those of a matrix of outputs (H1, H2, B1, B2). Columns may end at different rows. Words above the names, one
+    over each group, name the records.
     """
-    count = len(table.names)
-    if not table.named or count < 4 or count % 2:
+    there = [k for k in range(len(table.names)) if k in table.labels or np.isfinite(table.columns[k]).any()]
+    if there and table.counts(there[0]) and column_quantity(table.names[there[0]]) in ("", "index"):
+        there = there[1:]
+    count = len(there)
+    if not table.named or count < 4:
         return None
-    bases = [_base(name) for name in table.names]
-    for pairs in ([(k, k + 1) for k in range(0, count, 2)], [(k, k + count // 2) for k in range(count // 2)]):
-        names = [{bases[pair[side]] for pair in pairs} for side in (0, 1)]
-        if len(names[0]) == len(names[1]) == 1 and names[0] != names[1]:
-            return _below_each_other(table, pairs)
+    bases = [_base(table.names[k]) for k in there]
+    for size in range(2, count // 2 + 1):
+        groups = [there[k : k + size] for k in range(0, count, size)]
+        if count % size == 0 and len({*bases[:size]}) == size and bases == bases[:size] * len(groups):
+            return _below_each_other(table, groups)
+    for size in range(2, count // 2 + 1):
+        groups = [there[k : k + size] for k in range(0, count, size)]
+        titles, names = (
+            _titles([[table.names[k] for k in group] for group in groups]) if count % size == 0 else ([], [])
+        )
+        if titles and (below := _below_each_other(table, groups, titles)) is not None:
+            return dataclasses.replace(below, names=tuple(names))
+    half = count // 2
+    if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
+        return _below_each_other(table, [[there[k], there[k + half]] for k in range(half)])
     return None
+
+
+def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
+    """The words that all names of a group have, and those of no other group, and the rest of the names, which is that of all groups.
+
+    In M_300K and H_300K beside M_77K and H_77K these are 300K, 77K, and M, H; none where the names are made in another way.
+    """
+    bare = lambda name: split_unit(name)[0] if name.endswith((")", "]")) and is_unit(split_unit(name)[1]) else name
+    words = [[_WORD.findall(bare(name)) for name in group] for group in groups]
+    shared = [set.intersection(*map(set, names)) for names in words]
+    common = set.intersection(*shared)
+    rest = [
+        [" ".join(w for w in name if w not in own) for name in names] for names, own in zip(words, shared, strict=True)
+    ]
+    titles = [" ".join(w for w in names[0] if w in own) for names, own in zip(words, shared, strict=True)]
+    told = all(own - common for own in shared) and len({*titles}) == len(titles)
+    spelled = all(re.search(r"[^\W\d]", name) for name in rest[0])
+    alike = spelled and all(other == rest[0] for other in rest) and len({*rest[0]}) == len(rest[0])
+    return (titles, rest[0]) if told and alike else ([], [])
 
 
 def stacked_files(table: Table, inputs: int) -> Table | None:
@@ -46,35 +83,44 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
         return None
     if any((np.diff(table.columns[k]) > 0).all() for k in (0, inputs)):  # a time, which no header names
         return None
-    return _below_each_other(table, [(k, k + inputs) for k in range(inputs)])
+    return _below_each_other(table, [[k, k + inputs] for k in range(inputs)])
 
 
-def _below_each_other(table: Table, pairs: list[tuple[int, int]]) -> Table | None:
-    """The loops whose input and output are pairs of columns, one below the other; None where these hold something else."""
-    kinds = {column_quantity(name, table.units[k]) for k, name in enumerate(table.names)}
-    alike = all(table.units[k] == table.units[first] for pair in pairs for k, first in zip(pair, pairs[0], strict=True))
-    if table.labels or table.stamps or not alike or (table.named and kinds & {"time", "index"}):
+def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Sequence[str] = ()) -> Table | None:
+    """The loops in groups of columns, one below the other; None where these hold something else.
+
+    Args:
+        groups: positions of the columns of each, in the same order.
+        titles: of the records; the words above the columns where there are none.
+    """
+    first, width = groups[0], len(groups[0])
+    kinds = [column_quantity(table.names[k], table.units[k]) if table.named else "" for k in first]
+    alike = all(table.units[k] == table.units[one] for group in groups for k, one in zip(group, first, strict=True))
+    clocks = kinds.count("time") + kinds.count("index")
+    if table.labels or table.stamps or not alike or (clocks if width == 2 else kinds.count("time") != 1):
         return None
-    if np.array_equal(*(table.columns[k] for k in pairs[0]), equal_nan=True):  # two channels, each with its time
+    if any(np.array_equal(table.columns[a], table.columns[b], equal_nan=True) for a, b in itertools.pairwise(first)):
+        return None  # two channels, each with its time
+    kept = [np.flatnonzero(np.all([np.isfinite(table.columns[k]) for k in group], axis=0)) for group in groups]
+    if min(rows.size for rows in kept) < _FEWEST_ROWS:
         return None
-    chosen = [np.flatnonzero(np.isfinite(table.columns[i]) & np.isfinite(table.columns[o])) for i, o in pairs]
-    if min(rows.size for rows in chosen) < _FEWEST_ROWS:
-        return None
-    rows = np.concatenate(chosen)
-    columns = tuple(
-        np.concatenate([table.columns[pair[side]][kept] for pair, kept in zip(pairs, chosen, strict=True)])
-        for side in (0, 1)
+    below = lambda side: np.concatenate(
+        [table.columns[group[side]][rows] for group, rows in zip(groups, kept, strict=True)]
     )
-    text = f"{len(pairs)} loops side by side, each of an input and an output named alike, are read as curves"
+    number = np.repeat(np.arange(len(groups)), [rows.size for rows in kept])
+    base = table.parts[0] if table.parts else Part()
+    titles = titles or [table.over[group[0]] if table.over else "" for group in groups]
+    named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
+    text = f"{len(groups)} loops side by side, each of {width} columns named alike, are read as curves"
     return dataclasses.replace(
-        table.take(rows),
-        names=tuple(table.names[k] for k in pairs[0]),
-        units=tuple(table.units[k] for k in pairs[0]),
-        columns=columns,
-        curve=np.repeat(np.arange(len(pairs)), [kept.size for kept in chosen]),
-        section=np.zeros(rows.size, dtype=int),
-        notes=(*table.notes, Note(Code.CURVES, text)),
-    )
+        table.select(first).take(np.concatenate(kept)),
+        columns=tuple(below(side) for side in range(width)),
+        curve=number,  # where these follow each other they are the branches of one loop
+        section=np.zeros_like(number),
+        part=number if named else None,
+        parts=tuple(dataclasses.replace(base, name=title) for title in titles) if named else table.parts,
+        over=(),
+    ).noted(Note(Code.CURVES, text))
 
 
 def _base(name: str) -> str:

@@ -171,7 +171,7 @@ def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     titles = [
         line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
     ]
-    title = re.sub(r"^[#%*<>=\s-]+|[*<>=\s-]+$", "", titles[-1]) if titles else ""
+    title = re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", titles[-1]) if titles else ""
     title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
     return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
 

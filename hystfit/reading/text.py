@@ -24,6 +24,7 @@ from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, left_out
 from hystfit.reading.raw_table import Part, Table
+from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.stated_results import stated_in
 from hystfit.reading.text_file import TextFile
 
@@ -147,6 +148,8 @@ def table_of_block(
         metadata=metadata,
         parts=(Part(stated=stated),) if stated else (),
         problems=problems | unclear,
+        interval=stated_interval(above),
+        over=header.over,
     )
 
 

@@ -50,12 +50,18 @@ class Treatment:
         units = self.units or ()
         return [unit.strip() for unit in (units.split(",") if isinstance(units, str) else units)]
 
-    def of(self, record: Record) -> Record:
+    def of(self, record: Record, stated: float | None = None) -> Record:
         """The record with these changes, each of them noted.
+
+        Args:
+            stated: sampling interval that the file of a record without time states [s], used where the user gives none.
 
         Raises:
             DataError: a usable clock of another rate, a unit of another quantity, or a change that the record does not admit.
         """
+        if stated is not None and record.t is None and self.interval is None:
+            words = f"time from the sampling interval that the header states: {stated:.6g} s"
+            record = record.replace(t=stated * np.arange(len(record)), t_unit="s").noted(Code.PREPARED, words)
         record = self._timed(record)
         if self.units is not None:
             record = _relabeled(record, *self._pair())

@@ -102,13 +102,18 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     if pairs[0].word not in _NEUTRAL and pairs[0].directed and first[0, 0] > first[-1, 0]:
         first, rows[0] = first[::-1], rows[0][::-1]
     apart = [_apart(first, second, order) for order in (1, -1)]
-    if not pairs[0].directed and min(apart) > _NEAR:
+    if not pairs[0].directed and (min(apart) > _NEAR or not (_is_branch(first[:, 0]) and _is_branch(second[:, 0]))):
         return None
     order = 1 if apart[0] <= apart[1] else -1
     loop = np.concatenate([first, second[::order]])
     return _table(
         table, [pair.columns[0] for pair in pairs], [pair.word for pair in pairs], loop, [rows[0], rows[1][::order]]
     )
+
+
+def _is_branch(u: np.ndarray) -> bool:
+    """Whether an input ends far from where it begins, as that of a whole loop does not."""
+    return abs(u[-1] - u[0]) > 0.5 * np.ptp(u)
 
 
 def _apart(first: np.ndarray, second: np.ndarray, order: int) -> float:
@@ -188,9 +193,8 @@ def _table(
 
 
 def _without(name: str, word: str) -> str:
-    """A name without the word of a branch, where it has one."""
-    return (
-        name
-        if not word
-        else re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-") or name
-    )
+    """A name without the word of a branch, where it has one beside others."""
+    if not word:
+        return name
+    rest = re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-")
+    return name if not rest or rest.startswith(("(", "[")) else rest

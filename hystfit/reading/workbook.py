@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 import io
 import warnings
 import zipfile
+from collections.abc import Mapping
 from typing import Any
 
 from hystfit.errors import DataError, optional
@@ -16,7 +18,7 @@ from hystfit.reading.array_files import check_members
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.number_block import careful_block
-from hystfit.reading.raw_table import Table
+from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 
@@ -26,7 +28,7 @@ _NAMED = 6  # other sheets named in a note
 
 
 def read_workbook(file: FileBytes, opening: Opening) -> Table:
-    """Excel sheets, the first with rows of numbers unless `--sheet` names one; needs the extra "files"."""
+    """Excel sheets, the first with rows of numbers and those with the same columns, unless `--sheet` names one; needs the extra "files"."""
     source, sheet = file.source, opening.sheet
     openpyxl = optional("openpyxl", "files", "reading Excel files")
     try:
@@ -51,15 +53,42 @@ def read_workbook(file: FileBytes, opening: Opening) -> Table:
         sheet = titles[sheet]
     if sheet is not None and sheet not in pages:
         raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
-    for title in titles if sheet is None else [sheet]:
-        rows = _cells_of(pages[title], source)
-        dialect = dialect_of(rows[:_SAMPLE], "\t", ".")
-        if dialect.rows > 1 and dialect.score > 0:
-            notes = [*file.notes, _sheet_note(title, pages, source, chosen=sheet is not None)]
-            text = Text(["\t".join(row) for row in rows], dialect, source, settled=True)
-            return table_of_block(text, careful_block(text, rows), file.sha256, notes)
+    for number, title in enumerate(titles) if sheet is None else [(len(titles), sheet)]:
+        if (table := _table(file, pages[title])) is None:
+            continue
+        alike = {title: table}
+        for other in titles[number + 1 :]:
+            more = _table(file, pages[other])
+            distinct = table.named and len({*table.names}) == len(table.names)
+            if more is not None and distinct and (more.names, more.units) == (table.names, table.units):
+                alike[other] = more
+        if len(alike) > 1:
+            return _records(alike)
+        return table.noted(*file.notes, _sheet_note(title, pages, source, chosen=sheet is not None))
     searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
     raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
+
+
+def _table(file: FileBytes, page: Any) -> Table | None:
+    """The columns of a sheet; None where it has no rows of numbers."""
+    rows = _cells_of(page, file.source)
+    dialect = dialect_of(rows[:_SAMPLE], "\t", ".")
+    if dialect.rows < 2 or dialect.score <= 0:
+        return None
+    text = Text(["\t".join(row) for row in rows], dialect, file.source, settled=True)
+    return table_of_block(text, careful_block(text, rows), file.sha256, [])
+
+
+def _records(tables: Mapping[str, Table]) -> Table:
+    """Sheets with the same columns as one table, of which each is a record with its title."""
+    listed = ", ".join(map(repr, tables))
+    base = [table.parts[0] if table.parts else Part() for table in tables.values()]
+    parts = [
+        dataclasses.replace(part, name=title, metadata=table.metadata)
+        for part, (title, table) in zip(base, tables.items(), strict=True)
+    ]
+    text = f"{len(tables)} sheets of the same columns, each a record: {listed} (--sheet reads one)"
+    return dataclasses.replace(below_each_other([*tables.values()]), parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, pages: dict[str, Any], source: str, *, chosen: bool) -> Note:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import ClassVar
 
 from jaxtyping import Array, Float
@@ -10,6 +11,7 @@ from hystfit.errors import ModelError
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
+from hystfit.quality.needs import Needs
 
 
 class SignedPreisach(Preisach):
@@ -19,7 +21,7 @@ class SignedPreisach(Preisach):
     """
 
     has_inverse: ClassVar[bool] = False
-    needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
+    needs: ClassVar[Needs] = dataclasses.replace(Preisach.needs, direction="any")
 
     w: Float[Array, " cells"] = param(
         unit="y", scale=0.01, linear=True, doc="weights of the cells or relays, (i, j) row by row, j <= i"

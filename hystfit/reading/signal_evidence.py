@@ -1,0 +1,99 @@
+"""What the numbers of one column, or of two, show: range, noise, harmonics, and whether one explains the other."""
+
+from __future__ import annotations
+
+import numpy as np
+
+# Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
+# leave 0.001 to 0.02 to their hysteresis.
+_PROPORTIONAL = 2e-4
+_SMALL = 0.01  # range of a column over its size, below which it is held at a value far from zero
+_SWING = 0.02  # of the range of an input, below which it swings as noise does
+_MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
+
+
+def extent(values: np.ndarray) -> float:
+    """The range of a column."""
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
+
+
+def sample(values: np.ndarray) -> np.ndarray:
+    """Every nth sample of a long column."""
+    return values[:: max(1, values.size // _MOST_SAMPLES)]
+
+
+def is_held(values: np.ndarray) -> bool:
+    """Whether a column stays near one value far from zero."""
+    finite = values[np.isfinite(values)]
+    return finite.size > 0 and float(np.ptp(finite)) < _SMALL * float(np.abs(finite).min())
+
+
+def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
+    """Part of the variance of an output that its input explains: that which samples of neighboring inputs have in common.
+
+    Samples of a rising and of a falling input are compared apart (von Neumann's ratio of each, in the order of the input).
+
+    Args:
+        part: number of the record that a sample is in, shape (rows,); samples of different records are compared apart too.
+    """
+    u, y, part = (sample(values) for values in (u, y, part))
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y, part = u[both], y[both], part[both]
+    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return 1.0
+    if _crossings(y) > 2 * _swings(u) + 1:  # twice for a butterfly, and once for the end of a record
+        return 0.0
+    y = (y - y.mean()) / np.ptp(y)
+    order = np.lexsort((u, np.gradient(u) > 0, part))
+    return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
+
+
+def _crossings(values: np.ndarray) -> int:
+    """How often a column passes from the lower quarter of its range to the upper one or back."""
+    place = (values - values.min()) / np.ptp(values)
+    ends = place[(place < 0.25) | (place > 0.75)] > 0.5
+    return int(np.count_nonzero(ends[1:] != ends[:-1]))
+
+
+def _swings(values: np.ndarray) -> int:
+    """How often a column moves by more than a small part of its range in the one direction and then in the other.
+
+    Where amplitudes grow, an output that saturates passes from end to end of its range in every cycle, and an input in the last ones.
+    """
+    place = (values - values.min()) / np.ptp(values)
+    count, way, extreme = 0, 0, float(place[0])
+    for value in place.tolist():
+        if way * (value - extreme) < 0 or not way:
+            if abs(value - extreme) > _SWING:
+                count, way, extreme = count + 1, 1 if value > extreme else -1, value
+        else:
+            extreme = value
+    return count
+
+
+def proportional(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether a straight line leaves nearly nothing of an output."""
+    u, y = sample(u), sample(y)
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y = u[both], y[both]
+    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return False
+    u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
+    return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y))) < _PROPORTIONAL
+
+
+def roughness(values: np.ndarray) -> float:
+    """Median third difference over the range: the noise of a column that is sampled often."""
+    values = values[np.isfinite(values)]
+    return (
+        float(np.median(np.abs(np.diff(values, 3))) / np.ptp(values)) if values.size > 3 and np.ptp(values) > 0 else 0.0
+    )
+
+
+def overtones(values: np.ndarray) -> float:
+    """Power of a column apart from its strongest frequency, as a part of the whole: small for a sine, 0.014 for a triangle."""
+    values = values[np.isfinite(values)]
+    power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
+    peak, total = int(np.argmax(power)), float(power.sum())
+    return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0

@@ -1,0 +1,58 @@
+"""The sampling interval that the lines above the numbers state, for files without a column of time: "SAMPLE_TIME = 0.0002", "Delta_X"."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from hystfit.params.units import conversion
+
+_OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|mess\w*)"
+_RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
+_INTERVAL = (
+    rf"{_OF_SAMPLES}[ _.-]*(?:interval|period|increment|step|intervall)|sampl(?:e|ing)[ _.-]*time|time[ _.-]*(?:increment|step|interval)"
+    r"|abtastintervall|delta[ _]?[xt]|dt|wf_increment|x[ _]?incr?(?:ement)?|horizontal interval|采样间隔|采样周期"
+)
+_NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
+_LINE = re.compile(
+    rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])])?"
+    rf"\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
+    r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
+    re.IGNORECASE,
+)
+_HERTZ = {
+    "": 1.0,
+    "hz": 1.0,
+    "khz": 1e3,
+    "mhz": 1e6,
+    "s/s": 1.0,
+    "sa/s": 1.0,
+    "samples/s": 1.0,
+    "1/s": 1.0,
+    "sps": 1.0,
+    "ks/s": 1e3,
+    "ms/s": 1e6,
+}
+
+
+def stated_interval(above: Sequence[str]) -> float | None:
+    """The time between two rows [s]; None where the lines above the numbers state none, or several."""
+    found = {interval for line in above if len(line) < 200 and (interval := _interval(line)) is not None}
+    return found.pop() if len(found) == 1 else None
+
+
+def _interval(line: str) -> float | None:
+    """The interval in one line [s]; None for other lines, and where its numbers differ."""
+    match = _LINE.fullmatch(line.strip())
+    if match is None:
+        return None
+    parts = re.findall(_NUMBER, match["numbers"])
+    values = {float(part.replace(",", ".")) for part in parts}
+    unit = (match["unit"] or match["after"] or "").strip()
+    if len(values) != 1 or not (value := values.pop()) > 0:
+        return None
+    if match["rate"]:
+        factor = _HERTZ.get(unit.lower())
+        return None if factor is None else 1.0 / (factor * value)
+    factor = conversion(unit, "s") if unit else 1.0
+    return None if factor is None else factor * value

@@ -1,0 +1,398 @@
+"""Files that programs write (logs, source text, HTML, XML, structures), headers that a line ends, and groups of columns side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from hystfit.data import Dataset, Record
+from hystfit.errors import DataError
+from hystfit.outcome import Code
+from hystfit.reading import read
+from hystfit.reading.stated_interval import stated_interval
+
+N = 80
+T = np.round(0.05 * np.arange(N), 2)
+U = np.round(20 * np.sin(np.arange(N) / 6.0), 3)
+Y = np.round(U - 0.4 * np.gradient(U), 3)
+
+
+def written(folder: Path, content: str, name: str = "loop.txt") -> Path:
+    path = folder / name
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def one(path: Path, **options: object) -> Record:
+    data = read(path, **options)  # type: ignore[arg-type]
+    assert isinstance(data, Record), [record.name for record in data]
+    return data
+
+
+def is_pair(record: Record, u: np.ndarray = U, y: np.ndarray = Y, units: tuple[str, str] | None = None) -> None:
+    np.testing.assert_array_equal(record.u, u)
+    np.testing.assert_array_equal(record.y, y)
+    if units is not None:
+        assert (record.u_unit, record.y_unit) == units
+
+
+def rows(mark: str, *columns: np.ndarray) -> str:
+    return "".join(mark.join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+
+
+# Logs of names and numbers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "units"),
+    [
+        ("t={} disp={} force={}\n", ("", "")),
+        ("t: {} s, disp: {} mm, force: {} kN\n", ("mm", "kN")),
+        ("INFO loop: t={};disp={}mm;force={}kN\n", ("mm", "kN")),
+        ("t={}\ndisp={}\nforce={}\n", ("", "")),
+    ],
+)
+def test_logs_of_names_and_numbers(line: str, units: tuple[str, str], tmp_path: Path) -> None:
+    content = "".join(line.format(*row) for row in zip(T, U, Y, strict=True))
+    record = one(written(tmp_path, content, "run.log"))
+    is_pair(record, units=units)
+    np.testing.assert_allclose(record.t, T)
+
+
+def test_a_log_keeps_the_stamps_of_its_lines_and_names_the_lines_left_out(tmp_path: Path) -> None:
+    lines = [f"2024-03-01 10:00:{t:06.3f} V={u} x={y}" for t, u, y in zip(T, U, Y, strict=True)]
+    is_pair(stamped := one(written(tmp_path, "\n".join(lines))))
+    np.testing.assert_allclose(stamped.t, T, atol=1e-9)
+    short = one(written(tmp_path, "\n".join([*lines[:40], "restart", *lines[40:]]), "b.txt"))
+    is_pair(short)
+    assert any("1 lines without" in note.text for note in short.notes if note.code is Code.LEFT_OUT)
+
+
+def test_settings_above_a_table_are_no_log(tmp_path: Path) -> None:
+    settings = "".join(f"setting{k} = {k}.5\n" for k in range(30))
+    is_pair(one(written(tmp_path, settings + "\ndisp_mm,force_kN\n" + rows(",", U, Y))), units=("mm", "kN"))
+
+
+# Arrays in the text of programs -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["{} = [{}];\n", "{} = np.array([{}])\n", "static double {}[80] = {{{}}};\n", "{} <- c({})\n"],
+)
+def test_arrays_in_the_text_of_programs(form: str, tmp_path: Path) -> None:
+    content = "".join(form.format(name, ", ".join(map(str, v))) for name, v in (("disp", U), ("force", Y)))
+    is_pair(one(written(tmp_path, content)))
+
+
+def test_matrices_of_matlab_and_lists_of_yaml(tmp_path: Path) -> None:
+    is_pair(one(written(tmp_path, "data = [\n" + rows(" ", U, Y).replace("\n", ";\n") + "];\n")))
+    is_pair(one(written(tmp_path, "data = [[" + rows(", ", U, Y).strip().replace("\n", "], [") + "]]\n", "b.py")))
+    lists = "".join(
+        f"{name}:\n" + "".join(f"  - {v}\n" for v in values) for name, values in (("disp", U), ("force", Y))
+    )
+    is_pair(one(written(tmp_path, lists, "c.yaml")))
+
+
+# Markup -------------------------------------------------------------------------------------------------------------------------
+
+
+def test_tables_in_html(tmp_path: Path) -> None:
+    row = lambda tag, cells: "<tr>" + "".join(f"<{tag}>{cell}</{tag}>" for cell in cells) + "</tr>\n"
+    body = row("th", ["Time (s)", "Disp (mm)", "Force (kN)"]) + "".join(row("td", r) for r in zip(T, U, Y, strict=True))
+    is_pair(one(written(tmp_path, f"<html><table>{body}</table></html>", "export.xls")), units=("mm", "kN"))
+    with pytest.raises(DataError, match="web page without a table"):
+        read(written(tmp_path, "<!DOCTYPE html><html><body>Not found</body></html>", "raw.csv"))
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        '<p t="{}" disp="{}" force="{}"/>',
+        "<row><t>{}</t><disp>{}</disp><force>{}</force></row>",
+        "<r><t><value>{}</value></t><disp><value>{}</value></disp><force><value>{}</value></force></r>",
+    ],
+)
+def test_rows_of_xml(row: str, tmp_path: Path) -> None:
+    body = "".join(row.format(*cells) for cells in zip(T, U, Y, strict=True))
+    record = one(
+        written(tmp_path, f'<?xml version="1.0"?>\n<test xmlns="urn:x"><info><date>1</date></info>{body}</test>')
+    )
+    is_pair(record)
+    np.testing.assert_allclose(record.t, T)
+
+
+def test_xml_is_read_without_definitions(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="definitions"):
+        read(written(tmp_path, '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "1">]><a><p x="1" y="&b;"/></a>'))
+    with pytest.raises(DataError, match="begins as XML"):
+        read(written(tmp_path, "<?xml version='1.0'?><a><b></a>"))
+
+
+# Structures ---------------------------------------------------------------------------------------------------------------------
+
+
+def test_structures_of_matlab(tmp_path: Path) -> None:
+    fields = {"t": T, "disp": U, "force": Y}
+    channel = lambda name, unit: {"Name": name, "Unit": unit, "Data": fields[name]}
+    scipy.io.savemat(tmp_path / "nested.mat", {"test": {"info": {"by": "x"}, "data": fields}})
+    scipy.io.savemat(tmp_path / "several.mat", {"tests": np.array([fields, fields | {"force": 2 * Y}], dtype=object)})
+    channels = {"X": channel("t", "s"), "Y": np.array([channel("disp", "mm"), channel("force", "kN")], dtype=object)}
+    scipy.io.savemat(tmp_path / "capture.mat", {"capture": channels})
+    nested = one(tmp_path / "nested.mat")
+    is_pair(nested)
+    np.testing.assert_array_equal(nested.t, T)
+    several = Dataset.of(read(tmp_path / "several.mat"))
+    is_pair(several[0])
+    is_pair(several[1], y=2 * Y)
+    is_pair(one(tmp_path / "capture.mat"), units=("mm", "kN"))
+
+
+def test_sheets_of_the_same_columns_are_records(tmp_path: Path) -> None:
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Project", "walls"])
+    for title, scale in (("W1", 1.0), ("W2", 2.0)):
+        page = book.create_sheet(title)
+        for row in (["Disp (mm)", "Force (kN)"], *zip(U.tolist(), (scale * Y).tolist(), strict=True)):
+            page.append([*row])
+    book.save(tmp_path / "walls.xlsx")
+    data = Dataset.of(read(tmp_path / "walls.xlsx"))
+    assert [record.name for record in data] == ["W1", "W2"]
+    is_pair(data[0])
+    is_pair(data[1], y=2 * Y)
+    is_pair(one(tmp_path / "walls.xlsx", sheet="W2"), y=2 * Y)
+
+
+# Headers ------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Samples\t80\t80\nX0\t0\t0\nDelta_X\t0.05\t0.05\n***End_of_Header***\nDisp (mm)\tForce (kN)\n",
+        "Sampling rate: 20 Hz\nDisp (mm)   Force (kN)\n***DATA***\n",
+        "# SAMPLE_TIME = 0.05\n# NAME0 = Disp (mm)\n# NAME1 = Force (kN)\n# END_HEADER\n",
+        "@relation loop\n@attribute 'Disp (mm)' numeric\n@attribute 'Force (kN)' real\n@data\n",
+        "Column 00: Disp [mm]\nColumn 01: Force [kN]\n@@Data\n",
+        "Disp\tForce\nunit_string\tmm\tkN\n",
+    ],
+)
+def test_headers_that_a_line_ends(header: str, tmp_path: Path) -> None:
+    record = one(written(tmp_path, header + rows("\t", U, Y)))
+    is_pair(record, units=("mm", "kN"))
+    if "0.05" in header or "20 Hz" in header:
+        np.testing.assert_allclose(record.t, T)
+        assert one(written(tmp_path, header + rows("\t", U, Y)), time=False).t is None
+
+
+@pytest.mark.parametrize(
+    ("line", "interval"),
+    [
+        ("Sampling rate: 20 kHz", 5e-5),
+        ("Sample Rate (Hz),1000", 1e-3),
+        ("# dt = 0.01 s", 0.01),
+        ("Abtastintervall [ms];5", 0.005),
+        ("Delta_X\t0,001\t0,001", 0.001),
+        ("Delta_X\t0.001\t0.002", None),
+        ("Scan rate 20 mV/s", None),
+        ("Sample time: 2019-03-02", None),
+        ("Recording time: 30 s", None),
+    ],
+)
+def test_stated_intervals(line: str, interval: float | None) -> None:
+    assert stated_interval([line]) == (None if interval is None else pytest.approx(interval, rel=1e-12))
+
+
+def test_two_different_intervals_tell_nothing() -> None:
+    assert stated_interval(["Sample rate: 10 Hz", "Sample rate: 20 Hz"]) is None
+
+
+# Groups of columns --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("clock", [False, True])
+@pytest.mark.parametrize("gap", [False, True])
+def test_specimens_side_by_side_have_the_names_above_them(clock: bool, gap: bool, tmp_path: Path) -> None:
+    group = [*(["t (s)"] if clock else []), "Disp (mm)", "Force (kN)", *([""] if gap else [])]
+    over = [["W1", *[""] * (len(group) - 1)], ["W2", *[""] * (len(group) - 1)]]
+    lines = [",".join(over[0] + over[1]), ",".join(group * 2)]
+    for k in range(N):
+        cells = [[*([T[k]] if clock else []), U[k], scale * Y[k], *([""] if gap else [])] for scale in (1, 2)]
+        cells[1] = cells[1] if k < 60 else [""] * len(group)
+        lines.append(",".join(map(str, cells[0] + cells[1])))
+    data = Dataset.of(read(written(tmp_path, "\n".join(lines))))
+    assert [record.name for record in data] == ["W1", "W2"]
+    is_pair(data[0], units=("mm", "kN"))
+    is_pair(data[1], u=U[:60], y=2 * Y[:60])
+    assert (data[0].t is not None) == clock
+
+
+@pytest.mark.parametrize(
+    ("names", "titles"),
+    [
+        ("d_300K (mm),F_300K (kN),d_77K (mm),F_77K (kN)", ["300K", "77K"]),
+        ("Wall A - Disp (mm),Wall A - Force (kN),Wall B - Disp (mm),Wall B - Force (kN)", ["Wall A", "Wall B"]),
+    ],
+)
+def test_the_words_of_a_group_name_its_record(names: str, titles: list[str], tmp_path: Path) -> None:
+    data = Dataset.of(read(written(tmp_path, names + "\n" + rows(",", U, Y, 2 * U, 3 * Y))))
+    assert [record.name for record in data] == titles
+    is_pair(data[0], units=("mm", "kN"))
+    is_pair(data[1], 2 * U, 3 * Y)
+
+
+def test_numbered_loops_that_close_are_no_branches(tmp_path: Path) -> None:
+    """Two loops that begin and end at rest would meet at their ends as branches do."""
+    k = np.arange(120)
+    u = np.round(np.sin(2 * np.pi * k / 120), 4)
+    y = np.round(u - 0.3 * np.cos(2 * np.pi * k / 120) * np.sin(np.pi * k / 120), 4)
+    data = Dataset.of(read(written(tmp_path, "d1,F1,d2,F2\n" + rows(",", u, y, 2 * u, 2 * y))))
+    assert [len(record) for record in data] == [120, 120]
+
+
+def test_letters_of_phases_are_no_units(tmp_path: Path) -> None:
+    content = "Disp_A,Force_A,Disp_B,Force_B\n" + rows(",", U, Y, 2 * U, 2 * Y)
+    data = Dataset.of(read(written(tmp_path, content)))
+    assert [(record.name, record.u_unit) for record in data] == [("A", ""), ("B", "")]
+    alone = one(written(tmp_path, "disp_mm,I_A\n" + rows(",", U, Y), "b.csv"), input="disp_mm")
+    assert alone.y_unit == "A"
+
+
+def test_sensors_with_words_of_their_own_share_a_record(tmp_path: Path) -> None:
+    """Two sensors of a device are no groups: only one of them has a displacement."""
+    record = one(
+        written(tmp_path, "Left disp,Left force,Right strain,Right force\n" + rows(",", U, Y, 0.1 * U, 0.5 * Y))
+    )
+    is_pair(record)
+
+
+def test_a_row_for_each_value_of_each_sensor(tmp_path: Path) -> None:
+    lines = "".join(f"{t},disp [mm],{u}\n{t},force [kN],{y}\n" for t, u, y in zip(T, U, Y, strict=True))
+    record = one(written(tmp_path, "time,sensor,value\n" + lines))
+    is_pair(record, units=("mm", "kN"))
+    np.testing.assert_array_equal(record.t, T)
+
+
+def test_reversal_curves_are_told_apart_by_their_reversal_field(tmp_path: Path) -> None:
+    fields, ends = np.linspace(-1, 1, 40), np.array([0.8, 0.4, 0.0, -0.4])
+    table = np.array(
+        [(end, h, np.tanh(2 * h) - 0.1 * (1 - h) * (1 - end)) for end in ends for h in fields[fields >= end]]
+    )
+    data = Dataset.of(read(written(tmp_path, "Ha (T),Hb (T),M (A/m)\n" + rows(",", *np.round(table.T, 5)))))
+    assert [record.name for record in data] == ["Ha=0.8", "Ha=0.4", "Ha=0", "Ha=-0.4"]
+    assert data[2].u_name == "Hb (T)"
+    np.testing.assert_allclose(data[2].u, fields[fields >= 0], atol=1e-5)
+
+
+def test_adsorbed_and_desorbed_are_the_branches_of_an_isotherm(tmp_path: Path) -> None:
+    p = np.round(np.linspace(0.01, 0.99, 30), 4)
+    content = "P/P0,Adsorbed (cm3/g),Desorbed (cm3/g)\n" + rows(
+        ",", p, np.round(50 * p**2, 3), np.round(50 * p**1.5, 3)
+    )
+    record = one(written(tmp_path, content))
+    assert len(record) == 60
+    assert record.y_name == "Adsorbed (cm3/g)"
+
+
+def test_numbers_of_nodes_are_no_units(tmp_path: Path) -> None:
+    record = one(written(tmp_path, "U1_N5,RF1_N5\n" + rows(",", U, Y)))
+    assert (record.u_name, record.u_unit, record.y_unit) == ("U1_N5", "", "")
+
+
+def test_milliseconds_behind_a_colon(tmp_path: Path) -> None:
+    stamps = [f"03/04/2020 10:00:{k // 20:02d}:{50 * (k % 20):03d}" for k in range(N)]
+    record = one(
+        written(tmp_path, "Time,disp,force\n" + "".join(f"{s},{u},{y}\n" for s, u, y in zip(stamps, U, Y, strict=True)))
+    )
+    np.testing.assert_allclose(record.t, T, atol=1e-9)
+
+
+def test_numbered_rows_beside_specimens(tmp_path: Path) -> None:
+    content = "No,Disp,Force,Disp,Force\n" + rows(",", 1 + np.arange(N), U, Y, U, 2 * Y)
+    data = Dataset.of(read(written(tmp_path, content)))
+    is_pair(data[1], y=2 * Y)
+
+
+def test_what_an_actuator_reached_drives_the_force(tmp_path: Path) -> None:
+    """And not what it was told, though the name of that states the input; where there is no other, that is the input."""
+    told = np.round(1.001 * U, 4)
+    content = "Time (s),Displacement Command (mm),Force (kN),Displacement (mm)\n"
+    is_pair(one(written(tmp_path, content + rows(",", T, told, Y, U))))
+    far = one(
+        written(tmp_path, content.replace("Displacement (mm)", "Gap (mm)") + rows(",", T, told, Y, 0.3 * U), "b.csv")
+    )
+    is_pair(far, u=told)
+
+
+def test_the_displacement_of_the_whole_device_drives_its_force(tmp_path: Path) -> None:
+    content = "Load (kN),Uplift (mm),Slip (mm),Top (mm)\n"
+    record = one(written(tmp_path, content + rows(",", Y, np.round(0.02 * U, 4), np.round(0.1 * U, 4), U)))
+    is_pair(record)
+
+
+# Time ---------------------------------------------------------------------------------------------------------------------------
+
+
+def test_rows_from_the_last_to_the_first(tmp_path: Path) -> None:
+    record = one(written(tmp_path, "t_s,disp_mm,force_kN\n" + rows(",", T[::-1], U[::-1], Y[::-1])))
+    is_pair(record)
+    np.testing.assert_array_equal(record.t, T)
+    assert any("from the last to the first" in note.text for note in record.notes)
+
+
+def test_a_time_that_goes_on_before_one_that_starts_again(tmp_path: Path) -> None:
+    content = "Step Time (s),Total Time (s),disp_mm,force_kN\n" + rows(",", T % 1.0, T, U, Y)
+    np.testing.assert_array_equal(one(written(tmp_path, content)).t, T)
+
+
+def test_runs_whose_time_starts_again_are_records(tmp_path: Path) -> None:
+    """Unless a half cycle goes on where it starts, as it does from step to step of a test."""
+    angle = 2 * np.pi * np.arange(100) / 100
+    x, f = np.round(np.sin(angle), 4), np.round(np.sin(angle) - 0.3 * np.cos(angle), 4)
+    header = "t_s,disp_mm,force_kN\n"
+    runs = rows(",", np.tile(T[:50], 4), np.tile(x, 2), np.r_[f, 2 * f])
+    with pytest.raises(DataError, match="time decreases"):
+        read(written(tmp_path, header + runs))
+    time = np.round(0.05 * np.arange(100), 2)
+    data = Dataset.of(
+        read(written(tmp_path, header + rows(",", np.tile(time, 2), np.r_[x, 2 * x], np.r_[f, 1.2 * f]), "b.csv"))
+    )
+    is_pair(data[0], x, f)
+    is_pair(data[1], 2 * x, 1.2 * f)
+    set_of = "run_label,t_s,disp_mm,force_kN\n" + rows(
+        ",", np.repeat([3, 8], 100), np.tile(time, 2), np.r_[x, 2 * x], np.r_[f, 3 * f]
+    )
+    named = Dataset.of(read(written(tmp_path, set_of, "c.csv")))
+    assert [record.name for record in named] == ["run_label=3", "run_label=8"]
+
+
+def test_milliseconds_since_1970(tmp_path: Path) -> None:
+    stamps = 1_700_000_000_000 + 50 * np.arange(N)
+    assert one(written(tmp_path, "timestamp,disp,force\n" + rows(",", stamps, U, Y))).t_unit == "ms"
+    assert (
+        one(written(tmp_path, "timestamp,disp,force\n" + rows(",", 1_700_000_000 + np.arange(N), U, Y), "b.csv")).t_unit
+        == "s"
+    )
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["Время, с;Перемещение, мм;Усилие, кН", "Temps;Déplacement (mm);Effort (kN)", "Tempo;Spostamento [mm];Forza [kN]"],
+)
+def test_headings_of_other_languages(header: str, tmp_path: Path) -> None:
+    record = one(written(tmp_path, header + "\n" + rows(";", T, U, Y).replace(".", ",")))
+    is_pair(record, units=("mm", "kN"))
+    np.testing.assert_array_equal(record.t, T)
+
+
+def test_an_output_that_saturates_in_small_cycles_belongs_to_its_input(tmp_path: Path) -> None:
+    """Where the amplitude grows, the force passes through its range in every cycle and the displacement in the last one."""
+    u = np.concatenate([a * np.sin(2 * np.pi * np.arange(50) / 50) for a in (2, 4, 6, 8, 10, 40)])
+    force = np.clip(u, -2, 2) + 0.01 * u
+    drift = np.linspace(0, 1, u.size) + 0.2 * np.sin(np.arange(u.size) / 40)
+    content = "Gap (mm),Disp (mm),Force (kN)\n" + rows(",", np.round(drift, 4), np.round(u, 4), np.round(force, 4))
+    assert one(written(tmp_path, content)).u_name == "Disp (mm)"
