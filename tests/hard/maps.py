@@ -91,7 +91,7 @@ def on_crease(result: hf.FitResult) -> bool:
     if any(problem.at_bound(x)) or problem.space.linear.all():
         return False
     misfit, J = (np.asarray(v) for v in problem.objective.linearize_at(problem.space.unconstrained(x)))
-    step = np.linalg.lstsq(J.T, misfit)[0] @ J
+    step = np.linalg.lstsq(J.T, misfit, rcond=None)[0] @ J
     return float(np.linalg.norm(step)) > STATIONARY * float(np.linalg.norm(misfit)) / np.sqrt(misfit.size)
 
 
