@@ -26,7 +26,8 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_MOST = 128  # loops in one task, where each takes milliseconds; an interruption loses that of a task
+# Loops in one task, where each takes milliseconds: what they share is found once for them, and an interruption loses the task.
+_FEW, _MOST = 32, 128
 _ROWS = "rows.jsonl"
 
 
@@ -87,8 +88,9 @@ def fit_many(
 
 
 def _chunks(sources: Sequence[Source], workers: int) -> list[Sequence[Source]]:
-    """Tasks of nearly equal size, as many for each process: what the loops of a task share is found once for it."""
-    count = max(1, workers) * -(-len(sources) // (max(1, workers) * _MOST))
+    """Tasks of nearly equal size, as many for each process."""
+    share = -(-len(sources) // max(1, workers))
+    count = max(1, workers) * max(1, round(share / max(_FEW, min(_MOST, share // 4))))
     edges = np.linspace(0, len(sources), count + 1).round().astype(int).tolist()
     return [sources[a:b] for a, b in itertools.pairwise(edges) if b > a]
 
