@@ -1,8 +1,9 @@
 """Many loops on a GPU and on its host, and single fits where JAX finds a GPU: `python benchmarks/device.py [--quick]`.
 
-Equality of both devices, a map of 100 000 loops of 2000 samples with errors and status, and the time of a fit and of a posterior beside
-the same with JAX on the CPU alone. It ends with 1 where devices disagree, errors are wrong, or single fits are slower. Where JAX finds no
-GPU, a second device of the CPU takes its place: all runs, and no time means anything.
+A map of 100 000 loops of 2000 samples with errors and status, and where its time goes; equality of both devices; the time of a fit and of
+a posterior beside the same with JAX on the CPU alone. A part that fails does not keep the others from running, and none begins after six
+minutes. The exit status is 1 where a part failed, devices disagree, errors are wrong, or single fits are slower. Where JAX finds no GPU,
+the CPU takes its place: all runs, and no time means anything.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ import os
 import subprocess
 import sys
 import time
+import traceback
 from typing import Any
 
 import jax
 import numpy as np
 
 import hystfit as hf
-from hystfit.batch.alike import common_of, solve_alike
+from hystfit.batch import plain_fits, plain_judge, row_accuracy, simulated_rows
+from hystfit.batch.alike import Group, Loops, common_of, solve_alike
 from hystfit.config import first_device
 from hystfit.fitting import lanes
 from hystfit.fitting.fit_options import FitOptions
@@ -28,6 +31,8 @@ SAME = 1e-6  # of a standard error: largest difference of estimates of both devi
 SLOWER = 1.3  # times the time with JAX on the CPU alone: allowed for a single fit where there is a GPU
 PULLS = (0.95, 1.05)  # standard deviation of (estimate - truth) / error
 LIMIT_S = 20.0  # for 100 000 loops, warm
+LAST_S = 360.0  # after which no part begins
+PHASES = ("soundness", "common_of", "solve_alike", "judge_plain", "_notes", "_examples", "_quantities", "_estimates")
 
 
 def input_of(samples: int) -> np.ndarray:
@@ -66,13 +71,15 @@ def equality(count: int, samples: int, device: Any) -> dict[str, Any]:
     """The same descents one after another on the CPU and side by side on the device."""
     u = input_of(samples)
     y = loops(u, truth_of(count))
-    common = common_of(hf.BoucWen(), hf.Record(u=u, y=y[0]), y, FitOptions(), held=False)
+    many = Loops((Group(hf.Record(u=u, y=y[0]), y),))
+    common = common_of(hf.BoucWen(), many, FitOptions(), held=False)
+    assert common is not None
     ends, seconds = {}, {}
     choose = lanes.device_for
     for name, chosen in (("cpu", first_device("cpu")), ("device", device)):
         lanes.device_for = lambda count, chosen=chosen: chosen
-        solve_alike(common, y)
-        (ends[name], _), seconds[name] = timed(lambda: solve_alike(common, y))
+        solve_alike(common, many)
+        (ends[name], *_), seconds[name] = timed(lambda: solve_alike(common, many))
     lanes.device_for = choose
     normal = ends["cpu"].normal
     error = np.sqrt(np.stack([np.diag(np.linalg.inv(m)) for m in normal.matrix]) * (2 * normal.cost / samples)[:, None])
@@ -87,16 +94,42 @@ def equality(count: int, samples: int, device: Any) -> dict[str, Any]:
     }
 
 
+class Phases:
+    """Seconds in some functions, added up over all threads, by name."""
+
+    def __init__(self, *places: tuple[Any, str]):
+        self.seconds: dict[str, float] = {}
+        for module, name in places:
+            setattr(module, name, self._timed(name, getattr(module, name)))
+
+    def _timed(self, name: str, function: Any) -> Any:
+        def call(*args: Any, **options: Any) -> Any:
+            result, seconds = timed(lambda: function(*args, **options))
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds
+            return result
+
+        return call
+
+
 def big_map(count: int, samples: int) -> dict[str, Any]:
     """A map with errors and status, cold and warm."""
     u, truth = input_of(samples), truth_of(count, 2)
     y = loops(u, truth, 3)
     found, cold = timed(lambda: hf.fit_map("bouc-wen", u, y))
+    print(json.dumps({"map_cold_s": cold}), flush=True)
     found, warm = timed(lambda: hf.fit_map("bouc-wen", u, y))
+    print(json.dumps({"map_warm_s": warm}), flush=True)
+    phases = Phases(
+        *((plain_fits, name) for name in PHASES), *((plain_judge, name) for name in ("accuracy", "slow_information"))
+    )
+    used = time.process_time()
+    _, third = timed(lambda: hf.fit_map("bouc-wen", u, y))
+    used = time.process_time() - used
     ok = found.ok
     pulls = {name: float(np.std(((found[name] - truth[name]) / found.stderr[name])[ok])) for name in truth}
     return {
         "loops": count, "samples": samples, "cold_s": cold, "warm_s": warm, "ms_a_loop": 1e3 * warm / count,
+        "third_s": third, "processor_s": used, "thread_s": phases.seconds, "slow": int(sum("error-ratio" in c for c in found.codes)),
         "ok": float(ok.mean()), "alone": int(found.alone.sum()), "pulls": pulls, "counts": found.counts,
     }  # fmt: skip
 
@@ -130,33 +163,43 @@ def main() -> None:
     quick = parser.parse_args().quick
     hf.enable_x64()
     gpu = first_device("gpu")
-    device, found = gpu or jax.devices()[-1], {"device": getattr(gpu, "device_kind", "no GPU found")}
+    device, found = gpu, getattr(gpu, "device_kind", "no GPU found")
     if gpu is None:  # what would go to a GPU goes together on the CPU
-        lanes.placed = lambda tree, chosen: jax.device_put(
-            tree, chosen if chosen.platform == "cpu" else jax.devices()[-1]
-        )
         device, lanes._UNROLL = StandIn(), 1
+        for module in (lanes, row_accuracy, simulated_rows):
+            module.placed = lambda tree, chosen: jax.device_put(tree, jax.devices()[0])
+            module.device_for = lambda count: device if count >= (1 if quick else lanes.MANY) else first_device("cpu")
     sizes = {"equality": (8, 300), "map": (24, 1200), "single": (300, 60)} if quick else {
         "equality": (2048, 2000), "map": (100_000, 2000), "single": (10_000, 300),
     }  # fmt: skip
-    failures = []
+    begun, failures, judged = time.perf_counter(), list[str](), gpu is not None and not quick
+    print(json.dumps({"device": found, "cores": os.cpu_count(), "jax": jax.__version__}), flush=True)
 
-    def report(name: str, result: dict[str, Any], fails: bool) -> None:
-        found[name] = result
+    def run_map() -> tuple[dict[str, Any], bool]:
+        big = big_map(*sizes["map"])
+        wrong = not all(PULLS[0] < value < PULLS[1] for value in big["pulls"].values())
+        return big, judged and (wrong or big["warm_s"] > LIMIT_S)
+
+    def run_equality() -> tuple[dict[str, Any], bool]:
+        same = equality(*sizes["equality"], device)
+        return same, not (same["same_convergence"] and same["largest_difference_in_errors"] < SAME)
+
+    def run_single() -> tuple[dict[str, Any], bool]:
+        ours, theirs = single(*sizes["single"]), alone_on_cpu(*sizes["single"])
+        ratios = {name: ours[name] / theirs[name] for name in ours}
+        return {"here": ours, "cpu_alone": theirs, "ratios": ratios}, judged and max(ratios.values()) > SLOWER
+
+    for name, part in (("map", run_map), ("equality", run_equality), ("single", run_single)):
+        if time.perf_counter() - begun > LAST_S:
+            failures.append(f"{name} (no time left)")
+            continue
+        try:
+            result, fails = part()
+            print(json.dumps({name: result}), flush=True)
+        except Exception:  # the other parts still tell something
+            traceback.print_exc()
+            fails = True
         failures.extend([name] if fails else [])
-        print(json.dumps({name: result}), flush=True)
-
-    print(json.dumps({"device": found["device"], "cores": os.cpu_count(), "jax": jax.__version__}), flush=True)
-    same = equality(*sizes["equality"], device)
-    report("equality", same, not (same["same_convergence"] and same["largest_difference_in_errors"] < SAME))
-    ours = single(*sizes["single"])
-    theirs = alone_on_cpu(*sizes["single"])
-    ratios = {name: ours[name] / theirs[name] for name in ours}
-    judged = gpu is not None and not quick
-    report("single", {"here": ours, "cpu_alone": theirs, "ratios": ratios}, judged and max(ratios.values()) > SLOWER)
-    big = big_map(*sizes["map"])
-    wrong = not all(PULLS[0] < value < PULLS[1] for value in big["pulls"].values())
-    report("map", big, judged and (wrong or big["warm_s"] > LIMIT_S))
     print("failed: " + ", ".join(failures) if failures else "all passed")
     raise SystemExit(int(bool(failures)))
 

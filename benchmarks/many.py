@@ -3,7 +3,8 @@
 100 Bouc-Wen records of 10 000 samples, each over an input of its own, beside scipy's trust region on a numba loop, one after another.
 Both start from the values read off each record, on one core. scipy gives estimates alone; the last line adds starting values from eight
 points, standard errors, noise and verdict. Then 10 000 loops of 1000 samples over one input from an HDF5 file, with everything; one in a
-hundred has slow noise. Times are those of the processor, which other work on the machine changes less than the clock.
+hundred has slow noise. Then 1000 CSV files of 1000 samples, read and fitted in one process. Times are those of the processor, which other
+work on the machine changes less than the clock.
 """
 
 import argparse
@@ -85,15 +86,38 @@ def cube(loops: int, samples: int) -> None:
     print(f"{counted}; {int(found.alone.sum())} fitted alone")
 
 
+def files(count: int, samples: int) -> None:
+    """A folder of CSV files."""
+    t, rng = np.linspace(0, 20, samples), np.random.default_rng(0)
+    u = (0.2 + 0.8 * np.sin(np.pi * t / 20) ** 2) * np.sin(2 * np.pi * t)
+    y, header = np.empty(samples), "time [s],voltage [V],displacement [um]"
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(count):
+            miss(
+                (np.exp(0.2 * rng.normal()), 0.45, 1.5 * np.exp(0.1 * rng.normal()), 0.5, 0.3), u, np.zeros(samples), y
+            )
+            columns = np.column_stack([t, u, y + 0.003 * np.ptp(y) * rng.normal(size=samples)])
+            np.savetxt(Path(folder) / f"{number}.csv", columns, "%.9g", delimiter=",", header=header, comments="")
+        begin, used = time.perf_counter(), time.process_time()
+        found = hf.fit_many("bouc-wen", f"{folder}/*.csv")
+        seconds, used = time.perf_counter() - begin, time.process_time() - used
+    counted = ", ".join(f"{number} {status}" for status, number in found.counts.items())
+    print(f"{count} CSV files of {samples} samples: {seconds:.1f} s, {used:.1f} s of processor time; {counted}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="little work, which proves that everything runs")
-    parser.add_argument("--cube", action="store_true", help="the map alone")
+    parser.add_argument("parts", nargs="*", help="records, cube, files; all by default")
     chosen = parser.parse_args()
     hf.enable_x64()
-    if not chosen.cube:
-        records_of_their_own(4 if chosen.quick else RECORDS)
-    cube(*((200, 400) if chosen.quick else (10_000, 1000)))
+    parts = {
+        "records": lambda: records_of_their_own(4 if chosen.quick else RECORDS),
+        "cube": lambda: cube(*((200, 400) if chosen.quick else (10_000, 1000))),
+        "files": lambda: files(*((20, 400) if chosen.quick else (1000, 1000))),
+    }
+    for name in chosen.parts or parts:
+        parts[name]()
 
 
 def records_of_their_own(count: int) -> None:

@@ -7,9 +7,8 @@ import pytest
 from scipy.signal import lfilter
 
 import hystfit as hf
-from hystfit.batch import plain_fits, work
-from hystfit.batch.alike import Group
-from hystfit.batch.plain_judge import sound_outputs
+from hystfit.batch import plain_fits, row_accuracy, simulated_rows, work
+from hystfit.batch.alike import Group, Loops
 from hystfit.batch.row import row_of
 from hystfit.outcome import Status
 
@@ -96,7 +95,28 @@ def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharme
 def test_sound_outputs_of_white_noise_are_most() -> None:
     rng = np.random.default_rng(3)
     y = 100 + np.sin(T)[None] * rng.uniform(0.5, 2, (200, 1)) + 0.01 * rng.normal(size=(200, SAMPLES))
-    assert sound_outputs(Group(record(y[0]), y)).mean() > 0.9
+    assert row_accuracy.soundness(Loops((Group(record(y[0]), y),))).sound.mean() > 0.9
+
+
+class Side:
+    """Stands for a GPU."""
+
+    platform = "gpu"
+
+
+def test_a_gpu_judges_as_the_cpu_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In several calls, of which the last has fewer loops; some samples do not count."""
+    weighed = record(outputs()[0]).replace(weight=(np.arange(SAMPLES) > 9).astype(float))
+    y = np.stack([*outputs(), *(rows for rows in spoiled().values() if np.isfinite(rows).all())])
+    fit = lambda: plain_fits.fit_plain(hf.BoucWen(), [Group(weighed, y)], work.FitOptions(starts=1), held=False)
+    expected = fit()
+    monkeypatch.setattr(simulated_rows, "_NUMBERS", 5 * SAMPLES)
+    monkeypatch.setattr(row_accuracy, "device_for", lambda count: Side())
+    monkeypatch.setattr(row_accuracy, "placed", lambda tree, device: tree)
+    found = fit()
+    assert 5 < expected.judged.plain.sum() < len(y)
+    for name, rows in expected.judged._asdict().items():
+        np.testing.assert_allclose(getattr(found.judged, name), rows, rtol=1e-9, err_msg=name)
 
 
 def test_a_batch_takes_its_plain_loops_together(monkeypatch: pytest.MonkeyPatch) -> None:

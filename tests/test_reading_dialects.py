@@ -13,7 +13,7 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.note import has
-from hystfit.reading import read
+from hystfit.reading import dialect, read
 
 T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
 U = [0.0, 1.25, -2.5, 3.5, -1.75, 0.5]
@@ -359,3 +359,15 @@ def test_a_row_of_numbers_of_another_width_above_the_others_is_left_out_and_name
     (note,) = [note for note in record.notes if note.code is Code.LEFT_OUT and "cells" in note.text]
     assert "line 2" in note.text
     assert "1 x row with another number of cells than 4" in note.text
+
+
+def test_plain_rows_below_a_header_of_many_words_are_recognized_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sample of a long text holds each line of its header once; no other mark is tried where all rows are plain."""
+    header = [f"note {k}: measured by hand, twice" for k in range(9)] + ["time [s],voltage [V],displacement [um]"]
+    lines = [*header, *(f"{0.1 * k:.4g},{k % 7 - 3.5},{-0.25 * k:.6g}" for k in range(2000))]
+    assert not set(header) & set(dialect._sample(lines)[len(header) :])
+    tried, of = [], dialect.dialect_of
+    monkeypatch.setattr(dialect, "dialect_of", lambda rows, *marks: tried.append(marks) or of(rows, *marks))
+    found = dialect.sniff(lines, "file", None, None)
+    assert (found.delimiter, found.decimal, found.kinds) == (",", ".", "NNN")
+    assert tried == [(",", ".")]

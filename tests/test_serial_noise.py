@@ -14,7 +14,14 @@ from hystfit.inference.autocorrelation import autocorrelation_time, is_correlate
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise import OrnsteinUhlenbeck, Setting
 from hystfit.inference.noise.even_noise import EvenRows
-from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoise, fit_slow_noise, least_squares_root
+from hystfit.inference.noise.slow_likelihood import (
+    Contrasts,
+    Samples,
+    SlowNoise,
+    fit_slow_noise,
+    fit_slow_noises,
+    least_squares_root,
+)
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import CHANCE, ResidualAnalysis, analyze
 from hystfit.inference.whitened import restricted
@@ -118,6 +125,23 @@ def test_the_likelihood_with_shapes_is_the_dense_one_at_its_best_strength():
 
     best = min(value(s) for s in np.geomspace(1e-2, 1e3, 400))
     assert made.at(np.array([ratio]), np.array([time]))[0][0] == pytest.approx(best, abs=0.05)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_noises_side_by_side_are_those_of_each_alone(even):
+    """Residuals that take different numbers of steps, of which those that have ended leave; evenly sampled or not."""
+    rng, samples = np.random.default_rng(9), two_records(9)[0]
+    if even:
+        t = np.arange(200) * 0.1
+        samples = Samples.of(Setting.of(Batch.of(hf.Record(u=np.sin(t), y=t, t=t))))
+    n, scales = samples.gap.size, np.array([0.0, 0.3, 1.0, 3.0, 10.0])
+    slow = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=(5, n)), axis=1)
+    residual, basis = rng.normal(size=(5, n)) + scales[:, None] * slow, np.linalg.qr(rng.normal(size=(5, n, 3)))[0]
+    together = fit_slow_noises(Contrasts(samples, residual, basis, np.zeros((n, 0))))
+    for k, found in enumerate(together):
+        alone = fit_slow_noise(Contrasts(samples, residual[k], basis[k], np.zeros((n, 0))))
+        assert found.noise.parameters == pytest.approx(alone.noise.parameters, rel=1e-6)
+        np.testing.assert_allclose(found.shares, alone.shares, rtol=1e-6)
 
 
 def test_least_squares_errors_are_those_of_the_dense_covariance():

@@ -1,6 +1,7 @@
 """Ties between parameters: their grammar, and estimates, errors, samplers, profiles and saved fits that keep them."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -63,6 +64,21 @@ def test_the_tree_keeps_the_tie_and_bounds_reach_the_source():
     assert float(traced.mu) == pytest.approx(0.7)
     [(tie, value, _, follows)] = space.tied(x)
     assert (tie.name, value, follows) == ("mu", pytest.approx(0.7), at)
+
+
+def test_trees_of_many_rows_are_those_of_each():
+    """With ties, an array of which some elements are free, and constants."""
+    ties = {"mu": "2*tau + 0.1", "c": "3*tau"}
+    for space in (
+        ParameterSpace.of(hf.BoucWen(mu=0.4, tau=0.1), tie=ties),
+        ParameterSpace.of(hf.PrandtlIshlinskii.of(3), fix=["w[0,1]"]),
+    ):
+        x = np.random.default_rng(0).uniform(0.1, 0.4, (4, len(space)))
+        for row, tree in zip(x, space.coordinates.assemble_rows(x), strict=True):
+            alone = space.coordinates.assemble(row, 0, np.asarray)
+            assert jax.tree_util.tree_structure(tree) == jax.tree_util.tree_structure(alone)
+            for found, leaf in zip(*map(jax.tree_util.tree_leaves, (tree, alone)), strict=True):
+                np.testing.assert_array_equal(found, leaf)
 
 
 def test_arrays_are_tied_element_by_element_or_to_one_element():

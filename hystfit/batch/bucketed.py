@@ -10,14 +10,14 @@ import numpy as np
 
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.lanes import Ends, Stack, descend_lanes
+from hystfit.fitting.polish import EXACT, gain_within
 from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
 _SHORT = 256  # samples of the short form on which starts are compared
 STEPS, _MORE = 25, 60  # of every start, of the best one
-# Predicted decrease of the cost, relative to it, at which starts and the best one have converged.
-_ROUGH, _FINE = 1e-5, 1e-13
+_ROUGH = 1e-5  # predicted decrease of the cost, relative to it, at which starts have converged
 _ON_BOUND = 1e-6  # relative distance below which a bounded solver decides whether a parameter is on its bound
 
 
@@ -75,7 +75,7 @@ def solve_stack(
     )
     costs = np.asarray(rough.normal.cost).reshape(count, several)
     best = np.asarray(rough.normal.z).reshape(count, several, p)[records, np.argmin(costs, axis=1)]
-    ends = descend_lanes(full, records, best, gain=_FINE, steps=_MORE)
+    ends = descend_lanes(full, records, best, gain=gain_within(EXACT, full.samples), steps=_MORE)
     return ends, costs, ends.steps + rough.steps.reshape(count, several).sum(axis=1)
 
 

@@ -24,9 +24,10 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
-from hystfit.runs.threads import Workers
+from hystfit.runs.threads import Workers, usable_cores
 
-_SAMPLES, _ON_GPU = 2**21, 2**25  # of the outputs of a part, on a CPU and with a GPU
+_SAMPLES, _ON_GPU = 2**21, 2**24  # of the outputs of a part, on a CPU and with a GPU
+_THREADS = 16  # with a GPU: what is left to the host is copies and arithmetic on arrays, which run side by side
 Columns = dict[str, np.ndarray]
 
 
@@ -58,7 +59,7 @@ def fit_map(
         t: time of each sample, shape (T,).
         u_unit, y_unit, t_unit: units.
         folder: keeps finished parts, from which the same call resumes.
-        workers: threads; by default one for each core.
+        workers: threads; by default one for each core, at most four, or sixteen where a GPU solves and judges the loops.
         progress: called with a line of text and the fraction done.
         **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise, tie.
 
@@ -74,7 +75,7 @@ def fit_map(
     frame = _frame(u, y, t, u_unit, y_unit, t_unit)
     place = None if folder is None else claim(Path(folder), "map.json", _described(work, frame, np.shape(y)))
     parts = list(_parts(np.shape(y), len(frame)))
-    pool, done, found = Workers(workers), 0, list[Columns]()
+    pool, done, found = Workers(_threads() if workers is None else workers), 0, list[Columns]()
     for begin in range(0, len(parts), pool.count):
         some = parts[begin : begin + pool.count]
         found += pool.run([partial(_kept, place, k, work, frame, y, part) for k, part in enumerate(some, begin)])
@@ -105,11 +106,17 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 
 
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
-    """Slices of the first axis, each with as many loops as are solved at once."""
-    size = _SAMPLES if device_of_many() is None else _ON_GPU
-    most = max(1, size // (samples * int(np.prod(shape[1:-1]))))
+    """Slices of the first axis, each with as many loops as are solved at once: on a GPU a power of two, to which lanes are padded."""
+    gpu = device_of_many() is not None
+    loops = 1 << ((_ON_GPU // samples).bit_length() - 1) if gpu else _SAMPLES // samples
+    most = max(1, loops // int(np.prod(shape[1:-1])))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
+
+
+def _threads() -> int | None:
+    """Of a map; None for the usual number."""
+    return None if device_of_many() is None else min(usable_cores(), _THREADS)
 
 
 def _described(work: Work, frame: Record, shape: tuple[int, ...]) -> Mapping[str, Any]:

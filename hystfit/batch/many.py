@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from hystfit.batch.fits import Fits
 from hystfit.batch.journal import Journal
@@ -23,7 +26,8 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-_FEW, _MOST = 32, 128  # loops in one task, where each takes milliseconds; an interruption loses that of a task
+# Loops in one task, where each takes milliseconds: what they share is found once for them, and an interruption loses the task.
+_FEW, _MOST = 32, 128
 _ROWS = "rows.jsonl"
 
 
@@ -70,9 +74,7 @@ def fit_many(
     journal = None if folder is None else Journal(claim(Path(folder), "batch.json", _described(work)) / _ROWS)
     rows: dict[str, Sequence[Row]] = {} if journal is None else dict(journal.rows)
     missing = [source for source in sources if source.key not in rows]
-    share = -(-len(missing) // workers)  # of each process, in several tasks where that is worth it
-    size = max(1, min(share, max(_FEW, min(_MOST, share // 4)))) if work.quick else 1
-    chunks = [missing[k : k + size] for k in range(0, len(missing), size)]
+    chunks = _chunks(missing, workers if work.quick else len(missing))
     for number, outcome in computed(partial(fit_sources, work), chunks, workers, scheduler):
         finished = _finished(chunks[number], outcome)
         if journal is not None and not isinstance(outcome, Exception):  # what broke is tried again by the next call
@@ -83,6 +85,14 @@ def fit_many(
             progress(f"{done} of {len(sources)} loops", done / len(sources))
     pairs = [(row, source) for source in sources for row in rows[source.key]]
     return Fits(tuple(row for row, _ in pairs), _name(work), work.units, work, tuple(source for _, source in pairs))
+
+
+def _chunks(sources: Sequence[Source], workers: int) -> list[Sequence[Source]]:
+    """Tasks of nearly equal size, as many for each process."""
+    share = -(-len(sources) // max(1, workers))
+    count = max(1, workers) * max(1, round(share / max(_FEW, min(_MOST, share // 4))))
+    edges = np.linspace(0, len(sources), count + 1).round().astype(int).tolist()
+    return [sources[a:b] for a, b in itertools.pairwise(edges) if b > a]
 
 
 def _name(work: Work) -> str:

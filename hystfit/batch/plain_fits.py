@@ -10,8 +10,10 @@ import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
 from hystfit.batch.bucketed import STEPS
-from hystfit.batch.plain_judge import Judged, judge_plain, simulated, sound_outputs
+from hystfit.batch.plain_judge import Judged, judge_plain
 from hystfit.batch.row import Row, row_of
+from hystfit.batch.row_accuracy import soundness
+from hystfit.batch.simulated_rows import simulated
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -110,7 +112,8 @@ def fit_plain(
         held: parameters in `fix` without a value keep that of the model.
     """
     every = Loops(tuple(groups))
-    sound = np.flatnonzero(every.each(sound_outputs))
+    faultless = soundness(every)
+    sound = np.flatnonzero(faultless.sound)
     if sound.size < FEWEST:
         return None
     loops = every.take(sound)
@@ -118,7 +121,7 @@ def fit_plain(
     if common is None:
         return None
     ends, stack, _ = solve_alike(common, loops)
-    judged = judge_plain(common, loops, ends, stack)
+    judged = judge_plain(common, loops, ends, stack, faultless.noise[sound])
     notes = _notes(common, loops, judged)
     examples = _examples(common, loops, judged, ends.normal.cost, notes, options)
     if examples is None:
@@ -137,6 +140,8 @@ def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...
     model, space = common.setup.problem.model, common.setup.problem.space
     advises, of_range = type(model).advice is not AbstractHysteresis.advice, not model.from_saturation
     out = list[tuple[Note, ...]]()
+    told = np.flatnonzero(judged.plain & (advises | judged.slow))
+    models = dict(zip(told.tolist(), space.coordinates.assemble_rows(judged.x[told]), strict=True))
     for record, y in loops.groups:
         data = Dataset.of(record)
         first = [*(coverage_notes(data) if of_range else ()), *common.setup.notes, *notes_on_time(data)]
@@ -145,10 +150,9 @@ def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...
         for k in range(len(out), len(out) + len(y)):
             if not judged.plain[k]:
                 out.append(())
-            elif advises or judged.slow[k]:
-                one = space.coordinates.assemble(judged.x[k], 0, np.asarray)
+            elif k in models:
                 slow = [Note(Code.ERROR_RATIO, "residuals are autocorrelated")] if judged.slow[k] else []
-                out.append((*first, *notes_of_model(data, one), *slow, *last))
+                out.append((*first, *notes_of_model(data, models[k]), *slow, *last))
             else:
                 out.append(same)
     return out

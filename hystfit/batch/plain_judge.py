@@ -7,43 +7,21 @@ errors are those of independent noise where its residuals are white, else those 
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
-from hystfit.batch.alike import Common, Group, Loops
+from hystfit.batch.alike import Common, Loops
+from hystfit.batch.row_accuracy import accuracy
 from hystfit.batch.slow_rows import slow_information
-from hystfit.data.steady_cycle import steady_rows
-from hystfit.fitting.lanes import Ends, Stack, device_for, placed, room
-from hystfit.fitting.verdict import turns_back
-from hystfit.inference.autocorrelation import correlated_rows
-from hystfit.models.simulation import run
-from hystfit.params.coordinates import BOTH, Coordinates
+from hystfit.fitting.lanes import Ends, Stack
+from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import relative_size
-from hystfit.quality.loops import reversals
-from hystfit.quality.rows import curve_errors, row_noise, sound_rows
-from hystfit.results.accuracy import persistent_error
 
-# Limits stricter than those of a fit that is judged alone, so that the verdict is the same.
-_OF_NOISE = 1.9  # times the noise: largest rms error
-_OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
-_PERCENT = 2.9  # of the range: largest rms error
-_DEGREE = 7  # of that curve
-_LASTING, _STANDS_OUT = (
-    0.95,
-    2.8,
-)  # percent of the range, and times the rms error elsewhere: of a half cycle unlike the others
-_SHORT = 0.035  # of the samples, which must not carry half of the squared error
-_TAILS = 2.8  # largest excess kurtosis of the differences of residuals
 _LEAST_EIGENVALUE = 1e-10  # of the scaled normal matrix, relative to the largest
 _OPEN = 0.9  # largest standard error of a direction, beside the parameters' own size
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
-_FEWEST = 64  # residuals
-_NUMBERS = 2**24  # of outputs simulated in one call
 _SLOW = 0.95  # percent of the range: largest rms error of a loop under slow noise, whose device may change where it is larger
 _AT_BOUND = 2e-4  # relative distance to a bound
 
@@ -69,18 +47,7 @@ class Judged(NamedTuple):
     largest_percent: Float[np.ndarray, " N"]
 
 
-def sound_outputs(group: Group) -> np.ndarray:
-    """Which outputs are finite, vary, and have no fault that a fit would leave out, over an input that turns, shape (N,), bool."""
-    y = group.y
-    if not turns_back([group.record]):
-        return np.zeros(len(y), bool)
-    finite = np.isfinite(y).all(axis=1)
-    rows = np.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
-    varies = np.ptp(rows, axis=1) > 1e-12 * np.abs(rows).max(axis=1)
-    return finite & varies & sound_rows(rows, row_noise(rows))
-
-
-def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack) -> Judged:
+def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack, noise: Float[np.ndarray, " N"]) -> Judged:
     """Results of solved loops with sound outputs.
 
     Args:
@@ -88,10 +55,11 @@ def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack) -> Judge
         loops: outputs, group by group.
         ends: of their descents.
         stack: their problems.
+        noise: of each output.
     """
     z, coordinates = ends.normal.z, stack.objective.coordinates
     x = coordinates.physical(z, np)
-    described, white, close, rmse, percent, largest = loops.each(_accuracy, predicted(stack, z))
+    described, white, close, *sizes = accuracy(loops, stack, z, noise)
     samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
     scale, slope = np.asarray(coordinates.scale), coordinates.slope(z, np)
     with np.errstate(all="ignore"):
@@ -99,56 +67,12 @@ def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack) -> Judge
         variance = 2 * ends.normal.cost / np.maximum(samples - x.shape[1], 1)
         stderr, inside, regular = _errors(common, x, scale, gram, variance)
         good = ends.converged & described & regular
-        slow = good & ~white & (percent < _SLOW)
+        slow = good & ~white & (sizes[1] < _SLOW)
         if (at := np.flatnonzero(slow)).size:
             information, slow[at] = slow_information(loops.take(at), stack.take(at), z[at])
             stderr[at], _, regular = _errors(common, x[at], scale[at], information, np.ones(at.size))
             slow[at] &= regular
-    return Judged(good & white | slow, slow, ends.converged & inside & close, x, stderr, rmse, percent, largest)
-
-
-def _accuracy(group: Group, predicted: Float[np.ndarray, "N T"]) -> tuple[np.ndarray, ...]:
-    """Which loops are described beyond doubt, and with white residuals, and which well enough; and the errors of `Judged`."""
-    record, used = group.record, group.record.used
-    y = group.y[:, used]
-    residual = predicted[:, : len(record)][:, used] - y
-    span, rmse = np.ptp(y, axis=1), np.sqrt(np.mean(residual**2, axis=1))
-    percent = 100 * rmse / span
-    with np.errstate(all="ignore"):
-        largest = 100 * np.abs(residual).max(axis=1) / span
-        close = np.isfinite(residual).all(axis=1) & (percent < _PERCENT)
-        close &= rmse < _OF_CURVE * curve_errors(record.u[used], y, _DEGREE)
-        good = close & (rmse < _OF_NOISE * row_noise(group.y))
-        good &= _is_even(np.where(good[:, None], residual, 0.0), record.u, used, span)
-        white = ~correlated_rows(np.where(good[:, None], residual, 0.0))
-    if record.weight[used].min() < record.weight[used].max():
-        good[:] = close[:] = False
-    steady = steady_rows(record.u, group.y)[1]
-    return good & ~steady, white, close & ~steady, rmse, percent, largest
-
-
-def _is_even(
-    residual: Float[np.ndarray, "N m"], u: Float[np.ndarray, " T"], used: np.ndarray, span: Float[np.ndarray, " N"]
-) -> np.ndarray:
-    """Which residuals are without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
-    squares = residual**2
-    total = squares.sum(axis=1)
-    plain = np.full(len(residual), residual.shape[1] >= _FEWEST)
-    change = np.diff(residual, axis=1)
-    change = (change - change.mean(axis=1, keepdims=True)) ** 2
-    plain &= np.mean(change**2, axis=1) / np.mean(change, axis=1) ** 2 - 3 < _TAILS
-    sums = np.cumsum(squares, axis=1)
-    width = int(_SHORT * residual.shape[1]) + 1
-    plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
-    size = persistent_error(residual)
-    largest, place = size.max(axis=1), np.flatnonzero(used)[np.argmax(size, axis=1)]
-    turns = reversals(u, 0.02 * float(np.ptp(u)))
-    if turns.size:
-        for inside in (np.flatnonzero(used) <= turns[0], np.flatnonzero(used) >= turns[-1]):
-            rest = np.sqrt((total - squares[:, inside].sum(axis=1)) / max(int((~inside).sum()), 1))
-            here = np.isin(place, np.flatnonzero(used)[inside])
-            plain &= ~(here & (100 * largest > _LASTING * span) & (largest > _STANDS_OUT * rest))
-    return plain
+    return Judged(good & white | slow, slow, ends.converged & inside & close, x, stderr, *sizes)
 
 
 def _errors(
@@ -190,36 +114,3 @@ def _errors(
     regular &= inside
     regular &= (room > np.where(space.linear, _FAR, _REACH) * stderr).all(axis=1)
     return stderr, inside, regular
-
-
-def predicted(stack: Stack, z: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N T"]:
-    """Output of each loop's model over its input, padded as the batch is."""
-    u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))
-    return simulated(stack, z, u, dt)
-
-
-def simulated(stack: Stack, z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray) -> Float[np.ndarray, "N T"]:
-    """Output of each loop's model over an input, shape (T,), or over inputs of their own, shape (N, T)."""
-    device = device_for(len(z))
-    coordinates = stack.objective.coordinates
-    scales, z = np.asarray(coordinates.scale), np.asarray(z)
-    out, size = np.empty((len(z), u.shape[-1])), min(room(len(z)), max(1, _NUMBERS // u.shape[-1]))
-    for begin in range(0, len(z), size):
-        at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
-        inputs = (u, dt) if u.ndim == 1 else (u[at], dt[at])
-        rows = _simulated(*placed((coordinates, scales[at], z[at], *inputs), device), device.platform != "cpu")
-        part = out[begin : begin + size]
-        part[:] = np.asarray(rows)[: len(part)]
-    return out
-
-
-@functools.partial(jax.jit, static_argnums=5)
-def _simulated(
-    coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
-) -> Float[Array, "N T"]:
-    def one(scale: Array, z: Array, u: Array, dt: Array) -> Array:
-        return run(eqx.tree_at(lambda c: c.scale, coordinates, scale).tree(z), u, dt)[0]
-
-    rows = (scales, z) if u.ndim == 1 else (scales, z, u, dt)
-    of_row = (lambda scale, z: one(scale, z, u, dt)) if u.ndim == 1 else one
-    return jax.vmap(of_row)(*rows) if together else jax.lax.map(lambda row: of_row(*row), rows)

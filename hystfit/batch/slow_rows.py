@@ -14,10 +14,11 @@ from hystfit.config import first_device
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.lanes import Stack, objective_at, placed, room
+from hystfit.inference.noise.even_noise import NUMBERS
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.noise.slow_likelihood import least_squares_root
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.objective import Objective, flat
-from hystfit.inference.residuals import ResidualAnalysis
+from hystfit.inference.residuals import ResidualAnalysis, curves
 
 _NUMBERS = 2**22  # derivatives computed in one call
 
@@ -36,30 +37,50 @@ def slow_information(
         The matrices, and of which loops: not where error recurs every loop, or where such noise is not plausible.
     """
     residual, jacobian = _linearized(stack, z)
-
-    def of_group(group: Group, residual: np.ndarray, jacobian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        setting = Setting.of(Batch.of(Dataset.of(group.record)))
-        pairs = [_information(setting, *pair) for pair in zip(residual, jacobian, strict=True)]
-        return np.stack([matrix for matrix, _ in pairs]), np.array([known for _, known in pairs])
-
-    return loops.each(of_group, residual, jacobian)
+    return loops.each(_of_group, residual, jacobian)
 
 
-def _information(
-    setting: Setting, residual: Float[np.ndarray, " T"], jacobian: Float[np.ndarray, "T p"]
-) -> tuple[np.ndarray, bool]:
-    """The matrix of one loop, and whether it is known."""
-    on, p = np.asarray(setting.weight)[0] > 0, jacobian.shape[1]
-    columns = flat(jacobian[: on.size][on])
-    size = np.linalg.norm(columns, axis=0)
-    nothing = np.full((p, p), np.nan), False
-    if not (np.isfinite(columns).all() and (size > 0).all()):
-        return nothing
-    analysis = ResidualAnalysis.of(setting, residual[: on.size], lambda: columns / size)
-    if (analysis.repeating is not None and analysis.repeating.shown) or analysis.of_errors is None:
-        return nothing
-    root = least_squares_root(analysis.of_errors, columns)
-    return root.T @ root, True
+def _of_group(
+    group: Group, residual: Float[np.ndarray, "N T"], jacobian: Float[np.ndarray, "N T p"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The matrices of loops over one input, and which are known."""
+    samples, p = Samples.of(Setting.on_host(Batch.of(Dataset.of(group.record)))), jacobian.shape[2]
+    on = np.flatnonzero(samples.on[0])
+    information, known = np.full((len(residual), p, p), np.nan), np.zeros(len(residual), bool)
+    size = max(1, NUMBERS // ((p + 1) * (p + 2) // 2 * on.size))  # of fits whose noise is sought side by side
+    shapes = curves(samples)
+    for begin in range(0, len(residual), size):
+        at = slice(begin, begin + size)
+        information[at], known[at] = _informations(samples, shapes, residual[at][:, on], jacobian[at][:, on])
+    return information, known
+
+
+def _informations(
+    samples: Samples,
+    shapes: Float[np.ndarray, "n k"],
+    residual: Float[np.ndarray, "N n"],
+    jacobian: Float[np.ndarray, "N n p"],
+) -> tuple[Float[np.ndarray, "N p p"], np.ndarray]:
+    """The matrices of loops on the same samples, and which are known."""
+    jacobian = flat(jacobian)
+    size = np.linalg.norm(jacobian, axis=1, keepdims=True)
+    sound = np.isfinite(size).all(axis=(1, 2)) & (size > 0).all(axis=(1, 2))
+    columns = jacobian / np.where(sound[:, None, None], size, 1.0)
+    information = np.full((len(residual), columns.shape[2], columns.shape[2]), np.nan)
+    fits = np.flatnonzero(sound)
+    if not fits.size:
+        return information, sound
+    basis = np.linalg.qr(columns[fits])[0]
+    noises = fit_slow_noises(Contrasts(samples, residual[fits], basis, np.zeros((residual.shape[1], 0))))
+    for k, noise in zip(fits, noises, strict=True):
+        analysis = ResidualAnalysis(
+            samples.on, residual[k], lambda: samples, lambda k=k: columns[k], fitted=noise, shapes=shapes
+        )
+        sound[k] = analysis.of_errors is not None and not (analysis.repeating is not None and analysis.repeating.shown)
+        if sound[k]:
+            root = least_squares_root(noise, jacobian[k])
+            information[k] = root.T @ root
+    return information, sound
 
 
 def _linearized(

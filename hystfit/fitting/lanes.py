@@ -32,8 +32,7 @@ _SAMPLES = 2**19  # of all lanes of such a call, at most
 _TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
 _UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on an H100, and 22 ms at one sample a turn
 _ROUND = 6  # steps of lanes that go together, before those that have ended leave
-_EQUAL = 1e-12  # relative difference of two costs that rounding may cause
-_SETTLED = 1e-3  # of the gain at which a lane takes its last step: what may be left after it, or it takes another
+_EQUAL = 1e-12  # relative difference of two costs that rounding may cause, below which the linear model decides
 # At a crease of the cost, as the limits of a branch make them, no step is shorter than what the linear model promises. A hundredth of a
 # standard error may be left, which is this part of the cost times the number of samples.
 _CREASE, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step is short
@@ -260,7 +259,7 @@ def _descend(normal: Callable[..., Normal], objective: Objective, lane: _Lane, g
         (step, _), (whole, predicted) = _step(best, damping), _step(best, LEAST_DAMPING)
         floor = ROUNDING**2 * samples
         near = predicted <= jnp.maximum(gain, _EQUAL) * best.cost + floor
-        settled = ~better | (predicted <= _SETTLED * gain * best.cost + floor)
+        settled = ~better | (predicted <= gain * best.cost + floor)
         crease = ~better & (damping >= _SHORT_STEP) & (predicted <= _CREASE / samples * best.cost)
         ended = (lane.last & settled) | crease | (damping >= MOST_DAMPING) | jnp.isinf(best.cost)
         return _Lane(

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.levenberg_marquardt import Descents, descend
-from hystfit.fitting.polish import polish
+from hystfit.fitting.polish import EXACT, polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
 from hystfit.inference.objective import Objective
@@ -21,8 +21,7 @@ from hystfit.params.host_arrays import to_device
 
 _ROUGH = 1e-4  # relative tolerance on z of starts that are polished later, and of a first look
 _ROUGH_GAIN = 1e-6  # decrease of the cost, relative to it, that is left to the polish
-# Of a fit of few samples: relative decrease of the cost at which it has converged, and steps to it at most.
-_EXACT, _STEPS = 1e-14, 200
+_STEPS = 200  # at most, of the polish of a fit of few samples
 _ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
 
@@ -76,7 +75,7 @@ class LeastSquares(AbstractEstimator):
         if self.brief:
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
-            exact = () if short is not None else (_STEPS, _EXACT)
+            exact = () if short is not None else (_STEPS, EXACT)
             z, cost, success, more, linearized = polish(problem, z, *exact)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost

@@ -14,7 +14,7 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
-_GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
+NEAR, EXACT = 1e-3, 3e-7  # standard errors from the minimum, in the linear model, at which a fit has converged
 ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
 _BLUR = 0.01  # rounding error of an output over ROUNDING
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10
@@ -37,7 +37,7 @@ class Polished(NamedTuple):
     linearized: Linearization | None
 
 
-def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN) -> Polished:
+def polish(problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEAR) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
     The Jacobian enters by its triangular factor, not by normal equations, which would square its condition. Offsets of records are
@@ -47,11 +47,12 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         problem: what is fitted.
         z: start, unconstrained, shape (p,).
         steps: linearizations at most.
-        gain: predicted decrease of the cost, relative to it, at which the fit has converged.
+        within: standard errors from the minimum, in the linear model, at which the fit has converged.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
     samples, largest = int(problem.used.sum()), _largest_output(problem)
+    gain = gain_within(within, samples)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples), 1e-6, False, 1
     linearized = at.linearized
     while evaluations < steps:
@@ -77,6 +78,11 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
             damping *= 10.0
         del new
     return Polished(at.z, at.cost, converged, evaluations, linearized)
+
+
+def gain_within(errors: float, samples: int) -> float:
+    """Decrease of the cost, relative to it, that some standard errors from the minimum are worth: the Newton decrement in these units."""
+    return errors**2 / samples
 
 
 class _Linearized(NamedTuple):

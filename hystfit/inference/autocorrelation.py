@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 
@@ -26,17 +28,17 @@ def is_correlated(x: np.ndarray) -> bool:
     return bool(correlated_rows(np.asarray(x, float)[None])[0])
 
 
-def correlated_rows(x: Float[np.ndarray, "N T"]) -> np.ndarray:
-    """`is_correlated` of each row, shape (N,), bool."""
+def correlated_rows(x: Float[Any, "N T"], xp: Any = np) -> Any:
+    """`is_correlated` of each row, shape (N,), bool; `xp` is the module of the arrays, NumPy or jax.numpy."""
     n = x.shape[1]
     if n < 30:
-        return np.zeros(len(x), bool)
+        return xp.zeros(len(x), bool)
     x = x - x.mean(axis=1, keepdims=True)
-    power = np.einsum("nt,nt->n", x, x)
-    sums = np.stack([np.einsum("nt,nt->n", x[:, :-lag], x[:, lag:]) for lag in range(1, 11)], axis=1)
-    first = np.divide(sums, power[:, None], out=np.zeros_like(sums), where=power[:, None] > 0)
+    power = xp.einsum("nt,nt->n", x, x)[:, None]
+    sums = xp.stack([xp.einsum("nt,nt->n", x[:, :-lag], x[:, lag:]) for lag in range(1, 11)], axis=1)
+    first = xp.where(power > 0, sums / xp.where(power > 0, power, 1.0), 0.0)
     limit = 23.21  # 99 % point of chi squared with ten degrees of freedom
-    return n * (n + 2) * np.sum(first**2 / (n - np.arange(1, 11)), axis=1) >= limit
+    return n * (n + 2) * xp.sum(first**2 / (n - np.arange(1, 11)), axis=1) >= limit
 
 
 def autocorrelation_time(x: np.ndarray) -> float:

@@ -42,14 +42,17 @@ class ResidualAnalysis:
     Attributes:
         on: the samples that count, shape (R, T), bool.
         residual: output units times the square root of the weight, shape (n,).
-        setting: makes the data in the form of noise models, which white residuals do not need.
+        made: makes the samples in the form of noise models, which white residuals do not need.
         derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either.
+        fitted, shapes: `slow`, and the curves tested for, of an analysis beside others that share the samples.
     """
 
     on: np.ndarray
     residual: Float[np.ndarray, " n"]
-    setting: Callable[[], Setting]
+    made: Callable[[], Samples]
     derivatives: Derivatives | None = None
+    fitted: SlowNoiseFit | None = None
+    shapes: Float[np.ndarray, "n k"] | None = None
 
     @classmethod
     def of(
@@ -60,7 +63,7 @@ class ResidualAnalysis:
         `residual` is weighted [y], shape (R T,).
         """
         on = np.asarray(setting.weight) > 0
-        return cls(on, residual[on.reshape(-1)], lambda: setting, derivatives)
+        return cls(on, residual[on.reshape(-1)], lambda: Samples.of(setting), derivatives)
 
     @classmethod
     def of_misfit(
@@ -69,12 +72,12 @@ class ResidualAnalysis:
         """From the misfit of all samples of a problem, shape (R T,), and derivatives as in `of`."""
         on = problem.used
         residual = chosen(misfit, on.reshape(-1)) * problem.scales.y
-        return cls(on, residual, lambda: problem.host_setting, derivatives)
+        return cls(on, residual, lambda: Samples.of(problem.host_setting), derivatives)
 
     @functools.cached_property
     def samples(self) -> Samples:
         """The samples that count."""
-        return Samples.of(self.setting())
+        return self.made()
 
     @functools.cached_property
     def basis(self) -> Float[np.ndarray, "n p"]:
@@ -101,6 +104,8 @@ class ResidualAnalysis:
     @functools.cached_property
     def slow(self) -> SlowNoiseFit:
         """Slow and independent noise with the statistics of the residuals."""
+        if self.fitted is not None:
+            return self.fitted
         none = np.zeros((self.residual.size, 0))
         return fit_slow_noise(Contrasts(self.samples, self.residual, self.basis, none))
 
@@ -141,7 +146,7 @@ class ResidualAnalysis:
         """
         if self.repeating is None:
             return None
-        size = self._with_curve(_LENGTH).expected ** 0.5
+        size = float(self._with_curve(_LENGTH).expected) ** 0.5
         return size if np.isfinite(size) and size > 0 else None
 
     def _plausible(self, fit: SlowNoiseFit) -> bool:
@@ -254,7 +259,7 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     turns = sum(int(np.count_nonzero(np.diff(row))) for row in samples.by_record(samples.rising.astype(int)))
     if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
-    columns = curves(samples, _LENGTH)
+    columns = curves(samples) if analysis.shapes is None else analysis.shapes
     joint, p = gram([basis, residual, columns], analysis.slow.noise.solve), basis.shape[1]
     joint = joint[p:, p:] - joint[p:, :p] @ np.linalg.solve(joint[:p, :p], joint[:p, p:])
     size, axes = np.linalg.eigh(joint[1:, 1:])
@@ -276,7 +281,7 @@ def _chi_squares(count: int) -> np.ndarray:
     return np.random.default_rng(0).chisquare(1, (_DRAWS, count))
 
 
-def curves(samples: Samples, length: float) -> Float[np.ndarray, "n k"]:
+def curves(samples: Samples, length: float = _LENGTH) -> Float[np.ndarray, "n k"]:
     """Columns that span smooth curves over the input, on either branch, times the root of the weights."""
     out, root = np.empty((samples.place.size, 2 * POINTS), order="F"), np.sqrt(samples.weight)
     for part in parts(len(out), 2 * POINTS):

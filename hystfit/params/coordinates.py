@@ -7,7 +7,7 @@ two bounds    x = lower + (upper - lower) / (1 + exp(-z))
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import equinox as eqx
@@ -175,6 +175,22 @@ class Coordinates(eqx.Module):
                 flat = flat.at[k].set(value)
             leaves[index] = (place if host else jnp.asarray)(flat.reshape(xp.shape(leaves[index])))
         return jax.tree_util.tree_unflatten(self.treedef, leaves)
+
+    def assemble_rows(self, x: Float[np.ndarray, "N p"]) -> Iterator[Any]:
+        """`assemble` of many parameter vectors of one record on the host: the leaves of all are set together."""
+        leaves = list(self.leaves)
+        for index, rows in zip(self.constant_at, self.constants, strict=True):
+            leaves[index] = np.asarray(rows)[0]
+        leaves = [np.broadcast_to(leaf, (len(x), *np.shape(leaf))) for leaf in leaves]
+        flat = {k: leaves[k].reshape(len(x), -1).copy() for k in {row[0] for row in (*self.layout, *self.ties)}}
+        start = 0
+        for index, positions, _ in self.layout:
+            flat[index][:, list(positions)] = x[:, start : start + len(positions)]
+            start += len(positions)
+        for index, k, source, j, factor, constant in self.ties:
+            flat[index][:, k] = factor * flat.get(source, leaves[source].reshape(len(x), -1))[:, j] + constant
+        rows = [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
+        yield from (self.treedef.unflatten(row) for row in zip(*rows, strict=True))
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
         """The tree at unconstrained coordinates z, with the parameters of record number `record`."""

@@ -1,11 +1,13 @@
 """Faults and noise of many outputs over one input, row by row: which need no closer look.
 
 The limits are stricter than those of a single record (`faults`, `steady_cycle`): a row that passes here has no finding there.
+Each function takes the module of its arrays, NumPy or jax.numpy.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -20,40 +22,49 @@ _ROUNDED = 0.06  # of the least step between neighbors: noise below it may be ro
 _SPIKE, _OF_RANGE = 9.0, 0.028  # times the noise, and of the range, that an outlier stands out from both neighbors
 
 
-def row_noise(y: Float[np.ndarray, "N T"]) -> Float[np.ndarray, " N"]:
+def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
     """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error."""
-    difference = np.diff(y, axis=1)
-    steps = np.abs(difference)
-    least_step = np.min(np.where(steps > 0, steps, np.inf), axis=1)
+    difference = xp.diff(y, axis=1)
+    steps = xp.abs(difference)
+    least_step = xp.min(xp.where(steps > 0, steps, xp.inf), axis=1)
     sizes = []
     for order in range(2, 7):
-        difference = np.diff(difference, axis=1)
-        middle = difference.shape[1] // 2
-        median = np.partition(np.abs(difference), middle, axis=1)[:, middle]
+        difference = xp.diff(difference, axis=1)
+        middle, size = difference.shape[1] // 2, xp.abs(difference)
+        # On a GPU a sort takes less time than a selection.
+        median = (np.partition(size, middle, axis=1) if xp is np else xp.sort(size, axis=1))[:, middle]
         sizes.append(MAD_TO_RMS * median / math.sqrt(math.comb(2 * order, order)))
-    least = np.min(sizes, axis=0)
-    floor = np.maximum(_ROUNDED * least_step, 1e-15 * np.abs(y).max(axis=1))
-    return np.where((least > floor) & (sizes[-1] >= _SPARSE * sizes[1]), least, np.nan)
+    least = xp.min(xp.stack(sizes), axis=0)
+    floor = xp.maximum(_ROUNDED * least_step, 1e-15 * xp.abs(y).max(axis=1))
+    return xp.where((least > floor) & (sizes[-1] >= _SPARSE * sizes[1]), least, xp.nan)
 
 
-def sound_rows(y: Float[np.ndarray, "N T"], noise: Float[np.ndarray, " N"]) -> np.ndarray:
+def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> Any:
     """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool."""
     if y.shape[1] < _FEWEST:
-        return np.zeros(len(y), bool)
+        return xp.zeros(len(y), bool)
     low, high = y.min(axis=1, keepdims=True), y.max(axis=1, keepdims=True)
-    stays = np.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
-    before, after = y[:, 1:-1] - y[:, :-2], y[:, 1:-1] - y[:, 2:]
-    apart = np.where(before * after > 0, np.minimum(np.abs(before), np.abs(after)), 0.0).max(axis=1)
-    spiky = apart > np.maximum(_SPIKE * np.nan_to_num(noise), _OF_RANGE * (high - low)[:, 0])
-    return np.isfinite(noise) & ~stays & ~spiky
+    stays = xp.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
+    steps = xp.diff(y, axis=1)
+    before, after = steps[:, :-1], steps[:, 1:]
+    apart = xp.where(before * after < 0, xp.minimum(xp.abs(before), xp.abs(after)), 0.0).max(axis=1)
+    spiky = apart > xp.maximum(_SPIKE * xp.nan_to_num(noise), _OF_RANGE * (high - low)[:, 0])
+    return xp.isfinite(noise) & ~stays & ~spiky
 
 
-def curve_errors(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"], degree: int) -> Float[np.ndarray, " N"]:
-    """RMS error of the best polynomial over the input, for each row; on at most 4096 samples at even distances."""
-    step = -(-u.size // _ON_CURVE)
-    u, y = u[::step], y[:, ::step]
+def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
+    """Orthonormal polynomials over the input for `curve_errors`, on at most 4096 samples at even distances."""
+    u = u[:: _stride(u.size)]
     low, high = u.min(), u.max()
-    columns = np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree)
-    basis = np.linalg.qr(columns)[0]
+    return np.linalg.qr(np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree))[0]
+
+
+def curve_errors(basis: Float[Any, "m k"], y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
+    """RMS error of the best of these polynomials over the input, for each row."""
+    y = y[:, :: _stride(y.shape[1])]
     rest = y - (y @ basis) @ basis.T
-    return np.sqrt(np.mean(rest**2, axis=1))
+    return xp.sqrt(xp.mean(rest**2, axis=1))
+
+
+def _stride(samples: int) -> int:
+    return -(-samples // _ON_CURVE)

@@ -12,8 +12,9 @@ from hystfit.errors import DataError
 from hystfit.reading import cells
 
 _MOST = 300_000  # characters of the sample
-_SAMPLE = 900
+_SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
+_HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
 _MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 
@@ -162,9 +163,10 @@ def _text_size(rows: Sequence[Sequence[str]], dialect: Dialect) -> int:
 
 def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:
     """Whether nearly all lines are plain numbers between one mark, so that no other mark can find more of them."""
-    if dialect.delimiter is None or set(dialect.kinds) != {cells.NUMBER} or dialect.rows < len(filled) - 3:
+    head = len(filled) - dialect.rows
+    if dialect.delimiter is None or set(dialect.kinds) != {cells.NUMBER} or head > max(3, _HEAD * len(filled)):
         return False
-    text = "\n".join(filled[3:])
+    text = "\n".join(filled[head:])
     return not any(mark in text for mark in {",", ";", "\t", "|", " "} - {dialect.delimiter})
 
 
@@ -174,8 +176,8 @@ def _sample(lines: Sequence[str]) -> list[str]:
         lines = [*lines[:_SAMPLE], *lines[_SAMPLE :: len(lines) // (10 * _SAMPLE)]]
     filled = list(filter(str.strip, lines))
     if len(filled) > _SAMPLE:
-        step = len(filled) / (_SAMPLE - 300)
-        filled = filled[:300] + [filled[int(step * k)] for k in range(_SAMPLE - 300)]
+        step = (len(filled) - _FIRST) / (_SAMPLE - _FIRST)
+        filled = filled[:_FIRST] + [filled[_FIRST + int(step * k)] for k in range(_SAMPLE - _FIRST)]
     size = sum(map(len, filled))
     if size > _MOST:  # long lines: every n-th
         filled = filled[:3] + filled[3 :: -(-size // _MOST)]

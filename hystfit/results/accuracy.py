@@ -51,19 +51,18 @@ def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
     return rmse > _SHARE * baselines.curve
 
 
-def persistent_error(errors: np.ndarray) -> np.ndarray:
+def persistent_error(errors: Any, xp: Any = np) -> Any:
     """Size of the error that three successive samples have in common: at each sample, the smallest of it and its neighbors.
 
     Args:
         errors: of successive samples, shape (..., T), like the result.
+        xp: module of the arrays, NumPy or jax.numpy.
     """
-    size = np.abs(errors)
+    size = xp.abs(errors)
     if size.shape[-1] < _LASTING:
         return size
-    inner = np.minimum(size[..., :-2], size[..., 1:-1])
-    np.minimum(inner, size[..., 2:], out=inner)
-    size[..., 0], size[..., 1:-1], size[..., -1] = inner[..., 0], inner, inner[..., -1]
-    return size
+    inner = xp.minimum(xp.minimum(size[..., :-2], size[..., 1:-1]), size[..., 2:])
+    return xp.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
 
 
 def _lasting_percent(rows: Sequence[np.ndarray], baselines: Baselines) -> float:

@@ -191,12 +191,25 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
         found = () if record.t is None else cycles(record.u, _LARGE * float(np.ptp(record.u)))
         if record.t is None or not len(found):
             continue
-        shares = []
-        for first, _, last in found:
-            t, u = record.t[first : last + 1], record.u[first : last + 1]
-            about = (u - 0.5 * (u.min() + u.max())) / (0.5 * np.ptp(u))
-            shares.append(np.sqrt(np.trapezoid(about**2, t) / (t[-1] - t[0])))
         points = int(np.clip(2 * round(np.median(found[:, 2] - found[:, 0]) / 2), _FEWEST, _MOST))
         interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / points
-        return interval, bool(np.median(shares) > _SINE), points
+        return interval, bool(np.median(_rms_of_cycles(record.t, record.u, found)) > _SINE), points
     return data[0].sampling_interval or 1.0, False, _POINTS
+
+
+def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:
+    """RMS over time of the input in each cycle, about the middle of its range and over half of it; cycles as by `cycles`."""
+    first, last = found[:, 0], found[:, 2]
+    u, edges = (
+        u - u.mean(),
+        np.stack([first, last + 1], axis=1).ravel(),
+    )  # far from zero, squares would lose their digits
+    low, high = (extreme.reduceat(np.append(u, u[-1]), edges)[::2] for extreme in (np.minimum, np.maximum))
+    middle, half, duration = 0.5 * (low + high), 0.5 * (high - low), t[last] - t[first]
+
+    def integral(y: np.ndarray) -> np.ndarray:
+        total = np.append(0.0, np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t)))
+        return total[last] - total[first]
+
+    squares = integral(u**2) - 2 * middle * integral(u) + middle**2 * duration
+    return np.sqrt(squares / duration) / half

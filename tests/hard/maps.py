@@ -1,10 +1,13 @@
-"""Loops that are fitted together beside `hystfit.fit` of each: random devices of five models, with white and slow noise.
+"""Loops that are fitted together beside `hystfit.fit` of each: random devices of several models, with white and slow noise.
 
-    python -m tests.hard.maps            # 1000 loops, half an hour
-    python -m tests.hard.maps --quick    # 60
+    python -m tests.hard.maps [MODEL ...]    # 1000 loops, half an hour
+    python -m tests.hard.maps --quick        # 60
 
-Half of the loops share one input, as those of a map do; the others have inputs and lengths of their own. Estimates must agree to 3e-6 of
-their standard errors, errors to 1e-3, and status and notes exactly. Exit status 1 otherwise.
+Half of the loops share one input, as those of a map do; the others have inputs and lengths of their own. Some devices have a parameter on
+its bound. Estimates must agree to 1e-6 of their standard errors, errors to 1e-3, and status and notes exactly. Exit status 1 otherwise.
+
+The step of a model may have limits, at which the cost of a fit has a crease. Where its minimum lies on one, the gradient does not vanish at
+the estimate, the derivatives on either side differ, and a solver ends within a hundredth of a standard error. These loops are counted.
 """
 
 from __future__ import annotations
@@ -28,26 +31,42 @@ MODELS: dict[str, AbstractHysteresis] = {
     "bouc-wen-asymmetric": hf.AsymmetricBoucWen(mu=0.45, tau=0.6, rho=0.4, skew=0.1),
     "bouc-wen-force": hf.BoucWenForce(),
     "duhem": hf.Duhem(alpha=1.0, f=[0.1, 1.0, 0.05], g=[0.5, 0.05], w0=0.0),
+    "jiles-atherton": hf.JilesAtherton(Ms=1.0, a=0.4, coupling=0.5, k=0.3, c=0.2),
     "bouc-wen+lag": hf.Series(hf.Lag(tau=0.05), hf.BoucWen(mu=0.45, tau=0.6, rho=0.4)),
+    "dahl": hf.Dahl(Fc=[0.3, 0.2, 0.4], d=[0.2, 0.6, 1.2], k=0.5),
 }
-# A fit alone ends where the cost may decrease by 1e-14 of itself: at 900 samples that is 3e-6 standard errors.
-SAME, ERRORS = 3e-6, 1e-3
+BOUND = "bouc-wen on a bound"  # devices whose rho is 1
+SAME, ERRORS = 1e-6, 1e-3
+ON_CREASE = 1e-2  # of either, where the minimum lies on a crease
+STATIONARY = 1e-5  # standard errors that a Gauss-Newton step from a minimum is long, at most
 
 
 class Difference(NamedTuple):
-    """Between two rows: of estimates, in standard errors; of errors, relative; whether status, notes and reason are the same."""
+    """Between two rows: of estimates, in standard errors; of errors, relative; whether status, notes and reason are the same.
+
+    `crease` says whether the minimum lies on a crease of the cost.
+    """
 
     estimates: float
     errors: float
     same: bool
+    crease: bool
+
+    @property
+    def wrong(self) -> bool:
+        """Whether it is too large."""
+        limits = (ON_CREASE, ON_CREASE) if self.crease else (SAME, ERRORS)
+        return self.estimates > limits[0] or self.errors > limits[1] or not self.same
 
 
-def devices(model: AbstractHysteresis, count: int, seed: int, *, common: bool) -> list[hf.Record]:
+def devices(name: str, count: int, seed: int, *, common: bool) -> list[hf.Record]:
     """Loops of devices about a model; a fifth of them with slow noise.
 
     Args:
+        name: of the model.
         common: whether all have one input.
     """
+    model = MODELS["bouc-wen" if name == BOUND else name]
     rng, space, records = np.random.default_rng(seed), ParameterSpace.of(model), list[hf.Record]()
     z = space.unconstrained(space.vector(model))
     while len(records) < count:
@@ -56,6 +75,7 @@ def devices(model: AbstractHysteresis, count: int, seed: int, *, common: bool) -
         t = np.arange(samples) / 200
         u = size * np.sin(2 * np.pi * frequency * t + phase) * (0.3 + 0.7 * t / t[-1])
         one = space.tree(z + 0.2 * rng.normal(size=z.size))
+        one = hf.BoucWen(one.c, one.mu, one.tau, 1.0, offset=one.offset) if name == BOUND else one
         y = np.asarray(hf.simulate(one, u, np.diff(t, prepend=t[0]))[0])
         white = rng.normal(size=u.size)
         slow = 0.3 * lfilter([1], [1, -0.95], rng.normal(size=u.size)) if len(records) % 5 == 4 else 0.0
@@ -65,8 +85,19 @@ def devices(model: AbstractHysteresis, count: int, seed: int, *, common: bool) -
     return records
 
 
-def difference(row: Row, wanted: Row) -> Difference:
+def on_crease(result: hf.FitResult) -> bool:
+    """Whether the gradient does not vanish at an estimate inside its bounds."""
+    problem, x = result.problem, np.asarray(result.x)
+    if any(problem.at_bound(x)) or problem.space.linear.all():
+        return False
+    misfit, J = (np.asarray(v) for v in problem.objective.linearize_at(problem.space.unconstrained(x)))
+    step = np.linalg.lstsq(J.T, misfit, rcond=None)[0] @ J
+    return float(np.linalg.norm(step)) > STATIONARY * float(np.linalg.norm(misfit)) / np.sqrt(misfit.size)
+
+
+def difference(row: Row, result: hf.FitResult, record: hf.Record) -> Difference:
     """Between a row and that of `hystfit.fit`."""
+    wanted = row_of(row.name, "", record, result)
     apart, errors = 0.0, 0.0
     for name, value in wanted.values.items():
         error, mine = wanted.stderr[name], row.stderr[name]
@@ -76,37 +107,47 @@ def difference(row: Row, wanted: Row) -> Difference:
         apart = max(apart, abs(row.values[name] - value) / error)
         errors = max(errors, abs(mine / error - 1))
     same = (row.status, row.codes, row.reason) == (wanted.status, wanted.codes, wanted.reason)
-    return Difference(apart, errors, same)
+    return Difference(apart, errors, same, on_crease(result))
 
 
 def compared(name: str, count: int, seed: int, *, common: bool) -> list[Difference]:
     """Differences of the loops of one model."""
-    records = devices(MODELS[name], count, seed, common=common)
-    fits = hf.fit_many(name, records)
-    return [
-        difference(row, row_of(row.name, "", record, hf.fit(name, record)))
-        for row, record in zip(fits, records, strict=True)
-    ]
+    records, model = devices(name, count, seed, common=common), "bouc-wen" if name == BOUND else name
+    fits = hf.fit_many(model, records)
+    return [difference(row, hf.fit(model, record), record) for row, record in zip(fits, records, strict=True)]
 
 
-def main(loops: int) -> int:
+def main(names: list[str], loops: int) -> int:
     """Print the table; 1 where something differs."""
     hf.enable_x64()
-    begun, wrong = time.perf_counter(), 0
-    print("model                input     loops  estimates [errors]   errors  status or notes differ")
-    for number, name in enumerate(MODELS):
+    begun, wrong = time.process_time(), 0
+    print(
+        "model                input     loops  estimates [errors]   errors  status or notes differ  on a crease  estimates   errors"
+    )
+    for number, name in enumerate(names):
         for common in (True, False):
-            rows = compared(name, loops // (2 * len(MODELS)), 2 * number + common, common=common)
-            apart, errors = max(row.estimates for row in rows), max(row.errors for row in rows)
+            rows = compared(name, -(-loops // (2 * len(names))), 2 * number + common, common=common)
+            creased, others = [row for row in rows if row.crease], [row for row in rows if not row.crease]
+            largest = [
+                f"{max((getattr(row, part) for row in some), default=0.0):.1e}"
+                for some in (others, creased)
+                for part in ("estimates", "errors")
+            ]
             differ = sum(not row.same for row in rows)
-            wrong += sum(row.estimates > SAME or row.errors > ERRORS or not row.same for row in rows)
+            wrong += sum(row.wrong for row in rows)
             kind = "one" if common else "of each"
-            print(f"{name:<20} {kind:<8} {len(rows):>6} {apart:>19.1e} {errors:>8.1e} {differ:>23}", flush=True)
-    print(f"{wrong} loops differ, {time.perf_counter() - begun:.0f} s")
+            print(
+                f"{name:<20} {kind:<8} {len(rows):>6} {largest[0]:>19} {largest[1]:>8} {differ:>23} {len(creased):>12} {largest[2]:>10} "
+                f"{largest[3]:>8}",
+                flush=True,
+            )
+    print(f"{wrong} loops differ, {time.process_time() - begun:.0f} s of processor time")
     return int(wrong > 0)
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("models", nargs="*", default=[*MODELS, BOUND], help="all by default")
     parser.add_argument("--quick", action="store_true")
-    sys.exit(main(60 if parser.parse_args().quick else 1000))
+    options = parser.parse_args()
+    sys.exit(main(options.models, 60 if options.quick else 1000))

@@ -1,4 +1,4 @@
-"""Slow and independent noise of one evenly sampled record in cosine coordinates, where its covariance is diagonal but for two samples.
+"""Slow and independent noise of evenly sampled records in cosine coordinates, where its covariance is diagonal but for two samples.
 
 The inverse correlation matrix of an Ornstein-Uhlenbeck process at even steps is tridiagonal with constant entries, apart from its two
 corners. Without the corners the discrete cosine transform diagonalizes it; they are a correction of rank two (Woodbury). A likelihood
@@ -17,22 +17,22 @@ from jaxtyping import Float
 
 _EVEN = 1e-9  # largest relative difference between steps that are even
 _BLOCK = 2**14  # frequencies summed at once
-_NUMBERS = 2**22  # largest number of products of rows that are kept
+NUMBERS = 2**22  # largest number of products of rows that are kept
 
 
 @dataclasses.dataclass(frozen=True)
 class EvenRows:
-    """Columns of one evenly sampled record with one weight, by frequency.
+    """Columns of one evenly sampled record with one weight, by frequency; or those of several records with the same samples.
 
     Attributes:
-        rows: their cosine transforms, shape (k, n).
+        rows: their cosine transforms, shape (..., k, n).
         ends: those of its first and last sample, shape (2, n).
         curvature: eigenvalues of the second difference, shape (n,).
         gap: step, in typical sampling intervals.
         weight: of every sample.
     """
 
-    rows: Float[np.ndarray, "k n"]
+    rows: Float[np.ndarray, "*N k n"]
     ends: Float[np.ndarray, "2 n"]
     curvature: Float[np.ndarray, " n"]
     gap: float
@@ -42,7 +42,7 @@ class EvenRows:
     def of(cls, columns: Sequence[np.ndarray], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
         """The transforms; None where several records, uneven steps or weights have no such form.
 
-        The columns have shapes (n, k_i), side by side; `gap` is the time since the sample before, infinite at the first one of a
+        The columns have shapes (..., n, k_i), side by side; `gap` is the time since the sample before, infinite at the first one of a
         record.
         """
         steps, n = gap[1:], gap.size
@@ -51,16 +51,17 @@ class EvenRows:
         angle = np.pi * np.arange(n) / n
         first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)
         last = np.where(np.arange(n) % 2, -first, first)
-        transformed = np.empty((sum(part.shape[1] for part in columns), n))  # no second copy of long columns
-        for row, column in zip(transformed, (column for part in columns for column in part.T), strict=True):
-            row[:] = scipy.fft.dct(column, norm="ortho")
+        places = [(part, k) for part in columns for k in range(part.shape[-1])]
+        transformed = np.empty((*columns[0].shape[:-2], len(places), n))  # no second copy of long columns
+        for number, (part, k) in enumerate(places):
+            transformed[..., number, :] = scipy.fft.dct(part[..., k], norm="ortho")
         return cls(
             transformed, np.stack([first, last]), 4 * np.sin(angle / 2) ** 2, float(steps.mean()), float(weight[0])
         )
 
     def at(
-        self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]
-    ) -> tuple[Float[np.ndarray, "m k k"], Float[np.ndarray, " m"]]:
+        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
+    ) -> tuple[Float[np.ndarray, "*N m k k"], Float[np.ndarray, "*N m"]]:
         """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio, at m points.
 
         Args:
@@ -69,28 +70,28 @@ class EvenRows:
         """
         decay, fresh = np.exp(-self.gap / time), -np.expm1(-2 * self.gap / time)
         low, white = np.expm1(-self.gap / time) ** 2, fresh * self.weight / ratio
-        corner, k = decay * -np.expm1(-self.gap / time), len(self.rows)
-        pairs = np.triu_indices(k)
-        square, edges = np.zeros((len(ratio), pairs[0].size)), np.zeros((len(ratio), 2 * k + 3))
+        corner, k = decay * -np.expm1(-self.gap / time), self.rows.shape[-2]
+        left, right = np.triu_indices(k)
+        square, edges = np.zeros((*ratio.shape, left.size)), np.zeros((*ratio.shape, 2 * k + 3))
         for begin in range(0, self.curvature.size, _BLOCK):
             block = slice(begin, begin + _BLOCK)
-            slow = low[:, None] + decay[:, None] * self.curvature[block]
-            part = 1 / (slow + white[:, None])
-            with_ends = self._with_ends[:, block]
-            edges += part @ with_ends.T
-            part *= slow / ratio[:, None]
+            slow = low[..., None] + decay[..., None] * self.curvature[block]
+            part = 1 / (slow + white[..., None])
+            edges += part @ self._with_ends[..., block].swapaxes(-1, -2)
+            part *= slow / ratio[..., None]
             if self._products is not None:
-                square += part @ self._products[:, block].T
+                square += part @ self._products[..., block].swapaxes(-1, -2)
                 continue
-            rows = self.rows[:, block]
-            for total, one in zip(square, part, strict=True):
-                total += ((rows * one) @ rows.T)[pairs]
-        beside, ends = edges[:, : 2 * k].reshape(-1, k, 2), edges[:, 2 * k :][:, [[0, 1], [1, 2]]]
-        inner = np.eye(2) + corner[:, None, None] * ends
-        gram = np.empty((len(ratio), k, k))
-        gram[:, pairs[0], pairs[1]] = gram[:, pairs[1], pairs[0]] = square
-        correction = beside @ np.linalg.solve(inner, beside.swapaxes(1, 2))
-        gram += (corner * white / ratio)[:, None, None] * correction
+            rows = self.rows[..., block]
+            for number in range(ratio.shape[-1]):
+                whole = (rows * part[..., number, None, :]) @ rows.swapaxes(-1, -2)
+                square[..., number, :] += whole[..., left, right]
+        beside, ends = edges[..., : 2 * k].reshape(*ratio.shape, k, 2), edges[..., 2 * k :][..., [[0, 1], [1, 2]]]
+        inner = np.eye(2) + corner[..., None, None] * ends
+        gram = np.empty((*ratio.shape, k, k))
+        gram[..., left, right] = gram[..., right, left] = square
+        correction = beside @ np.linalg.solve(inner, beside.swapaxes(-1, -2))
+        gram += (corner * white / ratio)[..., None, None] * correction
         # The product of the eigenvalues low + white + decay * curvature, by Chebyshev polynomials.
         n, angle = self.curvature.size, 2 * np.arcsinh(0.5 * np.sqrt((low + white) / decay))
         product = np.log(low + white) + (n - 1) * (np.log(decay) + angle)
@@ -99,13 +100,16 @@ class EvenRows:
 
     @functools.cached_property
     def _products(self) -> np.ndarray | None:
-        """Products of two rows, shape (k (k + 1) / 2, n), with which many points are one product; None where they would be large."""
-        left, right = np.triu_indices(len(self.rows))
-        return self.rows[left] * self.rows[right] if left.size * self.curvature.size <= _NUMBERS else None
+        """Products of two rows, shape (..., k (k + 1) / 2, n), with which many points are one product; None where they would be large."""
+        left, right = np.triu_indices(self.rows.shape[-2])
+        if left.size * self.rows[..., 0, :].size > NUMBERS:
+            return None
+        return self.rows[..., left, :] * self.rows[..., right, :]
 
     @functools.cached_property
     def _with_ends(self) -> np.ndarray:
-        """Products of a row and an end, and of two ends, shape (2 k + 3, n)."""
+        """Products of a row and an end, and of two ends, shape (..., 2 k + 3, n)."""
         first, last = self.ends
-        with_ends = (self.rows[:, None] * self.ends).reshape(-1, self.curvature.size)
-        return np.concatenate([with_ends, [first**2, first * last, last**2]])
+        *lead, k, n = self.rows.shape
+        both = np.broadcast_to(np.stack([first**2, first * last, last**2]), (*lead, 3, n))
+        return np.concatenate([(self.rows[..., None, :] * self.ends).reshape(*lead, 2 * k, n), both], axis=-2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
@@ -153,10 +154,12 @@ class SlowNoiseFit:
 class Contrasts:
     """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971), which allows for the fitted parameters.
 
+    It is that of one fit, or of N fits on the same samples, whose residuals and bases then have a leading axis.
+
     Attributes:
         samples: the samples.
-        residual: of the fit, shape (n,).
-        basis: orthonormal columns that span its derivatives: contrasts to them alone are used.
+        residual: of the fit, shape (..., n).
+        basis: orthonormal columns that span its derivatives, shape (..., n, p): contrasts to them alone are used.
         shapes: see `SlowNoise`.
         power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
             the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
@@ -164,60 +167,72 @@ class Contrasts:
     """
 
     samples: Samples
-    residual: Float[np.ndarray, " n"]
-    basis: Float[np.ndarray, "n p"]
+    residual: Float[np.ndarray, "*N n"]
+    basis: Float[np.ndarray, "*N n p"]
     shapes: Float[np.ndarray, "n k"]
     power: float = 0.0
     length: float = 1.0
 
     @functools.cached_property
     def _even(self) -> EvenRows | None:
-        return EvenRows.of([self.basis, self.residual[:, None], self.shapes], self.samples.gap, self.samples.weight)
+        lead = self.residual.shape[:-1]
+        columns = [self.basis, self.residual[..., None], np.broadcast_to(self.shapes, (*lead, *self.shapes.shape))]
+        return EvenRows.of(columns, self.samples.gap, self.samples.weight)
+
+    def take(self, which: Any) -> Contrasts:
+        """Those of some fits, or of one."""
+        return dataclasses.replace(self, residual=self.residual[which], basis=self.basis[which])
 
     @functools.cached_property
-    def expected(self) -> float:
+    def expected(self) -> Float[np.ndarray, "*N"]:
         """Variance of the shapes' weights for which `power` remains on average, after the fit has absorbed its part."""
-        along, n = self.basis.T @ self.shapes, self.residual.size
+        along, n = self.basis.swapaxes(-1, -2) @ self.shapes, self.residual.shape[-1]
+        absorbed = lambda part: self.basis[..., part, :] @ along
         squares = (
-            np.sum((self.shapes[part] - self.basis[part] @ along) ** 2) for part in parts(n, self.shapes.shape[1])
+            np.sum((self.shapes[part] - absorbed(part)) ** 2, axis=(-2, -1)) for part in parts(n, self.shapes.shape[1])
         )
-        return self.power * n / float(sum(squares))
+        return np.asarray(self.power * n / sum(squares))
 
     def at(
-        self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]
-    ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
+    ) -> tuple[Float[np.ndarray, "*N m"], Float[np.ndarray, "*N m"], Float[np.ndarray, "*N m"]]:
         """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at m ratios of white to slow variance, and times.
 
         Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
         """
-        n, p = self.basis.shape
+        n, p = self.basis.shape[-2:]
         joint, log_det = self._joint(ratio, time)
-        inside = joint[:, :p, :p]
-        trace = np.trace(inside, axis1=1, axis2=2)
-        factor = np.linalg.cholesky(inside + 1e-12 * trace[:, None, None] * np.eye(p))
-        half = np.linalg.solve(factor, joint[:, :p, p:])
-        inner = joint[:, p:, p:] - half.swapaxes(1, 2) @ half
-        log_det = log_det + 2 * np.sum(np.log(np.diagonal(factor, axis1=1, axis2=2)), axis=1)
-        if inner.shape[1] == 1:
-            square = np.maximum(inner[:, 0, 0], 1e-300) / (n - p)
-            return (n - p) * np.log(square) + log_det, square, np.zeros(len(square))
-        size, axes = np.linalg.eigh(inner[:, 1:, 1:])
-        size, score = np.maximum(size, 0.0)[:, None], (inner[:, None, 0, 1:] @ axes)
+        inside = joint[..., :p, :p]
+        trace = np.trace(inside, axis1=-2, axis2=-1)
+        factor = np.linalg.cholesky(inside + 1e-12 * trace[..., None, None] * np.eye(p))
+        half = np.linalg.solve(factor, joint[..., :p, p:])
+        inner = joint[..., p:, p:] - half.swapaxes(-1, -2) @ half
+        log_det = log_det + 2 * np.sum(np.log(np.diagonal(factor, axis1=-2, axis2=-1)), axis=-1)
+        if inner.shape[-1] == 1:
+            square = np.maximum(inner[..., 0, 0], 1e-300) / (n - p)
+            return (n - p) * np.log(square) + log_det, square, np.zeros(square.shape)
+        size, axes = np.linalg.eigh(inner[..., 1:, 1:])
+        size, score = np.maximum(size, 0.0)[..., None, :], (inner[..., :1, 1:] @ axes)
         strength = np.geomspace(1e-3, 1e6, 91) / size[..., -1]  # variance of the weights over that of the slow part
         shrunk = 1 + strength[..., None] * size
-        left = inner[:, 0, 0, None] - np.sum(strength[..., None] * score**2 / shrunk, axis=2)
+        left = inner[..., 0, 0, None] - np.sum(strength[..., None] * score**2 / shrunk, axis=-1)
         square = np.maximum(left, 1e-300) / (n - p)
-        value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=2) + log_det[:, None]
-        value = value + (np.log(strength * square / self.expected) / _VAGUE) ** 2
-        least = value.min(axis=1)
-        share = np.exp(-0.5 * (value - least[:, None]))
-        share /= share.sum(axis=1, keepdims=True)
-        return least, np.sum(share * square, axis=1), np.sum(share * strength * square, axis=1)
+        value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=-1) + log_det[..., None]
+        value = value + (np.log(strength * square / self.expected[..., None, None]) / _VAGUE) ** 2
+        least = value.min(axis=-1)
+        share = np.exp(-0.5 * (value - least[..., None]))
+        share /= share.sum(axis=-1, keepdims=True)
+        return least, np.sum(share * square, axis=-1), np.sum(share * strength * square, axis=-1)
 
-    def _joint(self, ratio: Float[np.ndarray, " m"], time: Float[np.ndarray, " m"]) -> tuple[np.ndarray, np.ndarray]:
-        """X' M^-1 X of basis, residual and shapes, shape (m, k, k), and log det M, shape (m,)."""
+    def _joint(
+        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """X' M^-1 X of basis, residual and shapes, shape (..., m, k, k), and log det M, shape (..., m)."""
         if self._even is not None:
             return self._even.at(ratio, time)
+        if self.residual.ndim > 1:
+            rows = [self.take(k)._joint(ratio[k], time[k]) for k in range(len(self.residual))]
+            return np.stack([joint for joint, _ in rows]), np.stack([log_det for _, log_det in rows])
         solvers = [_solver(self.samples, *point) for point in zip(ratio, time, strict=True)]
         joint = [gram([self.basis, self.residual, self.shapes], solve) for solve, _ in solvers]
         return np.stack(joint), np.array([log_det for _, log_det in solvers])
@@ -225,66 +240,107 @@ class Contrasts:
 
 def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
     """The noise that maximizes the restricted likelihood, and those about it."""
-    samples, n = contrasts.samples, contrasts.residual.size
+    return fit_slow_noises(contrasts.take(None))[0]
+
+
+def fit_slow_noises(contrasts: Contrasts) -> list[SlowNoiseFit]:
+    """`fit_slow_noise` of N fits, side by side."""
+    samples, (count, n) = contrasts.samples, contrasts.residual.shape
     low, high = np.log([_LEAST, _SHORTEST]), np.log([_MOST, 4.0 * n])
-    inside = lambda at: np.exp(np.clip(at, low, high))
-    likelihood = lambda at: contrasts.at(*inside(np.asarray(at)).T)
+    inside = lambda at: np.moveaxis(np.exp(np.clip(at, low, high)), -1, 0)
+    among = _Among(contrasts)
     times = np.log(np.geomspace(1.0, max(n / 4, 4.0), 5))
     tried = np.stack(np.meshgrid(np.log(_RATIOS), times, indexing="ij"), -1).reshape(-1, 2)
-    center, least, axes = _minimum(lambda at: likelihood(at)[0], tried, low, high)
+    center, least, axes = _minima(lambda at, fits: among.values(fits, *inside(at)), tried, count, low, high)
     nodes, ideal = _nodes()
-    about = np.concatenate([center[None], center + nodes @ axes.T])
-    values, slow, loop = likelihood(about)
-    shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - (values[1:] - least)))
+    about = center[:, None] + np.concatenate([np.zeros((count, 1, 2)), nodes @ axes.swapaxes(1, 2)], axis=1)
+    values, slow, loop = contrasts.at(*inside(about))
+    shares = ideal * np.exp(0.5 * (np.sum(nodes**2, axis=1) - (values[:, 1:] - least[:, None])))
+    shapes, length = contrasts.shapes, contrasts.length
 
-    def noise(at: np.ndarray, slow: float, loop: float) -> SlowNoise:
-        ratio, time = inside(at)
+    def noise(ratio: float, time: float, slow: float, loop: float) -> SlowNoise:
         white = float(np.sqrt(ratio * slow))
-        shapes, length = contrasts.shapes, contrasts.length
         return SlowNoise(samples, white, float(np.sqrt(slow)), float(time), shapes, float(loop) ** 0.5, length)
 
-    first, *others = (noise(*one) for one in zip(about, slow, loop, strict=True))
-    return SlowNoiseFit(first, tuple(others), shares / shares.sum())
+    made = []
+    for share, *rows in zip(shares, *inside(about), slow, loop, strict=True):
+        first, *others = (noise(*one) for one in zip(*rows, strict=True))
+        made.append(SlowNoiseFit(first, tuple(others), share / share.sum()))
+    return made
 
 
-def _minimum(
-    value: Callable[[np.ndarray], np.ndarray], tried: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> tuple[np.ndarray, float, np.ndarray]:
-    """Minimum of a function of two variables by Newton steps, its value, and the axes of exp(-value / 2) about it.
+class _Among:
+    """Values of some of the fits of `Contrasts`; those that are no longer asked for leave when half of them have."""
+
+    def __init__(self, contrasts: Contrasts):
+        self.all = self.now = contrasts
+        self.fits = np.arange(len(contrasts.residual))
+
+    def values(self, fits: np.ndarray, ratio: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """-2 log likelihood of fits, whose numbers rise, at m points of each, shape (len(fits), m)."""
+        if 2 * fits.size <= self.fits.size:
+            self.now, self.fits = self.all.take(fits), fits
+        place = np.searchsorted(self.fits, fits)
+        points = np.ones((2, self.fits.size, ratio.shape[1]))
+        points[:, place] = ratio, time
+        return self.now.at(*points)[0][place]
+
+
+def _minima(
+    value: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    tried: np.ndarray,
+    count: int,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Minima of functions of two variables by Newton steps, their values, and the axes of exp(-value / 2) about each.
 
     Derivatives are differences on a stencil whose points, like all others, are computed together: that takes little longer than one.
 
     Args:
-        value: at points (m, 2), shape (m,).
-        tried: where the search begins, at the best of them.
-        low, high: within which the center stays.
+        value: of some of the functions, by their numbers, at points (a, m, 2) of each, shape (a, m).
+        tried: where each search begins, at the best of them.
+        count: of the functions.
+        low, high: within which the centers stay.
     """
-    values = value(tried)
-    best = int(np.argmin(values))
-    center, least = tried[best], float(values[best])
-    for _ in range(_NEWTONS):
-        beside = value(center + _STENCIL)
-        slope, curvature = _derivatives(least, beside)
-        size, axes = np.linalg.eigh(curvature)
-        step = -axes @ ((axes.T @ slope) / np.maximum(np.abs(size), _FLAT))
-        step *= min(1.0, _FARTHEST / max(float(np.abs(step).max()), 1e-300))
-        points = np.clip(np.concatenate([center + np.outer(_PARTS, step), center + _STENCIL]), low, high)
-        values = np.concatenate([value(points[: len(_PARTS)]), beside])
-        best = int(np.argmin(values))
-        if least - values[best] < _NO_GAIN:
+    going, axes = np.arange(count), np.zeros((count, 2, 2))
+    center, least = _best(
+        np.broadcast_to(tried, (count, *tried.shape)), value(np.broadcast_to(tried, (count, *tried.shape)), going)
+    )
+    for number in range(_NEWTONS + 1):
+        about = center[going, None] + _STENCIL
+        beside = value(about, going)
+        slope, curvature = _derivatives(least[going], beside)
+        size, ways = np.linalg.eigh(curvature)
+        axes[going] = ways * np.minimum(1 / np.sqrt(np.maximum(0.5 * size, 1e-12)), _WIDEST)[:, None]
+        if number == _NEWTONS:
             break
-        center, least = points[best], float(values[best])
-    else:
-        size, axes = np.linalg.eigh(_derivatives(least, value(center + _STENCIL))[1])
-    return center, least, axes * np.minimum(1 / np.sqrt(np.maximum(0.5 * size, 1e-12)), _WIDEST)
+        step = -ways @ (ways.swapaxes(1, 2) @ slope[..., None] / np.maximum(np.abs(size), _FLAT)[..., None])
+        step *= np.minimum(1.0, _FARTHEST / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-300))
+        taken = center[going, None] + np.array(_PARTS)[:, None] * step.swapaxes(1, 2)
+        points = np.clip(np.concatenate([taken, about], axis=1), low, high)
+        values = np.concatenate([value(points[:, : len(_PARTS)], going), beside], axis=1)
+        new, lower = _best(points, values)
+        better = least[going] - lower >= _NO_GAIN
+        going = going[better]
+        if not going.size:
+            break
+        center[going], least[going] = new[better], lower[better]
+    return center, least, axes
 
 
-def _derivatives(at: float, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient and Hessian from the value at a point and at `_STENCIL` about it."""
-    h, (a, b, c, d, e, g) = _STENCIL[0, 0], beside
+def _best(points: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The point of each row where its value is least, and that value."""
+    at = np.arange(len(values)), np.argmin(values, axis=1)
+    return points[at], values[at]
+
+
+def _derivatives(at: np.ndarray, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients (N, 2) and Hessians (N, 2, 2) from the values at points (N,) and at `_STENCIL` about them (N, 6)."""
+    h, (a, b, c, d, e, g) = _STENCIL[0, 0], beside.T
     cross = (e + g - a - b - c - d + 2 * at) / (2 * h**2)
     curvature = np.array([[(a + b - 2 * at) / h**2, cross], [cross, (c + d - 2 * at) / h**2]])
-    return np.array([a - b, c - d]) / (2 * h), curvature
+    return np.stack([a - b, c - d], axis=-1) / (2 * h), np.moveaxis(curvature, -1, 0)
 
 
 def _nodes() -> tuple[Float[np.ndarray, "m 2"], Float[np.ndarray, " m"]]:

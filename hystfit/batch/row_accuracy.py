@@ -1,0 +1,196 @@
+"""How well solved loops over one input are described, row by row, and which of them are described beyond doubt.
+
+Many loops of a map are judged on the GPU that has solved them; all others on the CPU, by the same functions.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.batch.alike import Group, Loops
+from hystfit.batch.simulated_rows import chunks, simulate_rows, simulated
+from hystfit.data.steady_cycle import steady_rows
+from hystfit.fitting.lanes import Stack, device_for, placed
+from hystfit.fitting.verdict import turns_back
+from hystfit.inference.autocorrelation import correlated_rows
+from hystfit.params.coordinates import Coordinates
+from hystfit.quality.loops import clear_reversals
+from hystfit.quality.rows import curve_errors, polynomials, row_noise, sound_rows
+from hystfit.results.accuracy import persistent_error
+
+# Limits stricter than those of a fit that is judged alone, so that the verdict is the same.
+_OF_NOISE = 1.9  # times the noise: largest rms error
+_OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
+_PERCENT = 2.9  # of the range: largest rms error
+_DEGREE = 7  # of that curve
+# Percent of the range, and times the rms error elsewhere: of a half cycle unlike the others.
+_LASTING, _STANDS_OUT = 0.95, 2.8
+_SHORT = 0.035  # of the samples, which must not carry half of the squared error
+_TAILS = 2.8  # largest excess kurtosis of the differences of residuals
+_FEWEST = 64  # residuals
+_VARIES = 1e-12  # of the largest output: least range
+
+
+class Soundness(NamedTuple):
+    """Of N outputs: which are finite, vary, and have no fault that a fit would leave out; and their noise, NaN where uncertain."""
+
+    sound: np.ndarray
+    noise: Float[np.ndarray, " N"]
+
+
+class Accuracy(NamedTuple):
+    """Of N solved loops.
+
+    Attributes:
+        described: which are described beyond doubt.
+        white: of these, those with white residuals.
+        close: which are described as well as a usable fit is.
+        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
+    """
+
+    described: Any
+    white: Any
+    close: Any
+    rmse: Any
+    percent: Any
+    largest_percent: Any
+
+
+class _Frame(NamedTuple):
+    """What loops over one input share.
+
+    Attributes:
+        at: numbers of the m samples that count.
+        basis: polynomials over their inputs.
+        ends: which of them are before the first turning point and behind the last, shape (2, m), 0 or 1.
+    """
+
+    at: np.ndarray
+    basis: np.ndarray
+    ends: np.ndarray
+
+    @classmethod
+    def of(cls, group: Group) -> _Frame:
+        """The frame of a group."""
+        record = group.record
+        at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
+        ends = np.stack([at <= turns[0], at >= turns[-1]]) if turns.size else np.zeros((2, at.size))
+        return cls(at, polynomials(record.u[at], _DEGREE), ends.astype(float))
+
+
+def soundness(loops: Loops) -> Soundness:
+    """Of all loops, over inputs that turn."""
+    together = _on_gpu(loops)
+    if together is None:
+        return Soundness(*loops.each(lambda group: _only_turning(group, *_sound(group.y))))
+    y = loops.groups[0].y
+    parts = chunks(len(y), y.shape[1])
+    rows = [[np.asarray(v)[:count] for v in _sound_on_device(placed(y[at], together))] for at, count in parts]
+    return Soundness(*_only_turning(loops.groups[0], *map(np.concatenate, zip(*rows, strict=True))))
+
+
+def _only_turning(group: Group, sound: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return sound & turns_back([group.record]), noise
+
+
+def _on_gpu(loops: Loops) -> Any:
+    """The device where loops over one input are judged; None for the CPU."""
+    device = device_for(len(loops))
+    return None if device.platform == "cpu" or len(loops.groups) > 1 else device
+
+
+def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
+    finite = xp.isfinite(y).all(axis=1)
+    rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
+    varies = rows.max(axis=1) - rows.min(axis=1) > _VARIES * xp.abs(rows).max(axis=1)
+    noise = row_noise(rows, xp)
+    return finite & varies & sound_rows(rows, noise, xp), noise
+
+
+_sound_on_device = jax.jit(functools.partial(_sound, xp=jnp))
+
+
+def accuracy(loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"], noise: Float[np.ndarray, " N"]) -> Accuracy:
+    """Of solved loops with sound outputs.
+
+    Args:
+        loops: outputs, group by group.
+        stack: their problems.
+        z: estimates, unconstrained.
+        noise: of each output.
+    """
+    u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))
+    device = _on_gpu(loops)
+    if device is None:
+        found = loops.each(_of_group, simulated(stack, z, u, dt), noise)
+    else:
+        found = _of_group_on_device(loops.groups[0], stack.objective.coordinates, z, noise, device)
+    return Accuracy(*loops.each(_only_even, *found))
+
+
+def _only_even(group: Group, *found: np.ndarray) -> Accuracy:
+    """Without loops whose samples count unequally, or which begin in a steady state."""
+    one, record = Accuracy(*found), group.record
+    weight = record.weight[record.used]
+    fits = ~steady_rows(record.u, group.y)[1] & (weight.min() == weight.max())
+    return one._replace(described=one.described & fits, close=one.close & fits)
+
+
+def _of_group(group: Group, predicted: np.ndarray, noise: np.ndarray) -> Accuracy:
+    with np.errstate(all="ignore"):
+        return _accuracy(_Frame.of(group), group.y, predicted[:, : len(group.record)], noise)
+
+
+def _of_group_on_device(group: Group, coordinates: Coordinates, z: Any, noise: np.ndarray, device: Any) -> Accuracy:
+    record, scales = group.record, np.asarray(coordinates.scale)
+    shared = placed((coordinates, record.u, record.dt, _Frame.of(group)), device)
+    rows = []
+    for at, count in chunks(len(z), len(record)):
+        part = _accuracy_on_device(*shared, *placed((scales[at], z[at], group.y[at], noise[at]), device))
+        rows.append([np.asarray(v)[:count] for v in part])
+    return Accuracy(*map(np.concatenate, zip(*rows, strict=True)))
+
+
+@jax.jit
+def _accuracy_on_device(
+    coordinates: Coordinates, u: Array, dt: Array, frame: _Frame, scales: Array, z: Array, y: Array, noise: Array
+) -> Accuracy:
+    return _accuracy(frame, y, simulate_rows(coordinates, scales, z, u, dt, together=True), noise, jnp)
+
+
+def _accuracy(frame: _Frame, y: Any, predicted: Any, noise: Any, xp: Any = np) -> Accuracy:
+    """Of loops over one input; `xp` is the module of the arrays."""
+    if frame.at.size < y.shape[1]:
+        y, predicted = y[:, frame.at], predicted[:, frame.at]
+    residual = predicted - y
+    span, rmse = y.max(axis=1) - y.min(axis=1), xp.sqrt(xp.mean(residual**2, axis=1))
+    percent, largest = 100 * rmse / span, 100 * xp.abs(residual).max(axis=1) / span
+    close = xp.isfinite(rmse) & (percent < _PERCENT) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
+    good = close & (rmse < _OF_NOISE * noise)
+    residual = xp.where(good[:, None], residual, 0.0)
+    good &= _is_even(frame, residual, span, xp)
+    return Accuracy(good, ~correlated_rows(residual, xp), close, rmse, percent, largest)
+
+
+def _is_even(frame: _Frame, residual: Float[Any, "N m"], span: Float[Any, " N"], xp: Any) -> Any:
+    """Which residuals are without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
+    samples = residual.shape[1]
+    squares = residual**2
+    total = squares.sum(axis=1)
+    change = xp.diff(residual, axis=1)
+    change = (change - change.mean(axis=1, keepdims=True)) ** 2
+    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < _TAILS) & (samples >= _FEWEST)
+    sums, width = xp.cumsum(squares, axis=1), int(_SHORT * samples) + 1
+    plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
+    size = persistent_error(residual, xp)
+    largest, place = size.max(axis=1), xp.argmax(size, axis=1)
+    for end in frame.ends:
+        rest = xp.sqrt((total - squares @ end) / xp.maximum((1 - end).sum(), 1))
+        plain &= ~((end[place] > 0) & (100 * largest > _LASTING * span) & (largest > _STANDS_OUT * rest))
+    return plain

@@ -1,0 +1,51 @@
+"""Outputs of many models of one structure, a row each."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.fitting.lanes import Stack, device_for, placed, room
+from hystfit.models.simulation import run
+from hystfit.params.coordinates import Coordinates
+
+_NUMBERS = 2**24  # of outputs computed in one call
+
+
+def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
+    """Numbers of the rows of each call, of one length, the last one repeated where there are fewer; and how many there are."""
+    size = min(room(count), max(1, _NUMBERS // samples))
+    for begin in range(0, count, size):
+        yield np.minimum(np.arange(begin, begin + size), count - 1), min(size, count - begin)
+
+
+def simulated(stack: Stack, z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray) -> Float[np.ndarray, "N T"]:
+    """Output of each loop's model over an input, shape (T,), or over inputs of their own, shape (N, T)."""
+    device = device_for(len(z))
+    coordinates = stack.objective.coordinates
+    scales, z, out, begin = np.asarray(coordinates.scale), np.asarray(z), np.empty((len(z), u.shape[-1])), 0
+    for at, count in chunks(len(z), u.shape[-1]):
+        inputs = (u, dt) if u.ndim == 1 else (u[at], dt[at])
+        rows = simulate_rows(*placed((coordinates, scales[at], z[at], *inputs), device), device.platform != "cpu")
+        out[begin : begin + count] = np.asarray(rows)[:count]
+        begin += count
+    return out
+
+
+@functools.partial(jax.jit, static_argnames="together")
+def simulate_rows(
+    coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
+) -> Float[Array, "N T"]:
+    """`simulated`, side by side or one after another."""
+
+    def one(scale: Array, z: Array, u: Array, dt: Array) -> Array:
+        return run(eqx.tree_at(lambda c: c.scale, coordinates, scale).tree(z), u, dt)[0]
+
+    rows = (scales, z) if u.ndim == 1 else (scales, z, u, dt)
+    of_row = (lambda scale, z: one(scale, z, u, dt)) if u.ndim == 1 else one
+    return jax.vmap(of_row)(*rows) if together else jax.lax.map(lambda row: of_row(*row), rows)
