@@ -24,7 +24,7 @@ def sample(
     fitdir: FitFolder,
     /,
     *,
-    sampler: str = "nuts",
+    sampler: str = "auto",
     noise: str = "auto",
     prior: list[str] | None = None,
     prior_from: Path | None = None,
@@ -45,14 +45,15 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights for smooth weights and nothing else, such as those of a Preisach model, and nuts for the others),
+            {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`, whose next device is the prior; --prior replaces single ones.
-        draws: draws per chain of nuts (1000; up to eight times as many until the chains have converged) or per run of nested (2000);
-            largest number of steps of emcee (5000).
-        chains: chains of nuts (4); runs of nested (2).
-        warmup: warm-up steps of nuts (300).
+        draws: draws per chain of nuts (1000) or weights (400), up to eight times as many until the chains have converged; per run of
+            nested (2000); largest number of steps of emcee (5000).
+        chains: chains of nuts or weights (4); runs of nested (2).
+        warmup: warm-up steps of nuts (300) or weights (50).
         target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.
         walkers: walkers of emcee, an even number (64).
         live: live points of nested (400).

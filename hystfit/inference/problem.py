@@ -283,6 +283,11 @@ class Problem:
             return False
         return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
 
+    @property
+    def closed_form(self) -> bool:
+        """Whether the output is linear in all free parameters, and their columns come from design matrices."""
+        return self._has_design and bool(self.space.linear.all())
+
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
         return misfit_of(self.objective, self.residuals(x))

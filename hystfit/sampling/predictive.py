@@ -23,6 +23,7 @@ from hystfit.errors import ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
+from hystfit.inference.weights import free_columns
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
@@ -50,10 +51,23 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     known = record.name in [fitted.name for fitted in result.data]
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
+    if result.problem.closed_form:
+        return _by_columns(result, record, x, numbers)
     coordinates = result.problem.space.coordinates
     if not (known or result.problem.settled):
         coordinates = coordinates.at(result.model.of_record(record))
     return np.asarray(_simulate_all(coordinates, *arrays, jnp.asarray(numbers)))
+
+
+def _by_columns(result: FitResult, record: Record, x: np.ndarray, numbers: np.ndarray) -> Float[np.ndarray, "count T"]:
+    """`simulate_draws` of a model that is linear in all free parameters, for the numbers of the records whose own parameters act."""
+    design = result.model.design_matrix(record.u, record.dt)
+    y = np.empty((len(x), len(record)))
+    for number in np.unique(numbers):
+        at = np.flatnonzero(numbers == number)
+        columns, rest = free_columns(result.problem.space, design, int(number), len(result.data))
+        y[at] = (x[at] @ columns.T + rest)[:, design.index]
+    return y
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:

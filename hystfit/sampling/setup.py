@@ -15,6 +15,7 @@ from jaxtyping import Array
 
 from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
+from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
@@ -58,6 +59,20 @@ class Setup:
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
         return self.problem.names
+
+    @property
+    def priors(self) -> dict[str, AbstractPrior]:
+        """Priors by name."""
+        return dict(zip(self.names, self.problem.priors, strict=True))
+
+    def physical(self, z: np.ndarray) -> np.ndarray:
+        """x of draws z, shape (chains, draws, d)."""
+        return np.asarray(_physical(self.problem.density, jnp.asarray(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
+
+
+@eqx.filter_jit
+def _physical(density: Density, z: Array) -> Array:
+    return jax.vmap(density.physical)(z)
 
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
@@ -107,7 +122,7 @@ def prepare(
     problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:
         raise ParameterError(
-            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): {_fewer(result.name)}"
+            f"{len(problem.space)} free parameters are too many for this sampler (at most {_MOST}): {_fewer(result.name)}"
         )
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
