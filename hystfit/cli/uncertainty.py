@@ -152,6 +152,9 @@ def errors(
 ) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
+    For smooth weights and nothing else, such as those of a Preisach model, also by their posterior (as `hystfit sample` draws it), which
+    has an error for every weight that acts on the data.
+
     With --out, the folder holds errors.txt. result.json has every parameter.
 
     Args:

@@ -69,7 +69,7 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     seed = require_seed(seed)
-    chosen = _make(_suited(result) if isinstance(sampler, str) and sampler == "auto" else sampler, settings)
+    chosen = _make(suited_sampler(result) if isinstance(sampler, str) and sampler == "auto" else sampler, settings)
     with contextlib.nullcontext() if folder is None else alone(folder):
         setup = chosen.prepare(result, noise, priors)
         started = time.perf_counter()
@@ -123,7 +123,7 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
     return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
 
 
-def _suited(result: FitResult) -> str:
+def suited_sampler(result: FitResult) -> str:
     """The sampler that suits a fit."""
     return "weights" if result.problem.model.estimator == "preisach" and result.problem.space.linear.all() else "nuts"
 

@@ -160,7 +160,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     slope = toward / state["variance"] + equations.pull
     w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded)
     away = w - equations.estimate
-    squares = equations.squares + 2 * equations.slopes @ away + jnp.einsum("i,kij,j->k", away, equations.grams, away)
+    squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
     half = 0.5 * jnp.maximum(squares, 0.0) + n * _LEAST
     number = jax.random.categorical(keys[1], -0.5 * equations.log_dets - 0.5 * n * jnp.log(half))
     variance = half[number] / jax.random.gamma(keys[2], 0.5 * n)
