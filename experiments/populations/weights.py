@@ -70,7 +70,7 @@ def _ranks(equations: WeightEquations, columns: Any, rest: Any, key: Any) -> Any
     own = dataclasses.replace(equations, squares=(r @ r)[None], slopes=(columns.T @ r)[None])
     start = {
         "w": jnp.full(p, 1.0 / p), "strength": equations.penalized**2, "variance": r @ r / r.size,
-        "number": jnp.zeros((), int), "rate": jnp.zeros(()), "log_density": jnp.zeros(()),
+        "number": jnp.zeros((), int), "rate": jnp.zeros(()), "log_density": jnp.zeros(()), "log_prior": jnp.zeros(()),
     }  # fmt: skip
     once = lambda state, key: (new := sweep(own, state, key), new)
     after = jax.lax.scan(once, start, jax.random.split(keys[4], WARMUP))[0]

@@ -8,7 +8,7 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +25,10 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 
-SCHEMA = "hystfit.sample/3"
+if TYPE_CHECKING:
+    from hystfit.sampling.sensitivity import Sensitivity
+
+SCHEMA = "hystfit.sample/4"
 CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
 
 
@@ -87,6 +90,7 @@ class Posterior(WithStatus):
         seed: of the draws.
         provenance: of the draws: date, versions, seed, data, and under "fit" the date of the fit.
         evidence: log evidence of model, noise and priors together, of nested sampling; None from other samplers.
+        prior_quartiles: lower and upper quartile of each prior, by parameter.
     """
 
     result: FitResult
@@ -105,6 +109,7 @@ class Posterior(WithStatus):
     seed: int
     provenance: dict[str, Any]
     evidence: Evidence | None = None
+    prior_quartiles: dict[str, list[float]] = dataclasses.field(default_factory=dict)
     verb: ClassVar[str] = "sample"
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -250,6 +255,11 @@ class Posterior(WithStatus):
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.results.quantities.QUANTITIES`."""
         return _view("derived:derive")(self, quantities, count)
+
+    @functools.cached_property
+    def sensitivity(self) -> Sensitivity:
+        """What the answer rests on: prior against data, single records, replicated data; see `hystfit.sampling.sensitivity`."""
+        return _view("sensitivity:sensitivity")(self)
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:

@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
@@ -32,6 +34,7 @@ from hystfit.sampling.registry import SAMPLERS
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
+_PRIOR_DRAWS = 2000  # of a prior, for its quartiles
 _NAMED = 4  # parameters that a note names
 
 
@@ -92,7 +95,7 @@ def sample(
         units=setup.problem.units,
         draws=draws,
         log_density=raw.log_density,
-        stats=raw.stats,
+        stats={"log_prior": _log_prior(setup, draws)} | raw.stats,
         convergence=convergence,
         status=status,
         notes=(
@@ -109,6 +112,7 @@ def sample(
         seed=seed,
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
+        prior_quartiles={name: _quartiles(prior) for name, prior in setup.priors.items()},
     )
 
 
@@ -145,13 +149,31 @@ def _pooled(draws: np.ndarray) -> np.ndarray:
     return groups.reshape(4, -1, d)
 
 
+def _log_prior(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> Float[np.ndarray, "chains draws"]:
+    """Log prior density over physical parameters."""
+    at = [setup.names.index(name) for name in setup.priors]
+    rows = jnp.asarray(draws[:, :, at].reshape(-1, len(at)))
+    return np.asarray(_log_densities(tuple(setup.priors.values()), rows)).reshape(draws.shape[:2])
+
+
+@eqx.filter_jit
+def _log_densities(priors: tuple[AbstractPrior, ...], rows: Array) -> Array:
+    one = lambda x: sum((prior.log_density(x[k]) for k, prior in enumerate(priors)), jnp.zeros(()))
+    return jax.vmap(one)(rows)
+
+
+def _quartiles(prior: AbstractPrior) -> list[float]:
+    """Lower and upper quartile of a prior."""
+    return np.quantile(np.asarray(prior.sample(jax.random.key(0), (_PRIOR_DRAWS,))), [0.25, 0.75]).tolist()
+
+
 def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """Notes on parameters whose posterior is hardly narrower than the prior, or lies in the far tail of it."""
     key, notes = jax.random.key(0), []
     wide: dict[str, list[tuple[str, float]]] = {}
     for name, prior in setup.priors.items():
         k = setup.names.index(name)
-        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
+        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,)))
         middle = np.median(draws[:, :, k])
         if not np.any(expected < middle) or not np.any(expected > middle):
             text = f"the posterior of {name} lies in the far tail of its prior ({prior}): the prior is inconsistent with the data"

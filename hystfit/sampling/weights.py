@@ -77,7 +77,8 @@ class Weights(AbstractSampler):
                 break
             draws = min(2 * draws, self.extend * self.draws)
         smoothness = joined["strength"] / float(setup.equations.count)
-        return Raw(z, joined["log_density"], {"smoothness": smoothness}, complete=convergence.good)
+        stats = {"smoothness": smoothness, "log_prior": joined["log_prior"]}
+        return Raw(z, joined["log_density"], stats, complete=convergence.good)
 
     def _draw(self, chains: list[_Chain], draws: int, report: Progress) -> list[dict[str, np.ndarray]]:
         """The draws of every chain after the warm-up."""
@@ -140,8 +141,8 @@ def _start(equations: WeightEquations, key: Array) -> State:
     strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
     number = jax.random.randint(second, (), 0, equations.squares.size)
     variance = equations.squares[number] / equations.count + _LEAST
-    zero = jnp.zeros(())
-    return {"w": w, "strength": strength, "variance": variance, "number": number, "rate": zero, "log_density": zero}
+    start = {"w": w, "strength": strength, "variance": variance, "number": number}
+    return start | dict.fromkeys(("rate", "log_density", "log_prior"), jnp.zeros(()))
 
 
 @compiled
@@ -172,5 +173,5 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     prior += equations.pull @ w - 0.5 * jnp.sum(equations.precision * w**2)
     fit = -0.5 * equations.log_dets[number] - 0.5 * n * jnp.log(variance) - half[number] / variance
     return {
-        "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior,
+        "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior, "log_prior": prior,
     }  # fmt: skip
