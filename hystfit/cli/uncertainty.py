@@ -64,7 +64,7 @@ def sample(
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
     if output.out is not None:  # before hours of sampling
-        for package in ("h5netcdf", "xarray", "corner"):
+        for package in ("h5netcdf", "xarray", "corner", "arviz"):
             optional(package, "bayes", "--out of hystfit sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}

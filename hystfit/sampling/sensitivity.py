@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from typing import Any
 
 import equinox as eqx
@@ -25,6 +26,7 @@ from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
+from hystfit.results.estimates import MANY
 from hystfit.results.exchange import smoothed_weights
 from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES
@@ -87,7 +89,7 @@ class Sensitivity:
     notes: tuple[Note, ...]
 
     def table(self) -> Table:
-        """Prior against posterior, and the record whose absence moves each quantity most."""
+        """Prior against posterior, and the record whose absence moves each quantity most; without arrays of more than 12 weights."""
         heads = [
             Column("quantity"),
             Column("contraction", form=".2f"),
@@ -96,7 +98,9 @@ class Sensitivity:
             Column("largest shift without a record [sd]", key="influence", form="+.2f"),
             Column("", key="record", left=True),
         ]
-        return Table(heads, [self._row(k) for k in range(len(self.names))])
+        arrays = Counter(name.partition("[")[0] for name in self.names)
+        shown = [k for k, name in enumerate(self.names) if arrays[name.partition("[")[0]] <= MANY]
+        return Table(heads, [self._row(k) for k in shown])
 
     def _row(self, k: int) -> list[Any]:
         rows = self.influence[:, k] if self.influence.size else np.zeros(0)
