@@ -49,7 +49,8 @@ def sample(
             {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        prior_from: folder written by `hystfit population --out`, whose next device is the prior; --prior replaces single ones.
+        prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
+            take none); --prior replaces single ones.
         draws: draws per chain of nuts (1000) or weights (400), up to eight times as many until the chains have converged; per run of
             nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts or weights (4); runs of nested (2).
@@ -84,14 +85,14 @@ def sample(
     return finish(str(posterior), posterior.to_dict(), output, save, page=page)
 
 
-def _priors_of(folder: Path | None, result: FitResult) -> dict[str, Any]:
+def _priors_of(folder: Path | None, result: FitResult) -> Any:
     """Priors of the fit's free parameters from a population."""
     if folder is None:
         return {}
     from hystfit.population.population_files import load_population_priors
 
     free = {name.partition("@")[0] for name in result.free_names}
-    priors = {name: prior for name, prior in load_population_priors(folder).items() if name in free}
+    priors = load_population_priors(folder).of(free)
     if not priors:
         raise ParameterError(f"the population in {folder} has none of the fit's parameters: {', '.join(sorted(free))}")
     return priors

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 
 from hystfit.errors import ParameterError
+from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior
 from hystfit.inference.problem import Problem
@@ -37,6 +38,11 @@ class Prepared(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
+        ...
+
+    @property
+    def dependence(self) -> Dependence | None:
+        """Of the priors on each other; None where they are independent."""
         ...
 
     @property

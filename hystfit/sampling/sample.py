@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
+from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.storage import to_json
@@ -59,7 +60,8 @@ def sample(
             posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
             my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
-        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
+        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}, or `CorrelatedPriors`; weak defaults for the
+            others.
         seed: of the draws.
         folder: stores the run in progress; the same call with the same folder resumes after an interruption.
         progress: called repeatedly with a line of text and the fraction that is done.
@@ -153,12 +155,15 @@ def _log_prior(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> F
     """Log prior density over physical parameters."""
     at = [setup.names.index(name) for name in setup.priors]
     rows = jnp.asarray(draws[:, :, at].reshape(-1, len(at)))
-    return np.asarray(_log_densities(tuple(setup.priors.values()), rows)).reshape(draws.shape[:2])
+    return np.asarray(_log_densities(tuple(setup.priors.values()), setup.dependence, rows)).reshape(draws.shape[:2])
 
 
 @eqx.filter_jit
-def _log_densities(priors: tuple[AbstractPrior, ...], rows: Array) -> Array:
-    one = lambda x: sum((prior.log_density(x[k]) for k, prior in enumerate(priors)), jnp.zeros(()))
+def _log_densities(priors: tuple[AbstractPrior, ...], dependence: Dependence | None, rows: Array) -> Array:
+    def one(x: Array) -> Array:
+        total = sum((prior.log_density(x[k]) for k, prior in enumerate(priors)), jnp.zeros(()))
+        return total if dependence is None else total + dependence.log_density(priors, x)
+
     return jax.vmap(one)(rows)
 
 
@@ -253,6 +258,7 @@ def _claim(folder: Path, setup: Prepared, result: FitResult, chosen: AbstractSam
         "free": list(setup.names),
         "noise": setup.noise,
         "priors": {name: prior.exact() for name, prior in setup.priors.items()},
+        "dependence": None if setup.dependence is None else np.asarray(setup.dependence.excess).tolist(),
         "sampler": chosen.name,
         "seed": seed,
         "settings": {k: v for k, v in dataclasses.asdict(chosen).items() if k != "draws"},

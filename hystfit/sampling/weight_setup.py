@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hystfit.errors import ParameterError
+from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
@@ -52,6 +53,8 @@ class WeightSetup:
         Raises:
             ParameterError: another noise model than iid and ou; see `weight_equations`.
         """
+        if isinstance(priors, CorrelatedPriors):
+            raise ParameterError("sampler='weights' takes independent priors: use sampler='nuts'")
         problem = result.problem.with_loss("linear")
         residuals = analyze(problem, result.x)
         diagnosis = diagnose(residuals)
@@ -66,6 +69,11 @@ class WeightSetup:
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
         equations = weight_equations(problem, result.x, grid, chosen, size)
         return cls(problem.with_noise(NOISES.make(label)), label, tuple(notes), chosen, equations, grid, size)
+
+    @property
+    def dependence(self) -> None:
+        """The priors of weights are independent."""
+        return None
 
     @property
     def names(self) -> tuple[str, ...]:
