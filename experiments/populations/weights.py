@@ -17,7 +17,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models import Preisach
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations
-from hystfit.sampling.weights import sweep
+from hystfit.sampling.weight_sampler import sweep
 
 TURNS, STEPS = 20, 12  # of the input, and samples between them
 WARMUP, KEPT, THIN = 60, 99, 4  # sweeps, draws that are ranked, sweeps between them

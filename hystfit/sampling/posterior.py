@@ -8,7 +8,7 @@ import itertools
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,9 +24,6 @@ from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
-
-if TYPE_CHECKING:
-    from hystfit.sampling.sensitivity import Sensitivity
 
 SCHEMA = "hystfit.sample/4"
 CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
@@ -257,8 +254,8 @@ class Posterior(WithStatus):
         return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property
-    def sensitivity(self) -> Sensitivity:
-        """What the answer rests on: prior against data, single records, replicated data; see `hystfit.sampling.sensitivity`."""
+    def sensitivity(self) -> Any:
+        """What the answer rests on, a `hystfit.sampling.sensitivity.Sensitivity`: prior against data, single records, replicated data."""
         return _view("sensitivity:sensitivity")(self)
 
     @functools.cached_property

@@ -30,7 +30,7 @@ class StandardErrors:
     Attributes:
         result: the fit.
         errors: of each free parameter by method, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap", and
-            for smooth weights "posterior" (`hystfit.sampling.weights`); NaN where the data do not determine the parameter.
+            for smooth weights "posterior" (`hystfit.sampling.weight_sampler`); NaN where the data do not determine the parameter.
         factors: half a 95 % interval over the error, by method except "fit", shape (p,).
         block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
