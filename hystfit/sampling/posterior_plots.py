@@ -17,7 +17,7 @@ from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
 _LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
-_MOST = 100  # parameters in a trace or rank plot, which is as high as they are many
+_MOST = 24  # parameters in a trace or rank plot, which is as high as they are many
 _FEW = 3  # parameters up to which a corner plot has no room at its upper right
 _TICKS = 0.8  # room for the tick labels of a corner plot [inches]
 _POINTS = 72  # in an inch

@@ -98,9 +98,13 @@ class Sensitivity:
             Column("largest shift without a record [sd]", key="influence", form="+.2f"),
             Column("", key="record", left=True),
         ]
+        return Table(heads, [self._row(k) for k in np.flatnonzero(self.shown)])
+
+    @property
+    def shown(self) -> np.ndarray:
+        """Which quantities are no element of an array of more than 12 weights, shape (q,), bool."""
         arrays = Counter(name.partition("[")[0] for name in self.names)
-        shown = [k for k, name in enumerate(self.names) if arrays[name.partition("[")[0]] <= MANY]
-        return Table(heads, [self._row(k) for k in shown])
+        return np.array([arrays[name.partition("[")[0]] <= MANY for name in self.names], dtype=bool)
 
     def _row(self, k: int) -> list[Any]:
         rows = self.influence[:, k] if self.influence.size else np.zeros(0)
@@ -220,7 +224,9 @@ def _notes(found: Sensitivity, posterior: Posterior, *, independent: bool) -> tu
     """What stands out."""
     notes = []
     joined = lambda names: ", ".join(map(_label, names))
-    large = np.abs(found.prior_shift) > _LARGE
+    # The noise follows the misfit, which data that count twice always lower.
+    noise = np.isin(found.names, posterior.names[len(posterior.result.free_names) :])
+    large = (np.abs(found.prior_shift) > _LARGE) & found.shown & ~noise
     opposed = large & (np.abs(found.data_shift) > _LARGE) & (found.prior_shift * found.data_shift < 0)
     if opposed.any():
         which = joined(np.array(found.names)[opposed])
