@@ -16,11 +16,8 @@ from hystfit.results.exchange import smoothed_weights
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.sensitivity import Sensitivity, record_densities
 
-RECORDS, SIGMA, SDS = (
-    6,
-    0.05,
-    np.array([0.05, 0.2, *5 * [0.4]]),
-)  # of the noise; of the priors of the weight, and of the offsets
+RECORDS, SIGMA = 4, 0.05
+SDS = np.array([0.08, 0.2, *3 * [0.4]])  # of the priors of the weight, and of the offsets
 
 
 def loops(records: int, bend: float = 0.0) -> hf.Dataset:
@@ -89,7 +86,9 @@ def test_influence_is_that_of_a_refit_without_the_record(posterior: Posterior, f
     assert (found.pareto < 0.7).all()
     for k in range(RECORDS):
         expected = (moments(posterior, left_out=k)[0] - mean) / sd
-        np.testing.assert_allclose(found.influence[k, 0], expected[0], atol=0.12)
+        np.testing.assert_allclose(
+            found.influence[k, 0], expected[0], atol=0.15
+        )  # three standard errors of importance sampling
     assert found.table().lines()
     assert found.to_dict()["quantities"]["w[0,0]"]["without"]["loop 1"] is not None
 

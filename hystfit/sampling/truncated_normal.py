@@ -32,8 +32,9 @@ def draw_truncated(
     slope: Float[Array, " p"],
     precision: Float[Array, "p p"],
     bounded: Bool[Array, " p"],
+    moves: int = 1,
 ) -> Float[Array, " p"]:
-    """One transition that leaves the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
+    """Transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
 
     Args:
         key: of the random numbers.
@@ -41,11 +42,11 @@ def draw_truncated(
         slope: s.
         precision: P, positive definite.
         bounded: which coordinates are >= 0.
+        moves: number of transitions; they share the factorization, which takes three times as long as one of them.
     """
     factor = jnp.linalg.cholesky(precision)
     covariance = jax.scipy.linalg.cho_solve((factor, True), jnp.eye(x.size))
     mean = covariance @ slope
-    velocity = jax.scipy.linalg.solve_triangular(factor, jax.random.normal(key, x.shape), lower=True, trans=1)
 
     def onward(flight: _Flight) -> _Flight:
         x, v, left = flight
@@ -59,8 +60,12 @@ def draw_truncated(
         x = jnp.where(bounded, jnp.maximum(x, 0.0), x)
         return _Flight(x.at[i].set(jnp.where(reflected, 0.0, x[i])), v, left - time)
 
-    start = _Flight(x, velocity, jnp.asarray(_TIME))
-    return jax.lax.while_loop(lambda flight: flight.left > 0, onward, start).x
+    def move(x: Array, key: Array) -> tuple[Array, None]:
+        velocity = jax.scipy.linalg.solve_triangular(factor, jax.random.normal(key, x.shape), lower=True, trans=1)
+        start = _Flight(x, velocity, jnp.asarray(_TIME))
+        return jax.lax.while_loop(lambda flight: flight.left > 0, onward, start).x, None
+
+    return jax.lax.scan(move, x, jax.random.split(key, moves))[0]
 
 
 def _half_tangent(x: Float[Array, " p"], v: Float[Array, " p"], mean: Float[Array, " p"]) -> Float[Array, " p"]:

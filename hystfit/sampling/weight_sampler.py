@@ -32,6 +32,7 @@ from hystfit.sampling.weight_equations import WeightEquations
 from hystfit.sampling.weight_setup import WeightSetup
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
+_MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
 _LEAST = 1e-16  # variance of noise, over the squared range of the output, below which squares of residuals are rounding errors
 _INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
@@ -48,7 +49,7 @@ class Weights(AbstractSampler):
 
     name: ClassVar[str] = "weights"
     chains: int = 4
-    draws: int = 400
+    draws: int = 450
     extend: int = 8
     warmup: int = 50
 
@@ -159,7 +160,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     precision = gram / state["variance"] + state["strength"] * equations.roughness + jnp.diag(equations.precision)
     toward = gram @ equations.estimate - equations.slopes[state["number"]]
     slope = toward / state["variance"] + equations.pull
-    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded)
+    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)
     away = w - equations.estimate
     squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
     half = 0.5 * jnp.maximum(squares, 0.0) + n * _LEAST
