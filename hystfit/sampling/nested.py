@@ -62,9 +62,9 @@ class Nested(AbstractSampler):
             DataError: hardly any draw from the prior has a finite likelihood.
             ParameterError: correlated priors.
         """
+        _blackjax()  # a missing package is named before any other work
         if setup.dependence is not None:
             raise ParameterError("sampler='nested' takes independent priors: use sampler='nuts'")
-        _blackjax()  # a missing package is named before any other work
         runs = [self._once(setup, seed, number, folder, report) for number in range(self.chains)]
         keep = min(self.draws, *(int(run.effective_count) for run in runs))
         rng = np.random.default_rng(seed)
