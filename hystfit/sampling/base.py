@@ -23,17 +23,22 @@ Progress = Callable[[str, float], None]
 
 
 class Prepared(Protocol):
-    """A posterior that a sampler has prepared.
+    """A posterior that a sampler has prepared."""
 
-    Attributes:
-        problem: model and data as they were fitted, with the noise model.
-        noise: the choice of the noise model, as users write it.
-        notes: what was chosen, and why.
-    """
+    @property
+    def problem(self) -> Problem:
+        """Model and data as they were fitted, with the noise model."""
+        ...
 
-    problem: Problem
-    noise: str
-    notes: tuple[Note, ...]
+    @property
+    def noise(self) -> str:
+        """The choice of the noise model, as users write it."""
+        ...
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was chosen, and why."""
+        ...
 
     @property
     def names(self) -> tuple[str, ...]:
