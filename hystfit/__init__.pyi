@@ -20,6 +20,7 @@ from .fitting.compare import compare as compare
 from .fitting.data_check import check as check
 from .fitting.fit import fit as fit
 from .inference import priors as priors
+from .inference.correlated_priors import CorrelatedPriors as CorrelatedPriors
 from .inference.problem import Problem as Problem
 from .models import AsymmetricBoucWen as AsymmetricBoucWen
 from .models import BoucWen as BoucWen

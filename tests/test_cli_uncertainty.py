@@ -42,7 +42,7 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
     assert run([*words, "--out", str(out), "--json"]) == 1
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((out / "result.json").read_text())
-    assert printed["schema"] == "hystfit.sample/3"
+    assert printed["schema"] == "hystfit.sample/4"
     assert printed["status"] == "not-converged"
     assert printed["priors"]["tau"].startswith("log-normal, median 2")
     assert {"posterior.nc", "corner.png", "bands.png"} <= {file.name for file in out.iterdir()}

@@ -117,6 +117,8 @@ def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
     fit.save(tmp_path / "pop")
     priors = load_population_priors(tmp_path / "pop")
     assert set(priors) == {"c", "tau"}
+    z = np.log(np.asarray(fit.next_devices(4000)))
+    assert priors.correlation[0, 1] == pytest.approx(np.corrcoef(z.T)[0, 1], abs=0.1)
     inside = np.log(np.asarray(fit.next_devices(4000))).std(axis=0)
     for prior, spread in zip(priors.values(), inside, strict=True):
         assert float(prior.spread) == pytest.approx(spread, rel=0.1)

@@ -4,8 +4,9 @@
 
 Coupons: 18 simulated tests with noise of NHERI-SimCenter quoFEM, drawn from one population; mean, standard deviations and correlations are
 compared with those of the true parameters. Coverage: 200 populations of 18 and of 100 devices whose parameters are known to 0.2, 0.7 or
-2 times the scatter, a third each; the full form of the second stage on normal errors. The quick form takes 20 populations of 18 and no
-coupons. Writes results.json and, in the full form, RESULTS.md here. Exit status: see experiments/common.py.
+2 times the scatter, a third each; the full form of the second stage on normal errors. Weights: simulation-based calibration of the sampler
+of linear weights on 12 and 56 Preisach cells, 200 data sets each. The quick form takes 20 populations of 18, 40 data sets of 12 cells and
+no coupons. Writes results.json and, in the full form, RESULTS.md here. Exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from common import Results, arguments, table
+from weights import calibration
 
 import hystfit as hf
 from hystfit.population.hierarchy import draw_hierarchy
@@ -26,8 +28,15 @@ COUPONS, TRUE = 18, ("fy", "E", "b", "cR1", "cR2", "a1", "a3")
 SIZES, POPULATIONS, QUICK = (18, 100), 200, 20
 SD = np.array([0.1, 0.05, 0.2, 0.3, 0.1])  # of the logarithms
 CORRELATIONS = {(0, 1): 0.6, (1, 2): -0.5, (3, 4): 0.3}
+CELLS, QUICK_CELLS = ((12, 6), (56, 14)), 40  # number of weights, levels along an axis; data sets of the quick form
 ERRORS = (0.2, 0.7, 2.0)  # of the fits, in standard deviations of the population
 HEAD_COUPONS = ["parameter", "true mean", "mean", "true sd", "sd of these", "sd of the population", "sd of fits"]
+HEAD_CELLS = [
+    "cells",
+    "data sets",
+    "intervals of 90 % cover, %",
+    "smallest p-value of uniform ranks, times their number",
+]
 HEAD_COVERAGE = [
     "devices", "means, %", "standard deviations, %", "correlations, %", "median sd over truth", "sd of fits over truth",
 ]  # fmt: skip
@@ -100,6 +109,14 @@ def coverage(results: Results, size: int, populations: int) -> list:
     return [size, *shares.values(), float(np.mean(ratios)), float(np.mean(naive))]
 
 
+def weights(results: Results, cells: int, levels: int, simulations: int) -> list:
+    """Calibration of the sampler of weights."""
+    found = calibration(levels, simulations)
+    results.add(f"{cells} cells: intervals of 90 % of weights cover, %", found["coverage"])
+    results.add(f"{cells} cells: smallest p-value of uniform ranks, times their number", found["p"])
+    return [cells, simulations, found["coverage"], found["p"]]
+
+
 def main() -> None:
     """Run and compare."""
     hf.enable_x64()
@@ -107,6 +124,8 @@ def main() -> None:
     here = Path(__file__).resolve().parent
     results = Results(here, options.quick, options.out)
     sizes, populations = (SIZES[:1], QUICK) if options.quick else (SIZES, POPULATIONS)
+    cells, simulations = (CELLS[:1], QUICK_CELLS) if options.quick else (CELLS, POPULATIONS)
+    ranked = [weights(results, *size, simulations) for size in cells]
     covered = [coverage(results, size, populations) for size in sizes]
     tables = {
         "Simulated coupons with their true parameters, by `hystfit population` (`sd of these` is compared with `true sd`)": table(
@@ -114,6 +133,9 @@ def main() -> None:
         ),
         f"Coverage of intervals of 90 % over {populations} populations with normal errors of the fits": table(
             HEAD_COVERAGE, covered
+        ),
+        "Simulation-based calibration of Preisach weights, `hystfit sample --sampler weights`": table(
+            HEAD_CELLS, ranked
         ),
     }
     results.publish("Populations", "experiments/populations/run.py", tables)

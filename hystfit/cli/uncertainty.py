@@ -24,7 +24,7 @@ def sample(
     fitdir: FitFolder,
     /,
     *,
-    sampler: str = "nuts",
+    sampler: str = "auto",
     noise: str = "auto",
     prior: list[str] | None = None,
     prior_from: Path | None = None,
@@ -45,14 +45,16 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights for smooth weights and nothing else, such as those of a Preisach model, and nuts for the others),
+            {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        prior_from: folder written by `hystfit population --out`, whose next device is the prior; --prior replaces single ones.
-        draws: draws per chain of nuts (1000; up to eight times as many until the chains have converged) or per run of nested (2000);
-            largest number of steps of emcee (5000).
-        chains: chains of nuts (4); runs of nested (2).
-        warmup: warm-up steps of nuts (300).
+        prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
+            take none); --prior replaces single ones.
+        draws: draws per chain of nuts (1000) or weights (450), up to eight times as many until the chains have converged; per run of
+            nested (2000); largest number of steps of emcee (5000).
+        chains: chains of nuts or weights (4); runs of nested (2).
+        warmup: warm-up steps of nuts (300) or weights (50).
         target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.
         walkers: walkers of emcee, an even number (64).
         live: live points of nested (400).
@@ -63,7 +65,7 @@ def sample(
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
     if output.out is not None:  # before hours of sampling
-        for package in ("h5netcdf", "xarray", "corner"):
+        for package in ("h5netcdf", "xarray", "corner", "arviz"):
             optional(package, "bayes", "--out of hystfit sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
@@ -83,14 +85,14 @@ def sample(
     return finish(str(posterior), posterior.to_dict(), output, save, page=page)
 
 
-def _priors_of(folder: Path | None, result: FitResult) -> dict[str, Any]:
+def _priors_of(folder: Path | None, result: FitResult) -> Any:
     """Priors of the fit's free parameters from a population."""
     if folder is None:
         return {}
     from hystfit.population.population_files import load_population_priors
 
     free = {name.partition("@")[0] for name in result.free_names}
-    priors = {name: prior for name, prior in load_population_priors(folder).items() if name in free}
+    priors = load_population_priors(folder).of(free)
     if not priors:
         raise ParameterError(f"the population in {folder} has none of the fit's parameters: {', '.join(sorted(free))}")
     return priors
@@ -150,6 +152,9 @@ def errors(
     output: Output = STDOUT,
 ) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
+
+    For smooth weights and nothing else, such as those of a Preisach model, also by their posterior (as `hystfit sample` draws it), which
+    has an error for every weight that acts on the data.
 
     With --out, the folder holds errors.txt. result.json has every parameter.
 

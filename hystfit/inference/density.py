@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.newton import FORWARD, forward
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
@@ -27,12 +28,14 @@ class Density(eqx.Module):
         noise: coordinates of the noise model.
         setting: the data in the form that the noise needs.
         priors: of the parameters, over physical values.
+        dependence: of the priors on each other; None where they are independent.
     """
 
     objective: Objective
     noise: Coordinates
     setting: Setting
     priors: tuple[AbstractPrior, ...]
+    dependence: Dependence | None = None
 
     @property
     def p(self) -> int:
@@ -47,6 +50,8 @@ class Density(eqx.Module):
         """Log prior density over z."""
         x = self.physical(z)
         total = sum((prior.log_density(x[k]) for k, prior in enumerate(self.priors)), jnp.zeros(()))
+        if self.dependence is not None:
+            total += self.dependence.log_density(self.priors, x)
         model, noise = self.objective.coordinates, self.noise
         return total + model.log_jacobian(z[: self.p]) + noise.log_jacobian(z[self.p :])
 

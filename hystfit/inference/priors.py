@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -33,7 +33,13 @@ def _number(value: Any) -> Array:
 
 
 class AbstractPrior(eqx.Module):
-    """A density over one parameter."""
+    """A density over one parameter.
+
+    Class attributes:
+        has_score: whether a transformed parameter is normal, see `score`.
+    """
+
+    has_score: ClassVar[bool] = False
 
     def exact(self) -> list[Any]:
         """Kind and fields in full precision, which identify the prior."""
@@ -46,6 +52,10 @@ class AbstractPrior(eqx.Module):
     def log_density(self, x: Scalar) -> Scalar:
         """Log density at x; minus infinity outside the support."""
 
+    def score(self, x: Scalar) -> Scalar:
+        """The normal score of x, which is standard normal under the prior, where `has_score` is set."""
+        raise TypeError(f"{type(self).__name__} has no normal score")
+
     @abc.abstractmethod
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """Independent draws."""
@@ -54,12 +64,17 @@ class AbstractPrior(eqx.Module):
 class Normal(AbstractPrior):
     """Gaussian. Raises ParameterError for a standard deviation that is not positive."""
 
+    has_score: ClassVar[bool] = True
     mean: Array = eqx.field(converter=_number)
     sd: Array = eqx.field(converter=_number)
 
     def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
-        return -0.5 * ((x - self.mean) / self.sd) ** 2 - jnp.log(self.sd) - _LOG_ROOT
+        return -0.5 * self.score(x) ** 2 - jnp.log(self.sd) - _LOG_ROOT
+
+    def score(self, x: Scalar) -> Scalar:
+        """See `AbstractPrior`."""
+        return (x - self.mean) / self.sd
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """See `AbstractPrior`."""
@@ -72,6 +87,7 @@ class Normal(AbstractPrior):
 class LogNormal(AbstractPrior):
     """side * (x - edge) is log-normal with this median; `spread` is the standard deviation of the logarithm."""
 
+    has_score: ClassVar[bool] = True
     median: Array = eqx.field(converter=_number)
     spread: Array = eqx.field(converter=_number)
     edge: Array = eqx.field(converter=_number, default=0.0)
@@ -80,9 +96,13 @@ class LogNormal(AbstractPrior):
     def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
         above = self.side * (x - self.edge)
-        safe = jnp.where(above > 0, above, 1.0)
-        t = (jnp.log(safe) - jnp.log(self.median)) / self.spread
-        return jnp.where(above > 0, -0.5 * t**2 - jnp.log(self.spread) - _LOG_ROOT - jnp.log(safe), -jnp.inf)
+        rest = jnp.log(self.spread) + _LOG_ROOT + jnp.log(jnp.where(above > 0, above, 1.0))
+        return jnp.where(above > 0, -0.5 * self.score(x) ** 2 - rest, -jnp.inf)
+
+    def score(self, x: Scalar) -> Scalar:
+        """See `AbstractPrior`."""
+        above = self.side * (x - self.edge)
+        return (jnp.log(jnp.where(above > 0, above, 1.0)) - jnp.log(self.median)) / self.spread
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """See `AbstractPrior`."""
@@ -135,6 +155,7 @@ class Uniform(AbstractPrior):
 class LogitNormal(AbstractPrior):
     """Between two limits, the logit of the place between them Gaussian about that of `median`; `spread` is its standard deviation."""
 
+    has_score: ClassVar[bool] = True
     lower: Array = eqx.field(converter=_number)
     upper: Array = eqx.field(converter=_number)
     median: Array = eqx.field(converter=_number)
@@ -145,11 +166,18 @@ class LogitNormal(AbstractPrior):
 
     def log_density(self, x: Scalar) -> Scalar:
         """See `AbstractPrior`."""
-        inside = (x > self.lower) & (x < self.upper)
-        safe = jnp.where(inside, x, self.median)
-        t = (self._logit(safe) - self._logit(self.median)) / self.spread
+        inside, safe = self._inside(x)
         slope = jnp.log((self.upper - self.lower) / ((safe - self.lower) * (self.upper - safe)))
-        return jnp.where(inside, -0.5 * t**2 - jnp.log(self.spread) - _LOG_ROOT + slope, -jnp.inf)
+        return jnp.where(inside, -0.5 * self.score(x) ** 2 - jnp.log(self.spread) - _LOG_ROOT + slope, -jnp.inf)
+
+    def score(self, x: Scalar) -> Scalar:
+        """See `AbstractPrior`."""
+        return (self._logit(self._inside(x)[1]) - self._logit(self.median)) / self.spread
+
+    def _inside(self, x: Scalar) -> tuple[Array, Array]:
+        """Whether x lies between the limits, and a value that does."""
+        inside = (x > self.lower) & (x < self.upper)
+        return inside, jnp.where(inside, x, self.median)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """See `AbstractPrior`."""

@@ -19,6 +19,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.inference.blocks import chosen
+from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.density import Density
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.base import AbstractNoise
@@ -56,6 +57,7 @@ class Problem:
         noise: a noise model with values, or None where there is no likelihood.
         noise_space: its parameters.
         priors: of the parameters of model and noise.
+        dependence: of the priors on each other; None where they are independent.
         settled: whether the parameters are those of one device: covariates on which they depend have been chosen, or there are none.
     """
 
@@ -116,6 +118,7 @@ class Problem:
         self.noise: AbstractNoise | None = None
         self.noise_space: ParameterSpace | None = None
         self.priors: tuple[AbstractPrior, ...] = ()
+        self.dependence: Dependence | None = None
 
     def prepared(self, record: Record) -> Record:
         """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
@@ -184,7 +187,7 @@ class Problem:
 
         Args:
             noise: a noise model with values.
-            priors: by name, of parameters of either; weak defaults for the others.
+            priors: by name, of parameters of either; weak defaults for the others. `CorrelatedPriors` depend on each other.
             x: physical parameters of model and noise about which default priors are centered, shape (d,).
 
         Raises:
@@ -195,7 +198,8 @@ class Problem:
         of_noise = {name: chosen.pop(name) for name in list(chosen) if name in space.names}
         of_model = choose_priors(self.space, chosen, None if x is None else x[: len(self.space)], space.names)
         both = of_model + choose_priors(space, of_noise, None if x is None else x[len(self.space) :])
-        return self._changed(noise=noise, noise_space=space, priors=both)
+        dependence = Dependence.of(priors, self.space.names + space.names)
+        return self._changed(noise=noise, noise_space=space, priors=both, dependence=dependence)
 
     # -- names ---------------------------------------------------------------------------------------------------------
 
@@ -283,6 +287,11 @@ class Problem:
             return False
         return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
 
+    @property
+    def closed_form(self) -> bool:
+        """Whether the output is linear in all free parameters, and their columns come from design matrices."""
+        return self._has_design and bool(self.space.linear.all())
+
     def misfit(self, x: Any) -> Float[np.ndarray, " n"]:
         """What least squares minimizes at physical x: weighted residuals in half output ranges, bent by the loss."""
         return misfit_of(self.objective, self.residuals(x))
@@ -334,7 +343,7 @@ class Problem:
         """
         if self.noise_space is None:
             raise ModelError("a likelihood needs a noise model: use Problem.with_noise")
-        return Density(self.objective, self.noise_space.coordinates, self.setting, self.priors)
+        return Density(self.objective, self.noise_space.coordinates, self.setting, self.priors, self.dependence)
 
     def whitened(self, noise: AbstractNoise | None = None) -> Whitened:
         """Least squares in the coordinates in which a Gaussian noise model (the problem's own by default) is white."""

@@ -162,3 +162,37 @@ def _difference(
     above, below = np.minimum(x + step, space.upper), np.maximum(x - step, space.lower)
     pairs = zip(predict(above), predict(below), strict=True)
     return [(high - low) / (above[k] - below[k]) for high, low in pairs]
+
+
+def free_columns(
+    space: ParameterSpace, design: DesignMatrix, number: int, records: int
+) -> tuple[Float[np.ndarray, "S p"], Float[np.ndarray, " S"]]:
+    """Columns of all free parameters of a model that is linear in them, on distinct states, and the output where these are zero.
+
+    Args:
+        space: the free parameters.
+        design: of an input.
+        number: of the record whose own parameters act.
+        records: that were fitted.
+    """
+    layout = Layout.of(design, records)
+    place, owner = _placed(space, layout, records)
+    fixed = _fixed(space, layout)
+    fixed[place] = 0.0
+    joint = layout.columns(design, number)
+    mine = np.isin(owner, (-1, number))
+    return np.where(mine, joint[:, place], 0.0), design.rest + joint @ fixed
+
+
+def smoothness_penalty(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Float[np.ndarray, "p p"]:
+    """Matrix of the smoothness penalty on the free parameters; zero for those without one, and for models without design matrices."""
+    matrix = np.zeros((x.size, x.size))
+    if space.assembled(x, 0).estimator != "preisach":
+        return matrix
+    layout = Layout.of(next(_designs(space, records, x)), len(records))
+    place, _ = _placed(space, layout, len(records))
+    for block, start, end in zip(layout.blocks, layout.starts, layout.starts[1:], strict=False):
+        if block.penalty is not None:
+            at = np.flatnonzero((place >= start) & (place < end))
+            matrix[np.ix_(at, at)] = block.penalty.matrix[np.ix_(place[at] - start, place[at] - start)]
+    return matrix

@@ -70,6 +70,7 @@ class Code(enum.StrEnum):
     CHAINS = "chains"
     DIVERGENCES = "divergences"
     PRIOR = "prior"
+    INFLUENCE = "influence"
     OPEN_SIDE = "open-side"
     OTHER_OPTIMUM = "other-optimum"
     BLOCKS = "blocks"

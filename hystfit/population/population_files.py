@@ -5,9 +5,12 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
+
 from hystfit.config import verb
-from hystfit.errors import DataError
+from hystfit.errors import DataError, ParameterError
 from hystfit.inference import priors as known_priors
+from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.priors import AbstractPrior
 from hystfit.population.population_fit import SCHEMA, PopulationFit
 from hystfit.results.folders import dump_json, writing
@@ -35,7 +38,7 @@ def write_devices(population: PopulationFit, file: Path) -> None:
 
 
 @verb
-def load_population_priors(folder: str | Path) -> dict[str, AbstractPrior]:
+def load_population_priors(folder: str | Path) -> CorrelatedPriors:
     """The priors of `PopulationFit.priors` from a folder that `hystfit population` or `PopulationFit.save` wrote.
 
     Raises:
@@ -52,4 +55,7 @@ def load_population_priors(folder: str | Path) -> dict[str, AbstractPrior]:
             found[name] = getattr(known_priors, kind)(*values)
         except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"{place} is damaged ({name}: {error}): restore it, or fit the population again") from error
-    return found
+    try:
+        return CorrelatedPriors(found, np.array(stored.listed("next_device_correlation"), dtype=float))
+    except (ParameterError, ValueError, TypeError) as error:
+        raise DataError(f"{place} is damaged ({error}): restore it, or fit the population again") from error

@@ -16,7 +16,7 @@ from scipy.stats import f as f_distribution
 
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-from hystfit.inference.priors import AbstractPrior
+from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.models.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
 from hystfit.params.coordinates import Coordinates
@@ -25,7 +25,7 @@ from hystfit.population.hierarchy import Hierarchy
 from hystfit.registry import attribute
 from hystfit.results.exchange import arviz_data
 
-SCHEMA = "hystfit.population/1"
+SCHEMA = "hystfit.population/2"
 _LEVEL = 0.9  # of the intervals
 _UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
 MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
@@ -208,10 +208,11 @@ class PopulationFit(WithStatus):
         runs = first.to_unit_of(record, runs)
         return tuple(np.quantile(runs, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0))  # type: ignore[return-value]
 
-    def priors(self) -> dict[str, AbstractPrior]:
-        """Priors for the fit of a further device: the distribution of each parameter of the next one, without their correlations."""
+    def priors(self) -> CorrelatedPriors:
+        """Priors for the fit of a further device: the distribution of each parameter of the next one, with their correlations."""
         z = self._next_z(4000, self.seed, {})
-        return self.common.priors(z.mean(axis=0), z.std(axis=0))
+        each = self.common.priors(z.mean(axis=0), z.std(axis=0))
+        return CorrelatedPriors(each, np.corrcoef(z.T).reshape(len(each), len(each)))
 
     # -- views ---------------------------------------------------------------------------------------------------------
 
@@ -288,7 +289,7 @@ class PopulationFit(WithStatus):
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
         low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
-        pairs = [(a, b) for a in range(len(self.names)) for b in range(a)]
+        pairs, priors = [(a, b) for a in range(len(self.names)) for b in range(a)], self.priors()
         return {
             "schema": SCHEMA,
             "model": self.model,
@@ -301,7 +302,8 @@ class PopulationFit(WithStatus):
                 for a, b in pairs
             },
             "covariates": self.covariates,
-            "next_device": {name: {"prior": prior.exact()} for name, prior in self.priors().items()},
+            "next_device": {name: {"prior": prior.exact()} for name, prior in priors.items()},
+            "next_device_correlation": priors.correlation.tolist(),
             "devices": {row.pop("device"): row for row in self.device_rows()},
             "outlying": list(self.outlying),
             "timing": {"run_s": self.seconds},

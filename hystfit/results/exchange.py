@@ -93,6 +93,21 @@ def to_xarray(result: FitResult) -> Any:
     return xarray.Dataset(data, where, {"model": result.name, "status": str(result.status)})
 
 
+def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pareto-smoothed importance weights that sum to one, shape (m, draws), and the shape parameter of each tail, by ArviZ.
+
+    Args:
+        log_weights: shape (m, draws).
+    """
+    arviz = optional("arviz", "bayes", "importance sampling")
+    if hasattr(arviz, "psislw"):  # before version 1
+        smoothed, shapes = arviz.psislw(log_weights)
+    else:
+        smoothed, shapes = optional("arviz_stats", "bayes", "importance sampling").base.array_stats.psislw(log_weights)
+    weights = np.exp(smoothed - np.max(smoothed, axis=-1, keepdims=True))
+    return weights / weights.sum(axis=-1, keepdims=True), np.atleast_1d(np.asarray(shapes))
+
+
 def arviz_data(groups: Mapping[str, Mapping[str, Any]], **axes: Any) -> Any:
     """ArviZ' container of draws: `InferenceData` before version 1, a DataTree from then on.
 

@@ -6,15 +6,58 @@ import abc
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from hystfit.errors import ParameterError
+from hystfit.inference.correlated_priors import Dependence
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.priors import AbstractPrior
+from hystfit.inference.problem import Problem
 from hystfit.outcome import Note
-from hystfit.sampling.setup import Setup
+from hystfit.results.result import FitResult
+from hystfit.sampling.setup import prepare
 
 Progress = Callable[[str, float], None]
+
+
+class Prepared(Protocol):
+    """A posterior that a sampler has prepared."""
+
+    @property
+    def problem(self) -> Problem:
+        """Model and data as they were fitted, with the noise model."""
+        ...
+
+    @property
+    def noise(self) -> str:
+        """The choice of the noise model, as users write it."""
+        ...
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was chosen, and why."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        ...
+
+    @property
+    def dependence(self) -> Dependence | None:
+        """Of the priors on each other; None where they are independent."""
+        ...
+
+    @property
+    def priors(self) -> Mapping[str, AbstractPrior]:
+        """Priors by name."""
+        ...
+
+    def physical(self, z: np.ndarray) -> np.ndarray:
+        """Physical parameters of draws, shape (chains, draws, d)."""
+        ...
 
 
 class Evidence(NamedTuple):
@@ -60,12 +103,18 @@ class AbstractSampler(abc.ABC):
     many_short_chains: ClassVar[bool] = False
     compares: ClassVar[bool] = False
 
+    def prepare(
+        self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
+    ) -> Prepared:
+        """The posterior in the form that `run` needs: by default the `Setup` of `hystfit.sampling.setup.prepare`."""
+        return prepare(result, noise=noise, priors=priors, by_residuals=not self.compares)
+
     @abc.abstractmethod
-    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+    def run(self, setup: Any, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw from the posterior.
 
         Args:
-            setup: the posterior: `setup.target` is a log density in whitened coordinates q, with its mode near 0.
+            setup: what `prepare` returned: `Setup.target` is a log density in whitened coordinates q, with its mode near 0.
             seed: of the draws.
             folder: stores the run in progress, so that the same call resumes after an interruption; None keeps nothing.
             report: called repeatedly with a line of text and the fraction that is done.

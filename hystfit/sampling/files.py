@@ -27,7 +27,7 @@ from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import SCHEMA, Posterior
 from hystfit.sampling.self_contained import refuse_outside
 
-_PLAIN = ("sampler", "noise", "priors", "seconds", "seed", "provenance")
+_PLAIN = ("sampler", "noise", "priors", "prior_quartiles", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
 _FILES = ("result.json", "posterior.nc", f"fit/{MANIFEST}")
 
@@ -169,7 +169,16 @@ def _posterior(
         seed=header.whole("seed"),
         provenance=provenance,
         evidence=evidence,
+        prior_quartiles=_pairs(header.part("prior_quartiles")),
     )
+
+
+def _pairs(stored: Stored) -> dict[str, list[float]]:
+    """Two numbers for each name."""
+    pairs = {name: stored.listed(name) for name in stored.content}
+    if any(len(pair) != 2 for pair in pairs.values()):
+        raise ValueError("quartiles are two numbers")
+    return {name: [float(value) for value in pair] for name, pair in pairs.items()}
 
 
 def _header(posterior: Posterior) -> dict[str, Any]:

@@ -61,8 +61,11 @@ class Nested(AbstractSampler):
 
         Raises:
             DataError: hardly any draw from the prior has a finite likelihood.
+            ParameterError: correlated priors.
         """
         _blackjax()  # a missing package is named before any other work
+        if setup.dependence is not None:
+            raise ParameterError("sampler='nested' takes independent priors: use sampler='nuts'")
         runs = [self._once(setup, seed, number, folder, report) for number in range(self.chains)]
         keep = min(self.draws, *(int(run.effective_count) for run in runs))
         rng = np.random.default_rng(seed)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,13 +18,14 @@ from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.registry import attribute
+from hystfit.results.estimates import MANY
 from hystfit.results.exchange import arviz_data
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 
-SCHEMA = "hystfit.sample/3"
+SCHEMA = "hystfit.sample/4"
 CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
 
 
@@ -35,6 +37,29 @@ def _quantiles(values: np.ndarray) -> dict[str, Any]:
     """Median and 95 % interval."""
     levels = {"lower": 0.025, "median": 0.5, "upper": 0.975}
     return dict(zip(levels, map(_finite, np.quantile(values, list(levels.values()))), strict=True))
+
+
+def _arrays(rows: Sequence[dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Rows of `Posterior.table` by the name that they share in a summary."""
+    families: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        families.setdefault(re.split(r"[\[@]", row["name"])[0], []).append(row)
+    named = lambda name, family: (
+        [(f"{name}[{len(family)}]", family)] if len(family) > MANY else [(row["name"], [row]) for row in family]
+    )
+    return [row for name, family in families.items() for row in named(name, family)]
+
+
+def _summarized(name: str, rows: Sequence[dict[str, Any]]) -> list[Any]:
+    """Cells of the summary of one parameter, or of an array: ranges, the lowest and highest limits, the worst diagnostics."""
+    values = {key: [row[key] for row in rows if row[key] is not None] for key in rows[0] if key not in ("name", "unit")}
+    worst = lambda key, choose: choose(values[key], default=None)
+    if len(rows) == 1:
+        moments = [rows[0]["mean"], rows[0]["sd"]]
+    else:
+        moments = [f"{min(values[key]):.3g} to {max(values[key]):.3g}" for key in ("mean", "sd")]
+    limits = [worst("lower", min), worst("upper", max), rows[0]["unit"]]
+    return [name, *moments, *limits, worst("rhat", max), worst("bulk", min), worst("tail", min)]
 
 
 def _view(name: str) -> Any:
@@ -62,6 +87,7 @@ class Posterior(WithStatus):
         seed: of the draws.
         provenance: of the draws: date, versions, seed, data, and under "fit" the date of the fit.
         evidence: log evidence of model, noise and priors together, of nested sampling; None from other samplers.
+        prior_quartiles: lower and upper quartile of each prior, by parameter.
     """
 
     result: FitResult
@@ -80,6 +106,7 @@ class Posterior(WithStatus):
     seed: int
     provenance: dict[str, Any]
     evidence: Evidence | None = None
+    prior_quartiles: dict[str, list[float]] = dataclasses.field(default_factory=dict)
     verb: ClassVar[str] = "sample"
 
     def __getitem__(self, name: str) -> np.ndarray:
@@ -99,12 +126,11 @@ class Posterior(WithStatus):
         return rows
 
     def summary(self) -> Table:
-        """`table` as readable text."""
+        """`table` as readable text; an array of more than 12 weights has one row, with its smallest and largest values."""
         numbers = [Column("mean"), Column("sd", form=".3g"), Column("2.5 %"), Column("97.5 %")]
         checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
         columns = [Column("parameter"), *numbers, Column("unit", left=True), *checks]
-        keys = ("name", "mean", "sd", "lower", "upper", "unit", "rhat", "bulk", "tail")
-        return Table(columns, [[row[key] for key in keys] for row in self.table()])
+        return Table(columns, [_summarized(name, rows) for name, rows in _arrays(self.table())])
 
     def derived_table(self) -> Table:
         """Derived quantities as readable text."""
@@ -226,6 +252,11 @@ class Posterior(WithStatus):
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.results.quantities.QUANTITIES`."""
         return _view("derived:derive")(self, quantities, count)
+
+    @functools.cached_property
+    def sensitivity(self) -> Any:
+        """What the answer rests on, a `hystfit.sampling.sensitivity.Sensitivity`: prior against data, single records, replicated data."""
+        return _view("sensitivity:sensitivity")(self)
 
     @functools.cached_property
     def derived_rows(self) -> list[dict[str, Any]]:

@@ -17,6 +17,7 @@ from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
 _LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
+_MOST = 24  # parameters in a trace or rank plot, which is as high as they are many
 _FEW = 3  # parameters up to which a corner plot has no room at its upper right
 _TICKS = 0.8  # room for the tick labels of a corner plot [inches]
 _POINTS = 72  # in an inch
@@ -91,33 +92,38 @@ def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
     return sorted(moving[: min(_LEGIBLE, len(flat) - 1)])
 
 
-def _panels(posterior: Posterior) -> Any:
+def _panels(posterior: Posterior) -> tuple[Any, Any, list[int]]:
+    """A figure, its panels and the parameters that they show: those of the corner plot where all would be hundreds."""
     import matplotlib.pyplot as plt
 
-    count = len(posterior.names)
-    return plt.subplots(count, 1, figsize=(5.6, 0.9 + count), layout="constrained", squeeze=False, sharex=True)
+    every = list(range(len(posterior.names)))
+    shown = every if len(every) <= _MOST else _of_corner(posterior, posterior.draws.reshape(-1, len(every)))
+    size = (5.6, 0.9 + len(shown))
+    return *plt.subplots(len(shown), 1, figsize=size, layout="constrained", squeeze=False, sharex=True), shown
 
 
 def _trace(posterior: Posterior) -> Any:
-    figure, axes = _panels(posterior)
-    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+    figure, axes, shown = _panels(posterior)
+    labels = _labels(posterior)
+    for ax, k in zip(axes[:, 0], shown, strict=True):
         for chain, color in zip(posterior.draws[:_SHOWN, :, k], itertools.cycle(_CHAINS)):
             ax.plot(chain, lw=0.4, color=color)
-        ax.set_ylabel(label, fontsize=8)
+        ax.set_ylabel(labels[k], fontsize=8)
     axes[0, 0].set_title(_shown(posterior), fontsize=9)
     axes[-1, 0].set_xlabel("draw")
     return figure
 
 
 def _rank(posterior: Posterior) -> Any:
-    figure, axes = _panels(posterior)
-    for k, (ax, label) in enumerate(zip(axes[:, 0], _labels(posterior), strict=True)):
+    figure, axes, shown = _panels(posterior)
+    labels = _labels(posterior)
+    for ax, k in zip(axes[:, 0], shown, strict=True):
         draws = posterior.draws[:, :, k]
         ranks = rankdata(draws).reshape(draws.shape)
         for chain, color in zip(ranks[:_SHOWN], itertools.cycle(_CHAINS)):
             ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step", color=color)
         ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
-        ax.set_ylabel(label, fontsize=8)
+        ax.set_ylabel(labels[k], fontsize=8)
     axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
     axes[-1, 0].set_xlabel("rank over all chains")
     return figure

@@ -23,6 +23,7 @@ from hystfit.errors import ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
+from hystfit.inference.weights import free_columns
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
@@ -50,10 +51,23 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     known = record.name in [fitted.name for fitted in result.data]
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
+    if result.problem.closed_form:
+        return _by_columns(result, record, x, numbers)
     coordinates = result.problem.space.coordinates
     if not (known or result.problem.settled):
         coordinates = coordinates.at(result.model.of_record(record))
     return np.asarray(_simulate_all(coordinates, *arrays, jnp.asarray(numbers)))
+
+
+def _by_columns(result: FitResult, record: Record, x: np.ndarray, numbers: np.ndarray) -> Float[np.ndarray, "count T"]:
+    """`simulate_draws` of a model that is linear in all free parameters, for the numbers of the records whose own parameters act."""
+    design = result.model.design_matrix(record.u, record.dt)
+    y = np.empty((len(x), len(record)))
+    for number in np.unique(numbers):
+        at = np.flatnonzero(numbers == number)
+        columns, rest = free_columns(result.problem.space, design, int(number), len(result.data))
+        y[at] = (x[at] @ columns.T + rest)[:, design.index]
+    return y
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
@@ -66,11 +80,17 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     flat = posterior.draws.reshape(-1, len(posterior.names))
     rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
     y = simulate_draws(result, record, rows[:, : len(result.free_names)], seed)
-    problem = result.problem.with_loss("linear").with_noise(NOISES.make(posterior.noise)).trimmed()
+    problem = result.problem.with_loss("linear").with_noise(NOISES.make(posterior.noise))
     inputs = np.concatenate([fitted.u for fitted in result.data])
     new = Setting.of(Batch.of(record), (float(inputs.min()), float(inputs.max())))
     new = dataclasses.replace(new, weight=jnp.ones_like(new.weight))  # unmeasured samples have noise too
-    noise = _noise_of_draws(problem.density, new, jnp.asarray(rows), jax.random.key(seed))
+    key = jax.random.key(seed)
+    if problem.closed_form:
+        residual, jacobian = problem.linearize(result.x)
+        away = rows[:, : len(result.free_names)] - result.x
+        noise = _noise_about(problem.density, new, jnp.asarray(rows), residual, jacobian, away, key)
+    else:
+        noise = _noise_of_draws(problem.trimmed().density, new, jnp.asarray(rows), key)
     return result.to_unit_of(given, y + np.asarray(noise)[:, : len(record)])
 
 
@@ -78,8 +98,24 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
 def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array) -> Array:
     def one(at: tuple[Array, Array]) -> Array:
         x, key = at
-        noise = density.noise.assemble(x[density.p :])
-        residual = -density.objective.residual(x[: density.p])  # measurement less prediction
-        return noise.predictive(new, key, density.setting, residual)[0]
+        return _noise(density, new, x, density.objective.residual(x[: density.p]), key)
 
     return jax.lax.map(one, (rows, jax.random.split(key, rows.shape[0])))
+
+
+@eqx.filter_jit
+def _noise_about(
+    density: Density, new: Setting, rows: Array, residual: Array, jacobian: Array, away: Array, key: Array
+) -> Array:
+    """`_noise_of_draws` of a model that is linear in all parameters, from its residuals at one point and the draws' distances to it."""
+
+    def one(at: tuple[Array, Array, Array]) -> Array:
+        x, move, key = at
+        return _noise(density, new, x, residual + jacobian @ move, key)
+
+    return jax.lax.map(one, (rows, away, jax.random.split(key, rows.shape[0])))
+
+
+def _noise(density: Density, new: Setting, x: Array, residual: Array, key: Array) -> Array:
+    """Noise over a new record from one draw; `residual` is prediction less measurement over the fitted ones."""
+    return density.noise.assemble(x[density.p :]).predictive(new, key, density.setting, -residual)[0]

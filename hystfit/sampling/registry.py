@@ -11,5 +11,6 @@ SAMPLERS = Registry(
         "nuts": f"{_HERE}.nuts:Nuts",
         "emcee": f"{_HERE}.ensemble:Ensemble",
         "nested": f"{_HERE}.nested:Nested",
+        "weights": f"{_HERE}.weight_sampler:Weights",
     },
 )

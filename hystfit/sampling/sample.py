@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
-from hystfit.inference.density import Density
+from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.storage import to_json
@@ -28,21 +28,21 @@ from hystfit.results.folders import alone
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import claim
-from hystfit.sampling.base import AbstractSampler, Progress
+from hystfit.sampling.base import AbstractSampler, Prepared, Progress
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
-from hystfit.sampling.setup import Setup, prepare
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
+_PRIOR_DRAWS = 2000  # of a prior, for its quartiles
 _NAMED = 4  # parameters that a note names
 
 
 @verb
 def sample(
     result: FitResult,
-    sampler: str | type[AbstractSampler] | AbstractSampler = "nuts",
+    sampler: str | type[AbstractSampler] | AbstractSampler = "auto",
     *,
     noise: str | type[AbstractNoise] = "auto",
     priors: Mapping[str, AbstractPrior] | None = None,
@@ -55,14 +55,17 @@ def sample(
 
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
-        sampler: "nuts" (blackjax), "emcee" for up to ten parameters, "nested" (blackjax) where the posterior may have several
-            modes or the evidence is wanted (it starts from the priors and takes minutes), my_sampler.py:MySampler, or a sampler.
+        sampler: "auto" ("weights" for smooth weights and nothing else, such as those of a Preisach model, and "nuts" for the others),
+            "nuts" (blackjax), "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
+            posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
+            my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
-        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}; weak defaults for the others.
+        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}, or `CorrelatedPriors`; weak defaults for the
+            others.
         seed: of the draws.
         folder: stores the run in progress; the same call with the same folder resumes after an interruption.
         progress: called repeatedly with a line of text and the fraction that is done.
-        **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`): draws, chains, warmup, walkers, ...
+        **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`, `Weights`): draws, chains, warmup, walkers, ...
 
     Returns:
         Draws with a status; check `usable` and `notes` before using them.
@@ -71,14 +74,14 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     seed = require_seed(seed)
-    chosen = _make(sampler, settings)
+    chosen = _make(suited_sampler(result) if isinstance(sampler, str) and sampler == "auto" else sampler, settings)
     with contextlib.nullcontext() if folder is None else alone(folder):
-        setup = prepare(result, noise=noise, priors=priors, by_residuals=not chosen.compares)
+        setup = chosen.prepare(result, noise, priors)
         started = time.perf_counter()
         place = None if folder is None else _claim(Path(folder), setup, result, chosen, seed)
         raw = chosen.run(setup, seed, place, progress or (lambda text, fraction: None))
     seconds = time.perf_counter() - started
-    draws = physical_draws(setup, raw.z)
+    draws = setup.physical(raw.z)
     convergence = Convergence.of(_pooled(draws) if chosen.many_short_chains else draws)
     problems = convergence.problems(setup.names)
     drift = drift_notes(setup, draws, longest=max(int(record.used.sum()) for record in result.data))
@@ -94,7 +97,7 @@ def sample(
         units=setup.problem.units,
         draws=draws,
         log_density=raw.log_density,
-        stats=raw.stats,
+        stats={"log_prior": _log_prior(setup, draws)} | raw.stats,
         convergence=convergence,
         status=status,
         notes=(
@@ -106,11 +109,12 @@ def sample(
             *prior_dominated_notes(setup, draws),
             *_agreement_notes(result, setup, draws),
         ),
-        priors={name: str(prior) for name, prior in zip(setup.names, setup.problem.priors, strict=True)},
+        priors={name: str(prior) for name, prior in setup.priors.items()},
         seconds=seconds,
         seed=seed,
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
+        prior_quartiles={name: _quartiles(prior) for name, prior in setup.priors.items()},
     )
 
 
@@ -123,6 +127,11 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
     if result.status in (Status.POOR, Status.NO_LOOP):
         return Status.POOR_FIT
     return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
+
+
+def suited_sampler(result: FitResult) -> str:
+    """The sampler that suits a fit."""
+    return "weights" if result.problem.model.estimator == "preisach" and result.problem.space.linear.all() else "nuts"
 
 
 def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
@@ -142,23 +151,34 @@ def _pooled(draws: np.ndarray) -> np.ndarray:
     return groups.reshape(4, -1, d)
 
 
-def physical_draws(setup: Setup, z: np.ndarray) -> np.ndarray:
-    """x of draws z, shape (chains, draws, d)."""
-    flat = jnp.asarray(z.reshape(-1, z.shape[-1]))
-    return np.asarray(_physical(setup.problem.density, flat)).reshape(z.shape)
+def _log_prior(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> Float[np.ndarray, "chains draws"]:
+    """Log prior density over physical parameters."""
+    at = [setup.names.index(name) for name in setup.priors]
+    rows = jnp.asarray(draws[:, :, at].reshape(-1, len(at)))
+    return np.asarray(_log_densities(tuple(setup.priors.values()), setup.dependence, rows)).reshape(draws.shape[:2])
 
 
 @eqx.filter_jit
-def _physical(density: Density, z: Array) -> Array:
-    return jax.vmap(density.physical)(z)
+def _log_densities(priors: tuple[AbstractPrior, ...], dependence: Dependence | None, rows: Array) -> Array:
+    def one(x: Array) -> Array:
+        total = sum((prior.log_density(x[k]) for k, prior in enumerate(priors)), jnp.zeros(()))
+        return total if dependence is None else total + dependence.log_density(priors, x)
+
+    return jax.vmap(one)(rows)
 
 
-def prior_dominated_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def _quartiles(prior: AbstractPrior) -> list[float]:
+    """Lower and upper quartile of a prior."""
+    return np.quantile(np.asarray(prior.sample(jax.random.key(0), (_PRIOR_DRAWS,))), [0.25, 0.75]).tolist()
+
+
+def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """Notes on parameters whose posterior is hardly narrower than the prior, or lies in the far tail of it."""
     key, notes = jax.random.key(0), []
     wide: dict[str, list[tuple[str, float]]] = {}
-    for k, (name, prior) in enumerate(zip(setup.names, setup.problem.priors, strict=True)):
-        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (2000,)))
+    for name, prior in setup.priors.items():
+        k = setup.names.index(name)
+        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,)))
         middle = np.median(draws[:, :, k])
         if not np.any(expected < middle) or not np.any(expected > middle):
             text = f"the posterior of {name} lies in the far tail of its prior ({prior}): the prior is inconsistent with the data"
@@ -191,7 +211,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
     return float(np.subtract(*np.quantile(x, [0.75, 0.25])))
 
 
-def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
+def drift_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
     """A note where slow noise is correlated over a large fraction of the record: the model does not have the drift or creep of the data."""
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
@@ -205,7 +225,7 @@ def drift_notes(setup: Setup, draws: Float[np.ndarray, "chains draws d"], longes
     return [warn(Code.INCOMPLETE, text)]
 
 
-def _agreement_notes(result: FitResult, setup: Setup, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
+def _agreement_notes(result: FitResult, setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
     """A note where the draws are wider or narrower than the standard errors of the fit."""
     wide = draws.reshape(-1, draws.shape[-1]).std(axis=0)
     errors = {name: float(sd) for name, sd in zip(setup.names, wide, strict=True) if np.isfinite(sd)}
@@ -230,14 +250,15 @@ def notes_of_fit(result: FitResult) -> list[Note]:
     return [Note(Code.FIT_STATUS, text, Severity.ERROR), *advice]
 
 
-def _claim(folder: Path, setup: Setup, result: FitResult, chosen: AbstractSampler, seed: int) -> Path:
+def _claim(folder: Path, setup: Prepared, result: FitResult, chosen: AbstractSampler, seed: int) -> Path:
     """The folder of a run; a run for more draws is the same run."""
     described = {
         "data": [record.digest() for record in result.data],
         "model": [to_json(model) for model in result.models],
         "free": list(setup.names),
         "noise": setup.noise,
-        "priors": {name: prior.exact() for name, prior in zip(setup.names, setup.problem.priors, strict=True)},
+        "priors": {name: prior.exact() for name, prior in setup.priors.items()},
+        "dependence": None if setup.dependence is None else np.asarray(setup.dependence.excess).tolist(),
         "sampler": chosen.name,
         "seed": seed,
         "settings": {k: v for k, v in dataclasses.asdict(chosen).items() if k != "draws"},

@@ -15,6 +15,8 @@ from jaxtyping import Array
 
 from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
+from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
+from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
@@ -58,6 +60,25 @@ class Setup:
     def names(self) -> tuple[str, ...]:
         """Names of all parameters."""
         return self.problem.names
+
+    @property
+    def priors(self) -> dict[str, AbstractPrior]:
+        """Priors by name."""
+        return dict(zip(self.names, self.problem.priors, strict=True))
+
+    @property
+    def dependence(self) -> Dependence | None:
+        """Of the priors on each other; None where they are independent."""
+        return self.problem.dependence
+
+    def physical(self, z: np.ndarray) -> np.ndarray:
+        """x of draws z, shape (chains, draws, d)."""
+        return np.asarray(_physical(self.problem.density, jnp.asarray(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
+
+
+@eqx.filter_jit
+def _physical(density: Density, z: Array) -> Array:
+    return jax.vmap(density.physical)(z)
 
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
@@ -107,7 +128,7 @@ def prepare(
     problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:
         raise ParameterError(
-            f"{len(problem.space)} free parameters are too many to sample (at most {_MOST}): {_fewer(result.name)}"
+            f"{len(problem.space)} free parameters are too many for this sampler (at most {_MOST}): {_fewer(result.name)}"
         )
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
@@ -117,9 +138,10 @@ def prepare(
     refined = refine(problem, result.x, choice)
     longest = max(row.size for row in residuals.rows)
     suggested = refined.noise.default_priors(longest, residuals.curve_size if by_residuals else None)
-    chosen = {name: prior for name, prior in suggested.items() if name in refined.space.names} | dict(priors or {})
+    own = {name: prior for name, prior in suggested.items() if name in refined.space.names}
     x = np.concatenate([refined.x, refined.values])
-    problem = refined.problem.with_noise(refined.noise, chosen, x).trimmed()
+    given = priors if isinstance(priors, CorrelatedPriors) else dict(priors or {})
+    problem = refined.problem.with_noise(refined.noise, own | given, x).trimmed()
     z = np.concatenate([_inside(problem.space, refined.x), _inside(refined.space, refined.values)])
     if not np.isfinite(problem.log_prior(z)):
         rows = zip(problem.names, problem.priors, x, strict=True)

@@ -10,12 +10,13 @@ import numpy as np
 
 from hystfit.config import verb
 from hystfit.errors import ParameterError
-from hystfit.outcome import Code, Column, Note, Table
+from hystfit.outcome import Code, Column, Note, Status, Table
 from hystfit.outcome.note import warn
 from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
 from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
+from hystfit.sampling.sample import sample, suited_sampler
 from hystfit.uncertainty.block_covariance import covariance
 
 SCHEMA = "hystfit.errors/1"
@@ -28,8 +29,8 @@ class StandardErrors:
 
     Attributes:
         result: the fit.
-        errors: of each free parameter by method, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap"; NaN
-            where the data do not determine the parameter.
+        errors: of each free parameter by method, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap", and
+            for smooth weights "posterior" (`hystfit.sampling.weight_sampler`); NaN where the data do not determine the parameter.
         factors: half a 95 % interval over the error, by method except "fit", shape (p,).
         block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
@@ -137,9 +138,29 @@ def _typical(ratio: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(known)))) if known.size else float("nan")
 
 
+def _of_draws(result: FitResult, seed: int) -> tuple[np.ndarray, np.ndarray, list[Note]]:
+    """Standard deviations of smooth weights over their posterior, half a 95 % interval over each, and notes.
+
+    Weights without any influence on the data have none: their posterior is the smoothness prior.
+    """
+    posterior = sample(result, "weights", seed=seed)
+    p = len(result.free_names)
+    draws = posterior.draws[:, :, :p].reshape(-1, p)
+    norms = np.linalg.norm(result.problem.linearize(result.x)[1], axis=(0, 1))
+    spread = np.where(norms > 1e-9 * norms.max(), draws.std(axis=0, ddof=1), np.nan)
+    half = 0.5 * np.subtract(*np.quantile(draws, [0.975, 0.025], axis=0))
+    text = "the posterior includes smoothness and the bounds as prior information, and has an error for weights at their bound"
+    notes = [Note(Code.NOISE_MODEL, f"{text}; noise model {posterior.noise}")]
+    if posterior.status is Status.NOT_CONVERGED:
+        notes += [note for note in posterior.notes if note.code is Code.CHAINS]
+    return spread, half / spread, notes
+
+
 @verb
 def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 0) -> StandardErrors:
     """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
+
+    For smooth weights and nothing else, such as those of a Preisach model, also the standard deviations of their posterior.
 
     Args:
         result: a least-squares fit.
@@ -174,7 +195,11 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
-    unknown = [name for name, error in zip(result.free_names, fit, strict=True) if not np.isfinite(error)]
+    if suited_sampler(result) == "weights":
+        errors["posterior"], factors["posterior"], remarks = _of_draws(result, seed)
+        notes += remarks
+    nowhere = ~np.any([np.isfinite(error) for error in errors.values()], axis=0)
+    unknown = [name for name, missing in zip(result.free_names, nowhere, strict=True) if missing]
     if unknown:
         named = ", ".join(unknown[:_NAMED]) + (f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else "")
         text = f"no method gives a standard error for parameters at a bound or not determined by the data: {named}"

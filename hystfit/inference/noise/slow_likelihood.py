@@ -106,7 +106,7 @@ class SlowNoise:
 
     def solve(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """The inverse covariance, without the shapes', times each column."""
-        return _solver(self.samples, (self.white / self.slow) ** 2, self.time)[0](rows) / self.slow**2
+        return slow_solver(self.samples, (self.white / self.slow) ** 2, self.time)[0](rows) / self.slow**2
 
     def apply(self, rows: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
         """The covariance times each column."""
@@ -117,8 +117,11 @@ class SlowNoise:
         return plain + self.loop**2 * self.shapes @ (self.shapes.T @ rows) if self.shapes.shape[1] else plain
 
 
-def _solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """X -> inverse of (correlation of the slow part + ratio) times X, and the log determinant of that matrix."""
+def slow_solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """X -> inverse of (correlation of the slow part + ratio) times X for weighted columns X, and the log determinant of that matrix.
+
+    The ratio is that of white to slow variance, the time that of the slow part in typical sampling intervals.
+    """
     diagonal, beside, log_slow = samples.precision(time)
     pivots, below, _ = dpttrf(diagonal + samples.weight / ratio, beside)
     root = np.sqrt(samples.weight)[:, None] / ratio
@@ -233,7 +236,7 @@ class Contrasts:
         if self.residual.ndim > 1:
             rows = [self.take(k)._joint(ratio[k], time[k]) for k in range(len(self.residual))]
             return np.stack([joint for joint, _ in rows]), np.stack([log_det for _, log_det in rows])
-        solvers = [_solver(self.samples, *point) for point in zip(ratio, time, strict=True)]
+        solvers = [slow_solver(self.samples, *point) for point in zip(ratio, time, strict=True)]
         joint = [gram([self.basis, self.residual, self.shapes], solve) for solve, _ in solvers]
         return np.stack(joint), np.array([log_det for _, log_det in solvers])
 

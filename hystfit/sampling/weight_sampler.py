@@ -1,0 +1,178 @@
+"""Gibbs sampling of linear weights by hundreds with the strength of their penalty and the noise; resumes after interruption, bit for bit.
+
+Each sweep draws the weights by exact Hamiltonian motion within their bounds (`hystfit.sampling.truncated_normal`), the noise from a grid
+with its variance in closed form, and the strength of the penalty as a precision whose inverse square root is half-Cauchy (Wand et al.
+2011, Bayesian Analysis 6): the penalty is the prior that the weights are smooth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.priors import AbstractPrior
+from hystfit.params.host_arrays import compiled, to_device
+from hystfit.results.result import FitResult
+from hystfit.runs.chunks import stored
+from hystfit.runs.threads import Workers
+from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.truncated_normal import draw_truncated
+from hystfit.sampling.weight_equations import WeightEquations
+from hystfit.sampling.weight_setup import WeightSetup
+
+_CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
+_MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
+_LEAST = 1e-16  # variance of noise, over the squared range of the output, below which squares of residuals are rounding errors
+_INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
+
+
+@dataclasses.dataclass(frozen=True)
+class Weights(AbstractSampler):
+    """Settings of the sampler of weights.
+
+    Attributes:
+        chains, draws: number of chains, and least number of draws in each.
+        extend: chains that have not converged are continued to at most so many times `draws`.
+        warmup: sweeps before them.
+    """
+
+    name: ClassVar[str] = "weights"
+    chains: int = 4
+    draws: int = 450
+    extend: int = 8
+    warmup: int = 50
+
+    def __post_init__(self) -> None:
+        self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 1})
+
+    def prepare(
+        self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
+    ) -> WeightSetup:
+        """See `AbstractSampler.prepare`."""
+        return WeightSetup.of(result, noise, priors)
+
+    def run(self, setup: WeightSetup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
+        key, draws = jax.random.key(seed), self.draws
+        chains = [
+            _Chain(setup.equations, jax.random.fold_in(key, k), folder, f"weights-{k}") for k in range(self.chains)
+        ]
+        report("compilation and warm-up", 0.0)
+        while True:
+            parts = self._draw(chains, draws, report)
+            joined = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+            z = setup.parameters(joined)
+            convergence = Convergence.of(np.concatenate([z, *_strength(setup, joined)], axis=-1))
+            if convergence.good or convergence.apart or draws >= self.extend * self.draws:
+                break
+            draws = min(2 * draws, self.extend * self.draws)
+        smoothness = joined["strength"] / float(setup.equations.count)
+        stats = {"smoothness": smoothness, "log_prior": joined["log_prior"]}
+        return Raw(z, joined["log_density"], stats, complete=convergence.good)
+
+    def _draw(self, chains: list[_Chain], draws: int, report: Progress) -> list[dict[str, np.ndarray]]:
+        """The draws of every chain after the warm-up."""
+        done, lock, total = [0], threading.Lock(), len(chains) * (self.warmup + draws)
+        workers = Workers()
+
+        def collect(count: int) -> None:
+            workers.check()
+            with lock:
+                done[0] += count
+                report(f"{done[0]} of {total} sweeps", min(done[0] / total, 1.0))
+
+        tasks = [functools.partial(chain.sweeps, self.warmup + draws, collect) for chain in chains]
+        return [{name: rows[self.warmup :] for name, rows in part.items()} for part in workers.run(tasks)]
+
+
+def _strength(setup: WeightSetup, draws: dict[str, np.ndarray]) -> list[np.ndarray]:
+    """The logarithm of the penalty's strength where there is a penalty, shape (chains, draws, 1)."""
+    return [np.log(draws["strength"])[..., None]] if float(setup.equations.penalized) else []
+
+
+@dataclasses.dataclass(frozen=True)
+class _Chain:
+    """One chain, in memory or continued from the files of a folder; nothing is kept where the folder is None."""
+
+    equations: WeightEquations
+    key: Array
+    folder: Path | None
+    label: str
+    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+
+    def sweeps(self, count: int, collect: Callable[[int], None]) -> dict[str, np.ndarray]:
+        """The first `count` sweeps; `collect` is told of each chunk."""
+        for number in range(-(-count // _CHUNK)):
+            if number == len(self.chunks):
+                make = functools.partial(self._chunk, number)
+                self.chunks.append(stored(self.folder, f"{self.label}-{number:05d}.npz", make))
+                collect(_CHUNK)
+        return {name: np.concatenate([chunk[name] for chunk in self.chunks])[:count] for name in self.chunks[0]}
+
+    def _chunk(self, number: int) -> dict[str, np.ndarray]:
+        key = jax.random.fold_in(self.key, number)
+        if number:
+            state = {name: to_device(rows[-1]) for name, rows in self.chunks[-1].items()}
+        else:
+            state = _start(self.equations, jax.random.fold_in(self.key, 10**6))
+        return {name: np.asarray(rows) for name, rows in _advance(self.equations, state, key).items()}
+
+
+State = dict[str, Array]
+
+
+@compiled
+def _start(equations: WeightEquations, key: Array) -> State:
+    """The estimate inside its bounds, another noise and another strength in each chain."""
+    first, second = jax.random.split(key)
+    w, bounded = equations.estimate, equations.bounded
+    mean = jnp.sum(jnp.where(bounded, w, 0.0)) / jnp.maximum(jnp.sum(bounded), 1)
+    w = jnp.where(bounded, jnp.maximum(w, _INSIDE * mean), w)
+    strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
+    number = jax.random.randint(second, (), 0, equations.squares.size)
+    variance = equations.squares[number] / equations.count + _LEAST
+    start = {"w": w, "strength": strength, "variance": variance, "number": number}
+    return start | dict.fromkeys(("rate", "log_density", "log_prior"), jnp.zeros(()))
+
+
+@compiled
+def _advance(equations: WeightEquations, state: State, key: Array) -> State:
+    """A chunk of sweeps: the states after each."""
+    once = lambda state, key: (new := sweep(equations, state, key), new)
+    return jax.lax.scan(once, state, jax.random.split(key, _CHUNK))[1]
+
+
+def sweep(equations: WeightEquations, state: State, key: Array) -> State:
+    """One sweep: weights, noise, strength of the penalty; for use inside traced code."""
+    keys = jax.random.split(key, 5)
+    n, gram = equations.count, equations.grams[state["number"]]
+    precision = gram / state["variance"] + state["strength"] * equations.roughness + jnp.diag(equations.precision)
+    toward = gram @ equations.estimate - equations.slopes[state["number"]]
+    slope = toward / state["variance"] + equations.pull
+    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)
+    away = w - equations.estimate
+    squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
+    half = 0.5 * jnp.maximum(squares, 0.0) + n * _LEAST
+    number = jax.random.categorical(keys[1], -0.5 * equations.log_dets - 0.5 * n * jnp.log(half))
+    variance = half[number] / jax.random.gamma(keys[2], 0.5 * n)
+    rough = 0.5 * w @ equations.roughness @ w
+    rate = jax.random.exponential(keys[3]) / (state["strength"] + equations.penalized**2)
+    strength = jax.random.gamma(keys[4], 0.5 * (equations.penalized + 1)) / (rate + rough)
+    strength = jnp.where(equations.penalized > 0, strength, 1.0)
+    prior = 0.5 * equations.penalized * jnp.log(strength) - strength * rough
+    prior += equations.pull @ w - 0.5 * jnp.sum(equations.precision * w**2)
+    fit = -0.5 * equations.log_dets[number] - 0.5 * n * jnp.log(variance) - half[number] / variance
+    return {
+        "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior, "log_prior": prior,
+    }  # fmt: skip

@@ -1,0 +1,202 @@
+"""Sampling of linear weights by hundreds: against integrals, rejection, dense covariances; files, predictions and bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit import priors
+from hystfit.errors import ParameterError
+from hystfit.inference.noise.slow_likelihood import Samples
+from hystfit.inference.problem import Problem
+from hystfit.models import PrandtlIshlinskii, Preisach
+from hystfit.outcome import Status
+from hystfit.sampling.sample import suited_sampler
+from hystfit.sampling.truncated_normal import draw_truncated
+from hystfit.sampling.weight_equations import NoiseGrid, weight_equations, weight_priors
+
+
+def turning(seed: int, count: int, steps: int = 12) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    turns = np.concatenate([[0.0, 1.0, -1.0], rng.uniform(-1, 1, count)])
+    return np.concatenate([np.linspace(a, b, steps, endpoint=False) for a, b in itertools.pairwise(turns)])
+
+
+def test_exact_motion_has_the_moments_of_a_truncated_normal() -> None:
+    # Three coordinates, two of them bounded, one with its mean outside: moments by sums over a grid.
+    precision = np.array([[2.0, 0.9, -0.4], [0.9, 1.5, 0.6], [-0.4, 0.6, 1.0]])
+    slope, bounded = np.array([-1.5, 1.0, 0.3]), np.array([True, True, False])
+    axes = np.linspace(0, 6, 121), np.linspace(0, 6, 121), np.linspace(-8, 8, 161)
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    mass = np.exp(-0.5 * np.einsum("ni,ij,nj->n", x, precision, x) + x @ slope)
+    edges = np.prod([np.where(x[:, k] == 0, 0.5, 1.0) for k in (0, 1)], axis=0)  # the trapezoidal rule
+    mass *= edges / (mass @ edges)
+    mean = mass @ x
+    covariance = (x * mass[:, None]).T @ x - np.outer(mean, mean)
+
+    @jax.jit
+    def draws(key: jax.Array) -> jax.Array:
+        move = lambda x, key: (
+            (draw_truncated(key, x, jnp.asarray(slope), jnp.asarray(precision), jnp.asarray(bounded)),) * 2
+        )
+        return jax.lax.scan(move, jnp.ones(3), jax.random.split(key, 8_000))[1]
+
+    found = np.asarray(draws(jax.random.key(0)))
+    assert (found[:, bounded] >= 0).all()
+    error = np.sqrt(np.diag(covariance) / 2000)  # at least a quarter as many effective draws
+    np.testing.assert_array_less(np.abs(found.mean(axis=0) - mean), 4 * error)
+    np.testing.assert_allclose(np.cov(found.T), covariance, atol=0.05)
+
+
+@pytest.fixture(scope="module")
+def plays() -> hf.FitResult:
+    u = turning(1, 12)
+    model = PrandtlIshlinskii(w=[[0.6, 0.01, 0.3]], r=[0.0, 0.2, 0.4], low=-1.0, high=1.0)
+    y = np.asarray(hf.simulate(model, u)[0]) + 0.05 * np.random.default_rng(2).normal(size=u.size)
+    return hf.fit(model, hf.Record(u=u, y=y))
+
+
+def test_draws_agree_with_rejection_from_the_unbounded_posterior(plays: hf.FitResult) -> None:
+    # With vague priors the posterior without bounds is normal and inverse gamma in closed form; rejection puts in the bounds.
+    residual, jacobian = plays.problem.linearize(plays.x)
+    on = plays.problem.used
+    X, r = jacobian[on], residual[on]
+    A = X.T @ X
+    best = plays.x - np.linalg.solve(A, X.T @ r)
+    rss, n, p = float(np.sum((r + X @ (best - plays.x)) ** 2)), len(r), len(best)
+    rng = np.random.default_rng(3)
+    variance = rss / rng.chisquare(n - p, size=50_000)
+    z = rng.normal(size=(variance.size, p))
+    w = best + np.sqrt(variance)[:, None] * np.linalg.solve(np.linalg.cholesky(A).T, z.T).T
+    inside = (w >= plays.problem.space.lower).all(axis=1)
+    assert 0.05 < inside.mean() < 0.95  # the bound matters
+    expected = np.column_stack([w, np.sqrt(variance)])[inside]
+    vague = {"offset": priors.Normal(0, 100), **{f"w[0,{k}]": priors.HalfNormal(100) for k in range(3)}}
+    posterior = hf.sample(plays, "weights", noise="iid", draws=300, seed=4, priors=vague)
+    found = posterior.draws.reshape(-1, p + 1)
+    assert posterior.names[-1] == "noise_white"
+    sd = expected.std(axis=0)
+    np.testing.assert_array_less(np.abs(found.mean(axis=0) - expected.mean(axis=0)), 0.15 * sd)
+    np.testing.assert_allclose(found.std(axis=0), sd, rtol=0.12)
+    np.testing.assert_allclose(
+        np.quantile(found, 0.95, axis=0), np.quantile(expected, 0.95, axis=0), atol=0.2 * sd.max()
+    )
+
+
+def test_equations_are_those_of_the_dense_covariance(plays: hf.FitResult) -> None:
+    weights = np.random.default_rng(0).uniform(0.5, 2.0, len(plays.data[0]))
+    problem = plays.problem.reweighted([weights])
+    grid = NoiseGrid(np.array([0.3, 5.0]), np.array([4.0, 20.0]))
+    chosen = {**weight_priors(problem, plays.x, None), "offset": priors.Normal(0.2, 0.5)}
+    found = weight_equations(problem, plays.x, grid, chosen, size=2.0)
+    residual, jacobian = (rows[problem.used] for rows in problem.linearize(plays.x))
+    lags = np.abs(np.subtract.outer(np.arange(residual.size), np.arange(residual.size)))
+    for k, (ratio, time) in enumerate(zip(grid.ratios, grid.times, strict=True)):
+        covariance = np.exp(-lags / time) + np.diag(ratio / weights)
+        inverse = np.linalg.inv(covariance)
+        np.testing.assert_allclose(found.squares[k], residual @ inverse @ residual / 4, rtol=1e-8)
+        np.testing.assert_allclose(found.slopes[k], jacobian.T @ inverse @ residual / 2, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(found.grams[k], jacobian.T @ inverse @ jacobian, rtol=1e-7, atol=1e-9)
+        # The log determinant is that of weighted residuals, the same constant away for every noise.
+        log_det = np.linalg.slogdet(covariance)[1] + np.sum(np.log(weights))
+        np.testing.assert_allclose(found.log_dets[k], log_det, rtol=1e-8)
+    k = plays.free_names.index("offset")
+    np.testing.assert_allclose([found.precision[k], found.pull[k]], [4 / 0.25, 2 * 0.2 / 0.25])
+
+
+@pytest.fixture(scope="module")
+def cells() -> hf.FitResult:
+    rng = np.random.default_rng(5)
+    records = []
+    for number in range(2):
+        u = turning(6 + number, 12)
+        model = dataclasses.replace(Preisach.of(6, spacing="uniform"), offset=0.1 * number)
+        model = eqx.tree_at(lambda m: m.w, model, jnp.asarray(np.random.default_rng(8).exponential(0.05, 21)))
+        y = np.asarray(model.free_run(u)) + 0.01 * rng.normal(size=u.size)
+        records.append(hf.Record(u=u, y=y, name=f"loop {number}"))
+    return hf.fit(Preisach.of(6, spacing="uniform"), hf.Dataset(tuple(records)))
+
+
+@pytest.fixture(scope="module")
+def drawn(cells: hf.FitResult, tmp_path_factory: pytest.TempPathFactory) -> tuple[hf.Posterior, object]:
+    folder = tmp_path_factory.mktemp("run")
+    return hf.sample(cells, draws=100, extend=1, folder=folder), folder
+
+
+def test_smooth_weights_are_sampled_by_default_and_resume(cells: hf.FitResult, drawn: tuple) -> None:
+    posterior, folder = drawn
+    assert posterior.sampler == "weights"
+    assert posterior.names[: len(cells.free_names)] == cells.free_names
+    assert (posterior.draws[:, :, : len(cells.free_names)][:, :, cells.problem.space.lower == 0] >= 0).all()
+    for file in list(folder.glob("weights-1-0000[3-9].npz")):
+        file.unlink()
+    np.testing.assert_array_equal(hf.sample(cells, draws=100, extend=1, folder=folder).draws, posterior.draws)
+    assert "w[21]" in "\n".join(posterior.summary().lines())
+
+
+def test_predictions_are_those_of_each_draws_model(cells: hf.FitResult, drawn: tuple) -> None:
+    posterior = drawn[0]
+    record = cells.data[1]
+    # Each draw's model simulated by itself, with the offset of its record.
+    rows = posterior.thinned(3, 1)
+    expected = [cells.problem.space.assembled(row, 1).free_run(record.u, record.dt) for row in rows]
+    np.testing.assert_allclose(posterior.predict(record, 3, 1), expected, atol=1e-12)
+    new = hf.Record(u=turning(9, 5), y=np.zeros(turning(9, 5).size), name="another")
+    offsets = [k for k, name in enumerate(cells.free_names) if name.startswith("offset")]
+    plain = cells.problem.space.assembled(rows[0], 0).free_run(new.u)
+    shifts = posterior.predict(new, 3, 1)[0] - plain
+    assert np.ptp(shifts) < 1e-12
+    assert np.min(np.abs(shifts[0] - (rows[0][offsets] - rows[0][offsets[0]]))) < 1e-12
+    low, _, high = posterior.bands(record)
+    assert 0.8 < np.mean((record.y >= low) & (record.y <= high)) < 0.98
+
+
+def test_every_weight_that_acts_has_an_error_by_its_posterior(cells: hf.FitResult, drawn: tuple, monkeypatch) -> None:
+    from hystfit.uncertainty import robust_errors
+
+    monkeypatch.setattr(robust_errors, "sample", lambda result, sampler, seed: drawn[0])
+    found = robust_errors.standard_errors(cells)
+    acts = np.linalg.norm(cells.problem.linearize(cells.x)[1], axis=(0, 1)) > 0
+    np.testing.assert_array_equal(np.isfinite(found.errors["posterior"]), acts)
+    assert found.to_dict()["parameters"]["w[0]"]["stderr"]["posterior"] > 0
+
+
+def test_what_the_sampler_cannot_do_is_named(plays: hf.FitResult, cells: hf.FitResult) -> None:
+    assert suited_sampler(plays) == "nuts"
+    with pytest.raises(ParameterError, match="iid and ou"):
+        hf.sample(plays, "weights", noise="student-t")
+    with pytest.raises(ParameterError, match="normal priors"):
+        hf.sample(plays, "weights", priors={"w[0,0]": priors.LogNormal(0.5, 0.3)})
+    u = turning(1, 12)
+    y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), u)[0])
+    problem = Problem(hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), hf.Record(u=u, y=y))
+    with pytest.raises(ParameterError, match="c, mu, tau, rho"):
+        weight_equations(problem, problem.space.vector(problem.model), NoiseGrid.about(None), {}, 1.0)
+
+
+def test_the_grid_of_noises_lies_about_the_most_probable_one() -> None:
+    from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
+
+    rng = np.random.default_rng(0)
+    slow = np.zeros(2000)
+    for k in range(1, 2000):
+        slow[k] = np.exp(-1 / 15) * slow[k - 1] + np.sqrt(1 - np.exp(-2 / 15)) * rng.normal()
+    u = np.sin(0.05 * np.arange(2000))
+    problem = Problem(hf.BoucWen(), hf.Record(u=u, y=u))
+    residual, nothing = slow + 0.5 * rng.normal(size=2000), np.zeros((2000, 0))
+    grid = NoiseGrid.about(fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing)))
+    assert grid.ratios.size == 25
+    low, high = np.quantile(grid.times, [0, 1])
+    assert low < 15 < high
+    assert grid.ratios.min() < 0.25 < grid.ratios.max()
+
+
+def test_status_tells_of_chains_that_are_too_short(cells: hf.FitResult) -> None:
+    assert hf.sample(cells, draws=100, warmup=1, chains=2, extend=1, noise="iid").status is Status.NOT_CONVERGED
