@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import concurrent.futures
 import os
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -15,9 +14,6 @@ from hystfit.config import on_device
 
 T = TypeVar("T")
 _MOST = 4  # threads: Python itself, which traces models for compilation, runs in one at a time
-# Seconds after which a thread lets another one run Python. With the usual 5 ms, thirteen threads that judge a map spent most of their time
-# waiting after each operation on arrays: 138 s of all threads for 7 s of work.
-_TURN = 2e-4
 
 
 def usable_cores() -> int:
@@ -52,8 +48,6 @@ class Workers:
             if self.count <= 1 or len(tasks) <= 1:
                 return [task() for task in tasks]
             pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
-            usual = sys.getswitchinterval()
-            sys.setswitchinterval(min(usual, _TURN))
             try:
                 futures = [pool.submit(_on_device, task) for task in tasks]
                 done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
@@ -62,7 +56,6 @@ class Workers:
                 self._interrupted.set()
                 raise
             finally:
-                sys.setswitchinterval(usual)
                 pool.shutdown(wait=False, cancel_futures=True)
 
 
