@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -41,6 +41,10 @@ class AbstractHysteresis(AbstractDynamics):
 
     no_inverse: ClassVar[str] = ""
     """Why no model of its kind has an inverse; "" where one has."""
+    counts: ClassVar[Mapping[str, str]] = {}
+    """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
+    c_template: ClassVar[str] = ""
+    """Name of its template of C code, where the template needs nothing but the fields (`CPart.of`)."""
 
     # -- values ------------------------------------------------------------------------------------------------------------
 
@@ -63,10 +67,12 @@ class AbstractHysteresis(AbstractDynamics):
     def settings(self) -> dict[str, int | bool | str]:
         """Settings besides parameter values, as written after a name (`preisach:n=60`): whole numbers, words and switches.
 
-        By default the fields that are not parameters; override it where a constructor takes other settings.
+        By default the numbers of elements in `counts`, and the fields that are not parameters; override it where a constructor takes
+        other settings.
         """
         values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
-        return {name: value for name, value in values if isinstance(value, (int, str))}
+        plain = {name: value for name, value in values if isinstance(value, (int, str))}
+        return {name: getattr(self, field).shape[-1] for name, field in self.counts.items()} | plain
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -94,7 +100,7 @@ class AbstractHysteresis(AbstractDynamics):
     @property
     def has_inverse(self) -> bool:
         """Whether its kind has an inverse; that of one model also depends on its parameters, see `obstacle`."""
-        return not self.delays
+        return not (self.delays or self.no_inverse)
 
     @property
     def hardens(self) -> bool:
@@ -279,7 +285,11 @@ class AbstractHysteresis(AbstractDynamics):
         Raises:
             ModelError: the model has no C code.
         """
-        raise ModelError(f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)")
+        if not self.c_template:
+            raise ModelError(
+                f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)"
+            )
+        return CPart.of(self, self.c_template)
 
     def uniaxial_material(self) -> UniaxialMaterial:
         """The model as a material of OpenSees.
@@ -328,13 +338,18 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
 
 
 def check_rest(rest: str) -> None:
-    """Refuse an unknown state of rest before a record.
-
-    Raises:
-        ModelError: neither "level" nor "first".
-    """
+    """Refuse an unknown state of rest before a record."""
     if rest not in ("level", "first"):
         raise ModelError(f"rest must be level or first, got {rest!r}")
+
+
+def check_same_length(model: AbstractHysteresis, one: str, other: str, element: str) -> None:
+    """Refuse two arrays of a model that do not have one value for each element, such as a play."""
+    shapes = [getattr(getattr(model, name), "shape", None) for name in (one, other)]  # placeholders of a tree have none
+    if None not in shapes and shapes[0][-1:] != shapes[1][-1:]:
+        raise ModelError(
+            f"{one} and {other} must have one value for each {element}, got shapes {shapes[0]}, {shapes[1]}"
+        )
 
 
 class PlayWeights(NamedTuple):

@@ -25,7 +25,7 @@ from hystfit.models.bouc_wen_steps import (
     runge_kutta,
     semi_implicit,
 )
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
@@ -140,7 +140,5 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
-        names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
-        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": np.asarray(initial_state(self))[0]}
-        numbers |= {"B": int(self.b.shape[0]) + 2, "EXACT": int(self.scheme == "exact")}
-        return CPart(template("bouc_wen_asymmetric.c"), 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(self.b))})
+        b, exact = np.append([0.0, 0.0], self.b), self.scheme == "exact"
+        return CPart.of(self, "bouc_wen_asymmetric", h0=initial_state(self)[0], b=b, exact=exact)

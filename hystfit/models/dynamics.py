@@ -16,7 +16,7 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
@@ -35,6 +35,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "delay"
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
@@ -80,10 +81,6 @@ class Delay(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""
         raise no_inverse(self)
-
-    def c_part(self) -> CPart:
-        """A line of fixed length."""
-        return CPart(template("delay.c"), self.longest + 1, {"LAG": self.lag, "LONGEST": self.longest})
 
 
 class Lag(AbstractHysteresis):
@@ -139,7 +136,7 @@ class Lag(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Two recursions."""
-        return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
+        return CPart.of(self, "lag", first=self.rest == "first")
 
 
 def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -153,6 +150,7 @@ class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "second_order"
     linear_in_input: ClassVar[bool] = True
 
     omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
@@ -208,10 +206,6 @@ class SecondOrder(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""
         raise no_inverse(self)
-
-    def c_part(self) -> CPart:
-        """The free decay of the deviation from the ramp response."""
-        return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
 
 
 def no_inverse(model: AbstractHysteresis) -> ModelError:

@@ -16,7 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
 from hystfit.models.shapes import Scalar, Signal, State
@@ -287,10 +287,7 @@ class BoucWenOscillator(AbstractHysteresis):
             raise ModelError(
                 f"a band-limited force needs the {REACH} samples that follow, which C code does not have: {_CAUSAL}"
             )
-        names = ("m", "c", "K", "a", "r_load", "r_unl", "n", "Z", "offset")
-        numbers = {name.upper() if name != "K" else "STIFFNESS": getattr(self, name) for name in names}
-        numbers |= {"HOLD": int(self.between == "hold"), "SUBSTEPS": self.substeps}
-        return CPart(template("oscillator.c"), 4, numbers)
+        return CPart.of(self, "oscillator", hold=self.between == "hold")
 
 
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"

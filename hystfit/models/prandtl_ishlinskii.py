@@ -17,7 +17,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, PlayWeights
 from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.design import COLUMNS, DesignMatrix
 from hystfit.models.play_columns import element_columns, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
@@ -26,7 +26,7 @@ from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 Envelope = Literal["identity", "square", "mirror"]
@@ -74,26 +74,17 @@ class PrandtlIshlinskii(AbstractHysteresis):
         ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
     """
 
-    w: Float[Array, "envelopes plays"] = param(
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.1,
-        linear=True,
-        effect=lambda model: model.r if model.operator == "stop" else 1.0,
-        doc="weights of the plays or stops",
+    w: Float[Array, "envelopes plays"] = element_weights(
+        effect=lambda model: model.r if model.operator == "stop" else 1.0, doc="weights of the plays or stops"
     )
-    r: Float[Array, " plays"] = param(
-        bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, as fractions of the input range"
+    r: Float[Array, " plays"] = element_places(
+        scale=0.1, doc="half widths of the plays, as fractions of the input range"
     )
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
     )
-    rise: Float[Array, " degree"] = param(
-        (),
-        bounds=(0.0, np.inf),
-        unit="y",
-        linear=True,
-        doc="increments of the rising single-valued part over the range",
+    rise: Float[Array, " degree"] = element_weights(
+        (), scale=1.0, doc="increments of the rising single-valued part over the range"
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
@@ -255,9 +246,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """By columns, without a program to compile, where these are not too large."""
         if np.size(u) * self.w.size > COLUMNS:
             return super().free_run(u, dt)
-        design = self.design_matrix(*drive(self, u, dt))
-        values = jax.tree_util.tree_leaves(self)
-        return np.sum([block.columns @ np.ravel(values[block.leaf]) for block in design.blocks], axis=0)
+        return self.design_matrix(*drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns run by run of monotonic input, without a pass for each of the weights."""
@@ -340,20 +329,9 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Plays or stops, envelopes and hardening are in one template."""
-        kinds = [("identity", "square", "mirror").index(kind) for kind in self.envelopes]
-        count, plays = self.w.shape
-        hardens = int(bool(self.hardening.size))
-        numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
-        numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
-        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays)}
-        numbers |= {"B": int(self.b.size) + 1, "RISE": int(self.rise.size)}
-        arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
-        if self.rise.size:
-            arrays["rise"] = self.rise
-        if hardens:
-            numbers["S0"] = self.s0
-            arrays["hardening"] = self.hardening
-        return CPart(template("prandtl_ishlinskii.c"), int(count * plays) + hardens, numbers, arrays)
+        kinds = np.array([get_args(Envelope).index(kind) for kind in self.envelopes])
+        switches = {"first": self.rest == "first", "stops": self.operator == "stop"}
+        return CPart.of(self, "prandtl_ishlinskii", kinds=kinds, b=np.append(0.0, self.b), **switches)
 
 
 class PlayStep(AbstractStepInverse):

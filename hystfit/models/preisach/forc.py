@@ -113,11 +113,7 @@ class ForcNumbers:
 
 
 def forc_numbers(diagram: ForcDiagram) -> ForcNumbers:
-    """Peak, ridge and coercivity distribution of a diagram.
-
-    Raises:
-        DataError: the density is nowhere positive.
-    """
+    """Peak, ridge and coercivity distribution of a diagram."""
     x, y, mass = diagram.coercivity, diagram.interaction, diagram.mass
     if not (mass > 0).any():
         raise DataError("the FORC density is nowhere positive: use more curves, or a smaller smoothing factor")

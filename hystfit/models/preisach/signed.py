@@ -6,9 +6,7 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from hystfit.errors import ModelError
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 
 
@@ -18,7 +16,10 @@ class SignedPreisach(Preisach):
     The output need not rise with the input, because cells of negative mass switch against it.
     """
 
-    has_inverse: ClassVar[bool] = False
+    no_inverse: ClassVar[str] = (
+        "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
+        "weights >= 0 (preisach-forc)"
+    )
     needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
 
     w: Float[Array, " cells"] = param(
@@ -27,14 +28,3 @@ class SignedPreisach(Preisach):
     slopes: Float[Array, " intervals"] = param(
         (), unit="y", scale=0.1, linear=True, doc="rises of the piecewise linear reversible part"
     )
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
-            "weights >= 0 (preisach-forc)"
-        )
