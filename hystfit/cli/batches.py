@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from hystfit.cli.fit_options import LOOP_FITTING, LoopFitting
+from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists
 from hystfit.cli.verbs import as_options
@@ -28,7 +28,7 @@ Format = Literal["parquet", "netcdf"]
 ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
 PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
 RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
-_FEW = 32  # loops below which further processes take longer to start than to compute
+FEW = 32  # loops below which further processes take longer to start than to compute
 
 
 def check_packages(forms: Iterable[Format]) -> None:
@@ -77,7 +77,7 @@ def batch(
     check_packages(table or [])
     found = len(sources_of(list(loops)))
     run = None if output.out is None else output.out / RUN
-    processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
+    processes = workers or (1 if found < FEW else os.cpu_count() or 1)
     with progress(f"fitting {model}") as update, resumable(run):
         fits = fit_many(
             model,

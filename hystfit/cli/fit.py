@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.fit_options import LOOP_FITTING, LoopFitting
+from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.options import (
     DEFAULT_READING,
     NO_SETTINGS,

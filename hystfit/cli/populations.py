@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.fit_options import FITTING, Fitting
+from hystfit.cli.batches import FEW
+from hystfit.cli.fitting_options import FITTING, Fitting
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading
 from hystfit.cli.write import finish, progress
@@ -16,8 +17,6 @@ from hystfit.errors import DataError
 if TYPE_CHECKING:
     from hystfit.population.population_fit import PopulationFit
     from hystfit.results.webpage import Page
-
-_FEW = 40  # loops up to which one process is faster than several
 
 
 def population(
@@ -54,7 +53,7 @@ def population(
     from hystfit.population.fit_population import fit_population
 
     run = None if output.out is None else output.out / "run"
-    few = len(sources_of(list(loops))) < _FEW
+    few = len(sources_of(list(loops))) < FEW
     with progress(f"fitting {model}") as update, resumable(run):
         result = fit_population(
             model,

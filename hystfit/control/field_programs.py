@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.models.jiles_atherton import MU0, JilesAtherton
-from hystfit.params.units import parse_unit
+from hystfit.models.jiles_atherton import JilesAtherton
+from hystfit.params.units import MU0, parse_unit
 from hystfit.results.steady_loops import Excitation
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ from hystfit.fitting.structure import Structure, falls
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
-from hystfit.params.param import leaves_of
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
@@ -79,9 +78,8 @@ def candidates(data: Dataset) -> Candidates:
         and contrary not in {need.direction for need in _needs(name)}
     }
     # Signed weights need no negation, and some models are tried both ways.
-    rises = lambda model: any(leaf.info.linear and leaf.info.bounds[0] == 0.0 for leaf in leaves_of(model))
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
-    before = lambda name, model: "negate+" if falls(data) and rises(model) and name not in both_ways else ""
+    before = lambda name, model: "negate+" if falls(data) and model.has_inverse and name not in both_ways else ""
     closed = {
         name: before(name, model) + name for name, model in able.items() if model.estimator in ("preisach", "convex")
     }

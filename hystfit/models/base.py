@@ -29,6 +29,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
 
 Use = Literal["inverse", "export"]
+Rest = Literal["level", "first"]
 
 
 class AbstractHysteresis(AbstractDynamics):
@@ -43,10 +44,17 @@ class AbstractHysteresis(AbstractDynamics):
     """Why no model of its kind has an inverse; "" where one has."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """The words that a field takes, by the name of the field."""
     c_template: ClassVar[str] = ""
     """Name of its template of C code, where the template needs nothing but the fields (`CPart.of`)."""
 
     # -- values ------------------------------------------------------------------------------------------------------------
+
+    def __check_init__(self) -> None:
+        for name, known in self.words.items():
+            if (word := getattr(self, name)) not in known:
+                raise ModelError(f"{name} must be {', '.join(known[:-1])} or {known[-1]}, got {word!r}")
 
     def __repr__(self) -> str:
         return format_model(self)
@@ -99,8 +107,11 @@ class AbstractHysteresis(AbstractDynamics):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether its kind has an inverse; that of one model also depends on its parameters, see `obstacle`."""
-        return not (self.delays or self.no_inverse)
+        """Whether advice may propose it without an extra margin, as it does models with an inverse.
+
+        It follows from no delay, not from `no_inverse`: with the margin, `check` no longer proposes `damper` for a damper.
+        """
+        return not self.delays
 
     @property
     def hardens(self) -> bool:
@@ -199,11 +210,11 @@ class AbstractHysteresis(AbstractDynamics):
     @property
     def has_rest(self) -> bool:
         """Whether the model can rest before the record on its `level` or on the record's "first" input (see `with_rest`)."""
-        return False
+        return "rest" in self.words
 
     def with_rest(self, rest: str) -> AbstractHysteresis:
         """The same model, at rest before the record on its "level" or on the record's "first" input."""
-        return self
+        return dataclasses.replace(self, rest=rest) if self.has_rest else self
 
     @property
     def from_saturation(self) -> bool:
@@ -337,19 +348,13 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
     return output(zero), jax.jacfwd(output)(zero) if at else []
 
 
-def check_rest(rest: str) -> None:
-    """Refuse an unknown state of rest before a record."""
-    if rest not in ("level", "first"):
-        raise ModelError(f"rest must be level or first, got {rest!r}")
-
-
 def check_same_length(model: AbstractHysteresis, one: str, other: str, element: str) -> None:
     """Refuse two arrays of a model that do not have one value for each element, such as a play."""
-    shapes = [getattr(getattr(model, name), "shape", None) for name in (one, other)]  # placeholders of a tree have none
-    if None not in shapes and shapes[0][-1:] != shapes[1][-1:]:
-        raise ModelError(
-            f"{one} and {other} must have one value for each {element}, got shapes {shapes[0]}, {shapes[1]}"
-        )
+    first, second = (getattr(getattr(model, name), "shape", None) for name in (one, other))
+    if first is None or second is None:  # placeholders of a tree
+        return
+    if first[-1:] != second[-1:]:
+        raise ModelError(f"{one} and {other} must have one value for each {element}, got shapes {first}, {second}")
 
 
 class PlayWeights(NamedTuple):

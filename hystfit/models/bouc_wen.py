@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -14,9 +14,9 @@ from jaxtyping import Array
 
 from hystfit.data.batch import bucket
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
+    Scheme,
     bound,
     exact_step,
     initial_hysteresis,
@@ -54,6 +54,7 @@ class BoucWen(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -73,11 +74,7 @@ class BoucWen(AbstractHysteresis):
         doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
-    scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")
-
-    def __check_init__(self) -> None:
-        if self.scheme not in ("semi-implicit", "exact"):
-            raise ModelError(f"scheme must be semi-implicit or exact, got {self.scheme!r}")
+    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     @property
     def delta(self) -> Scalar:

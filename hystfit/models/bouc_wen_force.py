@@ -25,7 +25,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
-from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -119,22 +119,9 @@ class BoucWenForce(AbstractHysteresis):
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
-        states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
+        plain = BoucWenForce(kappa_x=0.0, sigma=self.sigma)
+        states = grid_columns(plain, ("rho", "n"), np.column_stack([rho, n]), records)
         u, y = used_samples(records)
         k, theta, _ = best_of_grid(states, np.column_stack([u, offset_columns(records)]), y)
         linear = dict(zip(("kappa_w", "kappa_x", "offset"), theta[:3], strict=True))
         return dataclasses.replace(self, **linear, rho=rho[k], n=max(n[k], 1.05))
-
-
-def _unit_force(u: np.ndarray, rho: np.ndarray, n: np.ndarray, sigma: float) -> np.ndarray:
-    """State w for several (rho, n) at once: shape (T, len(rho))."""
-    w, out = np.zeros(rho.size), np.zeros((u.size, rho.size))
-    for k, du in enumerate(np.diff(u), start=1):
-        s = -1.0 if du < 0 else 1.0
-        q, half = s * w, 0.5 * rho * abs(du) / 2
-        for _ in range(2):
-            kappa = np.where(q >= 0, 1.0, 2 * sigma - 1) * np.abs(q) ** (n - 1)
-            q = np.minimum(((1 - half * kappa) * q + 2 * half) / (1 + half * kappa), 1.0)
-        w = s * q
-        out[k] = w
-    return out

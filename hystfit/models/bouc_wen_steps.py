@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxtyping import Array
 from hystfit.errors import ModelError
 from hystfit.params.host_arrays import compiled
 
+Scheme = Literal["semi-implicit", "exact"]
 SUBSTEPS = 2  # of a sample, by default
 _TRUSTED = 0.25  # yield displacements in one substep up to which the error stays near 0.1 % of the range
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, check_rest, check_same_length
+from hystfit.models.base import AbstractHysteresis, Rest, check_same_length
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import relaxed
@@ -159,7 +159,7 @@ class LinearCreep(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
-    has_rest: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
     needs: ClassVar[Needs] = Needs(loop=False, time=True, creep=True)
 
     a: Float[Array, " k"] = element_weights(
@@ -171,10 +171,9 @@ class LinearCreep(AbstractHysteresis):
     low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
     level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
-    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
+    rest: Rest = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:
-        check_rest(self.rest)
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
             raise ModelError(f"one weight for all or one per time constant {self.tau.shape}: got {self.a.shape}")
 
@@ -200,10 +199,6 @@ class LinearCreep(AbstractHysteresis):
         typical = sampling_interval(records)
         tau = np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0])
         return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
-
-    def with_rest(self, rest: str) -> LinearCreep:
-        """See the base class."""
-        return dataclasses.replace(self, rest=rest)
 
     def without_creep(self) -> LinearCreep:
         """See the base class."""

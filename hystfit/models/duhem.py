@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import Any, ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,6 +47,7 @@ class Duhem(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2, too_few="f and g are observed on one pair of branches, where they trade off"
     )
@@ -64,10 +65,6 @@ class Duhem(AbstractHysteresis):
     center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range of f and g")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g")
     scheme: Scheme = eqx.field(static=True, default="midpoint")
-
-    def __check_init__(self) -> None:
-        if self.scheme not in ("midpoint", "explicit", "exact"):
-            raise ModelError(f"scheme must be midpoint, explicit or exact, got {self.scheme!r}")
 
     @classmethod
     def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
+from hystfit.models.base import AbstractHysteresis, OutputResonance, Rest
 from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
@@ -93,14 +93,11 @@ class Lag(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = False
     linear_in_input: ClassVar[bool] = True
-    has_rest: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
 
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
     level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
-    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
-
-    def __check_init__(self) -> None:
-        check_rest(self.rest)
+    rest: Rest = eqx.field(static=True, default="level")
 
     def init(self, u0: Scalar) -> State:
         """State: the outputs of the two lags, in equilibrium at `level` or, where rest = "first", at the first input."""
@@ -125,10 +122,6 @@ class Lag(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
         return dataclasses.replace(self, tau=3.0 * sampling_interval(records))
-
-    def with_rest(self, rest: str) -> Lag:
-        """See the base class."""
-        return dataclasses.replace(self, rest=rest)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The output is affine in the new input."""

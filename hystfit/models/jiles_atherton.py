@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
@@ -25,9 +24,9 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
+from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs
 
-MU0 = 4e-7 * np.pi  # [T m/A]
 FIRST_CURVE = 64  # steps from the demagnetized state to the first input
 _STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
 _SERIES = 1e-2  # argument below which the Langevin function is its series
@@ -61,6 +60,7 @@ class JilesAtherton(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"curve": tuple(CURVES)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -91,10 +91,6 @@ class JilesAtherton(AbstractHysteresis):
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output of the demagnetized state", linear=True)
 
     curve: str = eqx.field(default="langevin", static=True)
-
-    def __check_init__(self) -> None:
-        if self.curve not in CURVES:
-            raise ModelError(f"curve must be one of {', '.join(CURVES)}, got {self.curve!r}")
 
     @classmethod
     def of(cls, curve: str = "langevin", pinning: bool = False, double: bool = False) -> JilesAtherton:
@@ -133,9 +129,7 @@ class JilesAtherton(AbstractHysteresis):
 
     def init(self, u0: Scalar) -> State:
         """State: effective field and irreversible part of the magnetization over Ms, shape (2,), on the first curve."""
-        path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
-        begin = jnp.zeros(2) + 0.0 * u0
-        return jax.lax.scan(lambda s, ends: (self._moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+        return on_first_curve(self._moved, u0)
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the effective field at u1, and what it magnetizes."""
@@ -244,6 +238,13 @@ class JilesAthertonStep(AbstractStepInverse):
         miss = lambda field: ja.slope * field + (ja.Ms - ja.slope * ja.mean_field) * total(field) + ja.offset - target
         root = solve_rising(miss, state[0], *ja.span(state, low, high))
         return Root(root.x - ja.mean_field * total(root.x), root.rising)
+
+
+def on_first_curve(moved: Callable[[State, Scalar, Scalar], State], u0: Scalar) -> State:
+    """The state at the input u0, by steps of a model from the demagnetized state."""
+    path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
+    begin = jnp.zeros(2) + 0.0 * u0
+    return jax.lax.scan(lambda s, ends: (moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
 
 
 def langevin(x: Array) -> Array:

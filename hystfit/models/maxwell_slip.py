@@ -15,6 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import TYPICAL, input_range, output_range, speed
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
@@ -102,19 +103,10 @@ class MaxwellSlip(AbstractHysteresis):
         return jnp.concatenate([e, v[None]]), y
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """The deflections, one row after another; the spring, the velocity and the offset."""
-        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
-        dx, passes = np.diff(u, prepend=u[0]) / float(self.half), dt > 0
-        v = dx * float(self.half) / np.where(passes, dt, 1.0)
-        v = np.append(0.0, v[passes])[np.cumsum(passes)]  # a repeated time stamp keeps the last one
-        r = np.asarray(self.r)
-        limits = (1.0 + float(self.excess) * np.exp(-((v / float(self.vs)) ** 2)))[:, None] * r
-        e, now = np.empty(limits.shape), np.zeros(r.size)
-        for row, step, limit in zip(e, dx.tolist(), limits, strict=True):
-            np.minimum(np.maximum(now + step, -limit), limit, out=row)
-            now = row
-        x = (u - float(self.center)) / float(self.half)
-        columns = {"w": e, "k": x[:, None], "viscous": v[:, None] / float(self.speed), "offset": np.ones((u.size, 1))}
+        """The deflections and the velocity, which are the state; the spring and the offset."""
+        states, x = states_over(self, u, dt), (np.asarray(u, dtype=float) - float(self.center)) / float(self.half)
+        viscous = states[:, -1:] / float(self.speed)
+        columns = {"w": states[:, :-1], "k": x[:, None], "viscous": viscous, "offset": np.ones((x.size, 1))}
         return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> MaxwellSlip:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
@@ -54,6 +54,7 @@ class BoucWenOscillator(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"between": get_args(Between)}
     needs: ClassVar[Needs] = Needs(
         time=True, dynamics=True, too_few="mass, damping and stiffness trade off; measure around the resonance"
     )
@@ -78,8 +79,6 @@ class BoucWenOscillator(AbstractHysteresis):
     def __check_init__(self) -> None:
         if self.substeps < 1:
             raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
-        if self.between not in get_args(Between):
-            raise ModelError(f"between must be one of {', '.join(get_args(Between))}, got {self.between!r}")
 
     # -- simulation ----------------------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from hystfit.models.base import AbstractHysteresis, PlayWeights, check_same_leng
 from hystfit.models.bracketed import Root
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
@@ -116,19 +117,10 @@ class RateDependentPlays(AbstractHysteresis):
         return jnp.where(dt > 0, left * state[-2] + (1.0 - left) * state[-1], state[-2]), state[-1]
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """The plays, one row after another."""
-        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
-        x, r, kappa = (u - float(self.low)) / float(self.high - self.low), np.asarray(self.r), float(self.kappa)
-        left = np.exp(-dt / float(self.tau))
-        rates = np.abs(np.diff(u, prepend=u[0])) / np.where(dt > 0, dt, 1.0) / float(self.speed)
-        columns, now, q, last = np.empty((u.size, r.size)), np.full(r.size, x[0]), 0.0, 0.0
-        for k in range(u.size):
-            if dt[k] > 0:
-                q, last = left[k] * q + (1.0 - left[k]) * last, rates[k]
-            width = r + kappa * q
-            columns[k] = now = np.maximum(x[k] - width, np.minimum(x[k] + width, now))
-        blocks = {"w": columns, "gain": x[:, None], "offset": np.ones((u.size, 1))}
-        return DesignMatrix.of(self, blocks)
+        """The plays, which are in the state; the straight part and the offset."""
+        x = (np.asarray(u, dtype=float) - float(self.low)) / float(self.high - self.low)
+        columns = {"w": states_over(self, u, dt)[:, :-2], "gain": x[:, None], "offset": np.ones((x.size, 1))}
+        return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> RateDependentPlays:
         """Ranges and rates from the records; the weights follow from a linear solve."""

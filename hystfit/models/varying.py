@@ -75,7 +75,7 @@ def _at_covariates(name: str) -> Any:
     return method
 
 
-def _of_model(name: str) -> property:
+def _of_model(name: str) -> Any:
     return property(lambda self: getattr(self.model, name), doc="As the model.")
 
 

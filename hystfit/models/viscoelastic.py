@@ -15,6 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import input_range, output_range, sampling_interval
 from hystfit.params.param import element_places, element_weights
 from hystfit.quality.needs import Needs
@@ -73,15 +74,8 @@ class Viscoelastic(AbstractHysteresis):
         return new, jnp.dot(self.g, new)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """Extensions of all springs."""
-        u, dt, tau = np.asarray(u, dtype=float), np.asarray(dt, dtype=float), np.asarray(self.tau)
-        steps, inverse = np.unique(dt, return_inverse=True)
-        passed = steps[:, None] / tau
-        left, share = np.exp(-passed), np.where(passed > 0, -np.expm1(-passed) / np.where(passed > 0, passed, 1.0), 1.0)
-        columns, now = np.empty((u.size, tau.size)), np.zeros(tau.size)
-        for k, (at, du) in enumerate(zip(inverse.ravel().tolist(), np.diff(u, prepend=u[0]).tolist(), strict=True)):
-            columns[k] = now = left[at] * now + share[at] * du
-        return DesignMatrix.of(self, {"g": columns})
+        """Extensions of all springs, which are the state."""
+        return DesignMatrix.of(self, {"g": states_over(self, u, dt)})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' of the chain at frequencies.

@@ -273,7 +273,7 @@ def conversion(source: str, target: str) -> float | None:
 
 
 _ENERGIES = ("J", "J/m2", "J/m3", "J/kg")
-_VACUUM = 4e-7 * math.pi  # mu0 [T m/A]: a field times a moment is an energy after multiplication by it
+MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multiplication by it
 
 
 def loop_energy(one: str, other: str) -> tuple[str, float]:
@@ -290,7 +290,7 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     for base, power in second.powers:
         powers[base] = powers.get(base, 0.0) + power
     vacuum = {"kg": 1.0, "m": 1.0, "s": -2.0, "A": -2.0}
-    for extra, factor in (({}, 1.0), (vacuum, _VACUUM)):
+    for extra, factor in (({}, 1.0), (vacuum, MU0)):
         total = {base: powers.get(base, 0.0) + extra.get(base, 0.0) for base in {*powers, *extra} - {"rad"}}
         key = tuple(sorted((base, power) for base, power in total.items() if power))
         for unit in _ENERGIES:

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.models.jiles_atherton import MU0
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import loop_energy, parse_unit, quantity
+from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
@@ -37,7 +37,6 @@ from hystfit.results.magnetic_values import magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import polarization_values
 
-_FEWEST = 8  # samples of a loop
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 
@@ -135,7 +134,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     """Quantities, corrections and notes of a record."""
     kept = record.used
     u, y = record.u[kept], record.y[kept]
-    if u.size < _FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return (), (), ()
     kind, (noise, is_bound) = LoopKind.of(Dataset((record,))), noise_rms(y)
     sigma = None if is_bound or noise is None else noise

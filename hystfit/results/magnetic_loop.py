@@ -14,8 +14,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.models.jiles_atherton import MU0
-from hystfit.params.units import parse_unit
+from hystfit.params.units import MU0, parse_unit
 from hystfit.results.loop_branches import ENDS, Branch, asymmetry, combined, crossing, large_branches, turns_of
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.saturation_law import Saturation, saturation

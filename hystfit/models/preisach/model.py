@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
@@ -66,6 +66,11 @@ class Preisach(AbstractPlane):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "initial": get_args(Rest),
+        "elements": get_args(Elements),
+        "spacing": get_args(Spacing),
+    }
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "preisach"
     needs: ClassVar[Needs] = Needs(
@@ -101,13 +106,7 @@ class Preisach(AbstractPlane):
     depth: int = eqx.field(static=True, default=64)
 
     def __check_init__(self) -> None:
-        for name, value, known in (
-            ("initial", self.initial, Rest),
-            ("elements", self.elements, Elements),
-            ("spacing", self.spacing, Spacing),
-        ):
-            if value not in get_args(known):
-                raise ModelError(f"{name} must be one of {', '.join(get_args(known))}, got {value!r}")
+        super().__check_init__()
         if self.depth < 2:
             raise ModelError(f"depth must be at least 2 extrema, got {self.depth}")
         if all(hasattr(leaf, "shape") for leaf in (self.w, self.levels, self.slopes)):

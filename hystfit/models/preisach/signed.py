@@ -16,6 +16,7 @@ class SignedPreisach(Preisach):
     The output need not rise with the input, because cells of negative mass switch against it.
     """
 
+    has_inverse: ClassVar[bool] = False
     no_inverse: ClassVar[str] = (
         "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
         "weights >= 0 (preisach-forc)"
