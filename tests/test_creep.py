@@ -101,7 +101,7 @@ def test_times_out_of_order_are_refused(times: tuple[float, float]) -> None:
 
 @pytest.mark.usefixtures("as_users_run")
 def test_weights_that_do_not_fit_the_time_constants_are_refused() -> None:
-    with pytest.raises(ModelError, match="one weight per time constant"):
+    with pytest.raises(ModelError, match="weights and tau must have one value for each relaxation"):
         LogCreep(tau=(1.0, 10.0))
     with pytest.raises(ModelError, match="one weight for all or one per time constant"):
         LinearCreep(a=(0.1, 0.2), tau=(1.0, 10.0, 100.0))

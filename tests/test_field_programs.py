@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import hystfit as hf
 from hystfit.control.field_programs import export_field_programs
-from hystfit.models.jiles_atherton import MU0
+from hystfit.params.units import MU0
 
 TURN = 300.0
 SHAPE = {"Ms": 1.5, "a": 40.0, "coupling": 0.6, "k": 45.0, "c": 0.25, "slope": MU0}

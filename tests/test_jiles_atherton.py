@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import hystfit as hf
-from hystfit.models.jiles_atherton import MU0
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess, Viscous
+from hystfit.params.units import MU0
 
 # Of the size of those of iron.
 IRON = {"Ms": 1.6e6, "a": 1100.0, "coupling": 1.6e-3 * 1.6e6 / 3300.0, "k": 400.0, "c": 0.2}

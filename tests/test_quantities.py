@@ -11,9 +11,8 @@ import pytest
 import hystfit as hf
 from hystfit.quality.loops import loop_area
 from hystfit.results.loop_kinds import LoopKind
-from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES, Unknown, applicable
-from hystfit.results.quantity_estimates import quantity_values
+from hystfit.results.quantity_estimates import measured_quantities, quantity_values
 from hystfit.results.report import html_report, text_report
 from hystfit.results.steady_loops import Excitation
 

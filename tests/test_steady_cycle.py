@@ -5,7 +5,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.steady_cycle import from_turning_point, steady_period
-from hystfit.results.measured_quantities import measured_quantities
+from hystfit.results.quantity_estimates import measured_quantities
 
 N = 200
 DEVICE = hf.BoucWen(c=1.0, mu=0.5, tau=6.0, rho=0.3)

@@ -19,8 +19,9 @@ from common import Results, arguments, table
 
 import hystfit as hf
 from hystfit.identify import FieldFromInduction, FluxSequence, VectorHysteresis, VectorRecord
-from hystfit.models.jiles_atherton import MU0, JilesAtherton
+from hystfit.models.jiles_atherton import JilesAtherton
 from hystfit.models.jiles_atherton_field import JilesAthertonField
+from hystfit.params.units import MU0
 
 FOLDER = Path(__file__).resolve().parent
 MATERIALS = ("MnZn_ferrite", "MnZn_HP_ferrite", "M130_27s")

@@ -19,9 +19,9 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.outcome.table import write_csv
+from hystfit.params.space import MANY
 from hystfit.params.units import with_unit
 from hystfit.registry import near
-from hystfit.results.estimates import MANY
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 

@@ -5,19 +5,20 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists, named_values, tied_values
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width
 from hystfit.config import use_device
 from hystfit.errors import DataError, HystfitError, ParameterError, optional
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
     from hystfit.batch.fits import Fits
@@ -27,22 +28,22 @@ Format = Literal["parquet", "netcdf"]
 ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
 PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
 RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
-_FEW = 32  # loops below which further processes take longer to start than to compute
+FEW = 32  # loops below which further processes take longer to start than to compute
 
 
-@lists(methods=ESTIMATORS, noises=NOISES)
+def check_packages(forms: Iterable[Format]) -> None:
+    """Refuse forms of a table whose packages are missing, before hours of fits."""
+    for form in forms:
+        for package in PACKAGES[form]:
+            optional(package, "frames", f"--table {form}")
+
+
+@lists(methods=ESTIMATORS)
 def batch(
     *loops: Loops,
     model: str = "auto",
     method: str = "auto",
-    fix: list[str] | None = None,
-    free: list[str] | None = None,
-    tie: list[str] | None = None,
-    noise: str = "auto",
-    loss: str = "linear",
-    start: Literal["data", "model"] = "data",
-    starts: int = 8,
-    seed: int = 0,
+    fitting: LoopFitting = LOOP_FITTING,
     workers: int | None = None,
     scheduler: str | None = None,
     device: Device = "auto",
@@ -60,14 +61,6 @@ def batch(
     Args:
         model: name (see hystfit models), my_model.py:MyModel, or auto: the winner of hystfit compare on each loop.
         method: auto (suits the model), {methods}.
-        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model fixes by default; repeatable.
-        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER; repeatable.
-        noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
-        loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
-        start: starting values estimated from the data, or those of the model.
-        starts: number of starting points.
-        seed: random seed for the starting points.
         workers: processes on this machine; default: one for each core, for many loops.
         scheduler: address of a Dask scheduler to use instead.
         table: form of the table besides CSV: parquet or netcdf; repeatable.
@@ -81,20 +74,10 @@ def batch(
     if not loops:
         raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
     count = _count(reports)
-    for form in table or []:  # before hours of fits
-        for package in PACKAGES[form]:
-            optional(package, "frames", f"--table {form}")
+    check_packages(table or [])
     found = len(sources_of(list(loops)))
-    options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "start": start}
-    options |= {
-        "starts": starts,
-        "seed": seed,
-        "fix": named_values(fix or []),
-        "free": free or [],
-        "tie": tied_values(tie or []),
-    }
     run = None if output.out is None else output.out / RUN
-    processes = workers or (1 if found < _FEW else os.cpu_count() or 1)
+    processes = workers or (1 if found < FEW else os.cpu_count() or 1)
     with progress(f"fitting {model}") as update, resumable(run):
         fits = fit_many(
             model,
@@ -104,7 +87,8 @@ def batch(
             scheduler=scheduler,
             reading=dataclasses.asdict(reading),
             progress=update,
-            **options,
+            method=method,
+            **fitting.keywords(),
         )
 
     def save(folder: Path) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.options import (
     DEFAULT_READING,
     NO_SETTINGS,
@@ -23,7 +24,6 @@ from hystfit.cli.options import (
     command_words,
     lists,
     named_values,
-    tied_values,
 )
 from hystfit.cli.records import train_and_test
 from hystfit.cli.verbs import as_options
@@ -31,7 +31,6 @@ from hystfit.cli.write import finish, progress, prose_width, terminal_width
 from hystfit.errors import ParameterError
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.identify.registry import IDENTIFIERS
-from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
@@ -40,22 +39,15 @@ if TYPE_CHECKING:
     from hystfit.results.webpage import Page
 
 
-@lists(methods=ESTIMATORS, sequential=IDENTIFIERS, noises=NOISES)
+@lists(methods=ESTIMATORS, sequential=IDENTIFIERS)
 def fit(
     *loops: Loop,
     model: str = "auto",
     purpose: Purpose = "prediction",
     method: str = "auto",
-    fix: list[str] | None = None,
-    free: list[str] | None = None,
-    tie: list[str] | None = None,
-    noise: str = "auto",
-    loss: str = "linear",
-    start: Literal["data", "model"] = "data",
     at: list[str] | None = None,
     covariate: list[str] | None = None,
-    starts: int = 8,
-    seed: int = 0,
+    fitting: LoopFitting = LOOP_FITTING,
     sequential: SequentialSettings = NO_SETTINGS,
     reading: Reading = DEFAULT_READING,
     split: Split = NO_SPLIT,
@@ -69,40 +61,30 @@ def fit(
         model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
             chosen by cross-validation), or auto: the winner of hystfit compare, with --starts in every fit, and fitted under --noise.
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
-        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model fixes by default; repeatable.
-        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER ("k2=2*k1", "gamma[1]=gamma[0]"); repeatable.
-        noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
-            does not; the other noise models refine the fit by their likelihood.
-        loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
-        start: starting values estimated from the data, or those of the model.
         at: starting value of a parameter, as NAME=VALUE, in place of the one estimated from the data; repeatable.
         covariate: parameters that are linear in a constant of each record (its temperature, current, preload), as T_degC:c,tau; repeatable.
             The value is that of a constant column or of the header of the file, or stands in the name of the record.
-        starts: number of starting points.
-        seed: random seed for the starting points.
     """
     output.check("hystfit.fit")
-    if at and start == "model":
+    if at and fitting.start == "model":
         raise ParameterError("--at replaces starting values estimated from the data: leave out --start model")
     if (settings := sequential.given()) and not is_sequential(method):
         raise ParameterError(
             f"--{next(iter(settings))} is a setting of the sequential methods: add, for example, --method rls"
         )
-    options = {
-        "fix": named_values(fix or []), "free": free or [], "tie": tied_values(tie or []), "noise": noise, "loss": loss, "starts": starts,
-        "start": named_values(at, "--at") if at else start, "covariates": covariate or (), **settings,
-    }  # fmt: skip
+    options = fitting.keywords() | {"covariates": covariate or (), **settings}
+    if at:
+        options["start"] = named_values(at, "--at")
     train, test = train_and_test(loops, reading, split)
     if model == "auto" and not is_sequential(method):
-        result = _winner(train, method, options, purpose, seed)
+        result = _winner(train, method, options, purpose)
     elif purpose != "prediction":
         raise ParameterError("--for chooses among models: it has no effect with --model or a sequential method")
     else:
         from hystfit.fitting.fit import fit as fit_loops
 
         with progress(f"fitting {model}"):
-            result = fit_loops(model, train, method=method, seed=seed, **options)  # type: ignore[arg-type]
+            result = fit_loops(model, train, method=method, **options)  # type: ignore[arg-type]
     if test is not None:
         from hystfit.fitting.trial import with_test
 
@@ -147,12 +129,12 @@ def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Spli
     write_into(result, folder, test=test, refit_offset=split.refit_offset, wording=wording)
 
 
-def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any, seed: int) -> FitResult:
+def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any) -> FitResult:
     """The winner of `compare`, with a note on the choice."""
     from hystfit.fitting.fit import best_model
     from hystfit.fitting.fit_options import FitOptions
 
-    settings = FitOptions(method=method, seed=seed, **options)
+    settings = FitOptions(method=method, **options)
     settings.check_search()
     return best_model(train, settings, purpose)
 

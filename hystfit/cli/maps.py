@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from hystfit.cli.batches import ENDINGS, PACKAGES, RUN, Format
+from hystfit.cli.batches import ENDINGS, RUN, Format, check_packages
+from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import STDOUT, Device, Output, lists, named_values
+from hystfit.cli.options import STDOUT, Device, Output, lists
 from hystfit.cli.write import finish, progress
 from hystfit.config import use_device
-from hystfit.errors import optional
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
     from hystfit.batch.loop_map import LoopMap
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 File = Annotated[Path, Parameter(help="HDF5 or netCDF-4 file with an array of loops over one input")]
 
 
-@lists(methods=ESTIMATORS, noises=NOISES)
+@lists(methods=ESTIMATORS)
 def fit_loops(
     file: File,
     *,
@@ -33,12 +32,7 @@ def fit_loops(
     time: str | None = None,
     units: str | None = None,
     method: str = "auto",
-    fix: list[str] | None = None,
-    free: list[str] | None = None,
-    noise: str = "auto",
-    loss: str = "linear",
-    starts: int = 8,
-    seed: int = 0,
+    fitting: LoopFitting = LOOP_FITTING,
     workers: int | None = None,
     device: Device = "auto",
     table: list[Format] | None = None,
@@ -57,12 +51,6 @@ def fit_loops(
         time: data set of the time; "none" reads without it.
         units: units of input and output, such as V,nm; others of the same quantity in the file are converted.
         method: auto (suits the model), {methods}.
-        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model fixes by default; repeatable.
-        noise: auto, {noises}, or my_file.py:MyNoise, as in hystfit fit.
-        loss: linear, huber, soft-l1 or cauchy, as in hystfit fit.
-        starts: number of starting points.
-        seed: random seed for the starting points.
         workers: threads; default: one for each core.
         table: form of the table besides netCDF: parquet.
     """
@@ -72,12 +60,8 @@ def fit_loops(
     output.check()
     use_device(device)
     forms: list[Format] = ["netcdf", *(table or [])] if output.out is not None else []
-    for form in forms:  # before hours of fits
-        for package in PACKAGES[form]:
-            optional(package, "frames", f"--table {form}")
+    check_packages(forms)
     run = None if output.out is None else output.out / RUN
-    options: dict[str, Any] = {"method": method, "noise": noise, "loss": loss, "starts": starts, "seed": seed}
-    options |= {"fix": named_values(fix or []), "free": free or []}
     with (
         open_cube(file, input=input, output=output_name, time=time, units=units) as cube,
         progress(f"fitting {model}") as update,
@@ -94,7 +78,8 @@ def fit_loops(
             folder=run,
             workers=workers,
             progress=update,
-            **options,
+            method=method,
+            **fitting.keywords(),
         )
 
     def save(folder: Path) -> None:

@@ -7,33 +7,26 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hystfit.cli.batches import FEW
+from hystfit.cli.fitting_options import FITTING, Fitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading, lists, named_values, tied_values
+from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading
 from hystfit.cli.write import finish, progress
 from hystfit.errors import DataError
-from hystfit.inference.noise.registry import NOISES
 
 if TYPE_CHECKING:
     from hystfit.population.population_fit import PopulationFit
     from hystfit.results.webpage import Page
 
-_FEW = 40  # loops up to which one process is faster than several
 
-
-@lists(noises=NOISES)
 def population(
     *loops: str,
     model: str,
-    fix: list[str] | None = None,
-    free: list[str] | None = None,
-    tie: list[str] | None = None,
-    noise: str = "auto",
     covariate: list[str] | None = None,
     device: str | None = None,
     draws: int = 1000,
     chains: int = 4,
-    starts: int = 8,
-    seed: int = 0,
+    fitting: Fitting = FITTING,
     workers: int | None = None,
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
@@ -47,16 +40,10 @@ def population(
     Args:
         loops: files, or patterns in quotes ('loops/*.csv'); every curve of a file is a device.
         model: name, or my_model.py:MyModel.
-        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
-        free: parameter to fit that the model fixes by default; repeatable.
-        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER; repeatable.
-        noise: auto, {noises}, or my_file.py:MyNoise.
         covariate: property in the files' headers on which the mean depends linearly; repeatable.
         device: regular expression whose first group in a loop's name is its device, where a device has several loops.
         draws: draws per chain.
         chains: chains.
-        starts: number of starting points of each fit.
-        seed: random seed.
         workers: processes (default: one for each core where there are many loops).
     """
     output.check("hystfit.population")
@@ -65,9 +52,8 @@ def population(
     from hystfit.batch.sources import sources_of
     from hystfit.population.fit_population import fit_population
 
-    options: dict[str, Any] = {"fix": named_values(fix or []), "free": free or [], "tie": tied_values(tie or [])}
     run = None if output.out is None else output.out / "run"
-    few = len(sources_of(list(loops))) < _FEW
+    few = len(sources_of(list(loops))) < FEW
     with progress(f"fitting {model}") as update, resumable(run):
         result = fit_population(
             model,
@@ -76,14 +62,11 @@ def population(
             covariates=covariate or (),
             draws=draws,
             chains=chains,
-            seed=seed,
             folder=run,
             workers=workers or (1 if few else os.cpu_count() or 1),
             reading=dataclasses.asdict(reading),
             progress=update,
-            noise=noise,
-            starts=starts,
-            **options,
+            **fitting.keywords(),
         )
 
     def save(folder: Path) -> None:

@@ -15,7 +15,7 @@ from hystfit.control.feedback import pd_lead_lag as pd_lead_lag
 from hystfit.control.field_programs import export_field_programs as export_field_programs
 from hystfit.control.inverse import Inverse as Inverse
 from hystfit.control.inverse import invert as invert
-from hystfit.control.lead import lead as lead
+from hystfit.control.inverse import lead as lead
 from hystfit.control.loop import LoopResult as LoopResult
 from hystfit.control.loop import run_loop as run_loop
 from hystfit.control.online_inverse import AbstractRunningInverse as AbstractRunningInverse

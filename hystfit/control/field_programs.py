@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.models.jiles_atherton import MU0, JilesAtherton
-from hystfit.params.units import parse_unit
+from hystfit.models.jiles_atherton import JilesAtherton
+from hystfit.params.units import MU0, parse_unit
+from hystfit.results.steady_loops import Excitation
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
 _POINTS = 401  # of each branch
-_CYCLES = 3  # until the loop is steady
 _LINE = 0.8  # of the largest field, from which the straight line is taken whose intercept is the Bs of LTspice
 _CONVENTION = (
     "dM/dHe = max(s (Man - M), 0) / k + c dMan/dHe, He = H + alpha M, Man = Ms (coth(He/a) - a/He), s = sign(dH)"
@@ -46,12 +46,7 @@ class Material:
 
     @classmethod
     def of(cls, result: FitResult) -> Material:
-        """The material of a fit.
-
-        Raises:
-            ModelError: the input is no field in A/m, Oe or T, the output no flux density, polarization or magnetization, or the model
-                depends on time.
-        """
+        """The material of a fit."""
         first = result.data[0]
         powers = lambda unit: getattr(parse_unit(unit), "powers", None)
         field, output = parse_unit(first.u_unit), parse_unit(first.y_unit)
@@ -66,25 +61,20 @@ class Material:
             raise ModelError("these programs read static loops: fit a model without terms of time")
         per_field, per_output = per_field * field.factor, per_output * output.factor
         low, high = result.input_range
-        rise = np.linspace(low, high, _POINTS)
-        cycle = np.concatenate([rise, rise[-2:0:-1]])
-        u = np.concatenate([np.tile(cycle, _CYCLES), rise[:1]])
-        last = result.model.free_run(u)[-cycle.size - 1 :]
-        rising, falling = last[:_POINTS], last[_POINTS - 1 :][::-1]
+        excitation = Excitation(low, high, 1.0, points=2 * (_POINTS - 1))
+        steady, rise = excitation.loops(result.model.free_run(excitation.loop.u)[None]), excitation.inputs
         has_vacuum = (
             isinstance(result.model, JilesAtherton)
             and float(result.model.slope) == 0.0
             and output.powers == powers("A/m")
         )
-        flux = per_output * np.stack([rising, falling]) + (MU0 * per_field * rise if has_vacuum else 0.0)
+        flux = per_output * np.stack([steady.rising[0], steady.falling[0]]) + (
+            MU0 * per_field * rise if has_vacuum else 0.0
+        )
+        fields = np.stack([per_field * rise] * 2)
         if not isinstance(result.model, JilesAtherton):
-            return cls(
-                np.stack([per_field * rise] * 2),
-                flux,
-                None,
-                f"{type(result.model).__name__} is no Jiles-Atherton model",
-            )
-        return cls(np.stack([per_field * rise] * 2), flux, *_law(result.model, per_field, per_output))
+            return cls(fields, flux, None, f"{type(result.model).__name__} is no Jiles-Atherton model")
+        return cls(fields, flux, *_law(result.model, per_field, per_output))
 
 
 def _law(model: JilesAtherton, per_field: float, per_output: float) -> tuple[dict[str, float], str]:
@@ -129,17 +119,8 @@ def _flux(material: Material) -> str:
     law = _needs_law(material)
     units = {"Ms": "A/m", "a": "A/m", "k": "A/m", "alpha": "1", "c": "1"}
     rows = [f"{name},{law[name]:.9g},{unit}" for name, unit in units.items()]
-    return (
-        "\n".join(
-            [
-                f"# {_CONVENTION}",
-                "# B = mu0 (H + M); matrices of anisotropic programs are diagonal",
-                "name,value,unit",
-                *rows,
-            ]
-        )
-        + "\n"
-    )
+    head = [f"# {_CONVENTION}", "# B = mu0 (H + M); matrices of anisotropic programs are diagonal", "name,value,unit"]
+    return "\n".join([*head, *rows, ""])
 
 
 def _spice(material: Material) -> str:

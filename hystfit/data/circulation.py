@@ -1,11 +1,12 @@
-"""Which way the loop of a record runs."""
+"""Which path of a record is a loop, and which way it runs."""
 
 from __future__ import annotations
 
 import numpy as np
 
 OPEN = 0.02  # area over that of the box around it, from which a loop has a direction
-_FEWEST = 8  # samples
+FEWEST = 8  # samples of a loop or of a period
+GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 
 
 def circulation(u: np.ndarray, y: np.ndarray) -> float:
@@ -18,7 +19,7 @@ def circulation(u: np.ndarray, y: np.ndarray) -> float:
     """
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
-    if u.size < _FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
     area = 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))

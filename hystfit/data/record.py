@@ -10,30 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.data.preparation import integral, interval_of, real_numbers, smooth
+from hystfit.data.circulation import GAP
+from hystfit.data.preparation import integral, interval_of, smooth
+from hystfit.data.record_columns import check_columns, column
 from hystfit.data.stated import Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
-
-_OPEN = 0.03  # of the input's range: gap between the ends of one period
 
 
 def median_interval(steps: np.ndarray) -> float | None:
     """Median of the positive time steps; None where no step is positive."""
     positive = steps[steps > 0]
     return float(np.median(positive)) if positive.size else None
-
-
-def _column(name: str, values: object) -> np.ndarray:
-    try:
-        array = real_numbers(values)  # a copy, so that later changes of the argument do not reach the record
-    except (TypeError, ValueError) as error:
-        raise DataError(f"{name} must be numbers: {error}") from error
-    if array.ndim != 1:
-        raise DataError(f"{name} must be one-dimensional, got shape {array.shape}")
-    array.flags.writeable = False
-    return array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -80,45 +69,13 @@ class Record:
 
     def __post_init__(self) -> None:
         put = lambda field, value: object.__setattr__(self, field, value)
-        put("u", _column("input u", self.u))
-        put("y", _column("output y", self.y))
+        put("u", column("input u", self.u))
+        put("y", column("output y", self.y))
         if self.t is not None:
-            put("t", _column("time t", self.t))
+            put("t", column("time t", self.t))
         weight = np.ones(self.u.size) if self.weight is None else self.weight
-        put("weight", _column("weight", weight))
-        self._check()
-
-    def _check(self) -> None:
-        lengths = {"u": self.u.size, "y": self.y.size, "weight": self.weight.size}
-        if self.t is not None:
-            lengths["t"] = self.t.size
-        if len(set(lengths.values())) != 1:
-            listed = ", ".join(f"{k} {n}" for k, n in lengths.items())
-            raise DataError(f"record {self.name!r}: the columns differ in length ({listed})")
-        if self.u.size < 2:
-            raise DataError(f"record {self.name!r} has {self.u.size} sample(s); a loop needs at least two")
-        if not np.isfinite(self.u).all():
-            bad = ~np.isfinite(self.u)
-            raise DataError(
-                f"record {self.name!r}: the input is not finite at {bad.sum()} samples, first at sample "
-                f"{int(np.argmax(bad))}; a model cannot be driven through a gap: remove those rows or split the record"
-            )
-        measured = np.isfinite(self.y)
-        if not measured.all():
-            if np.isinf(self.y).any():
-                raise DataError(
-                    f"record {self.name!r}: the output is infinite at {int(np.isinf(self.y).sum())} samples"
-                )
-            if not measured.any():
-                raise DataError(f"record {self.name!r}: the output has no finite value")
-        if self.t is not None:
-            step = np.diff(self.t)
-            if not np.isfinite(self.t).all() or (step < 0).any():
-                raise DataError(
-                    f"record {self.name!r}: time is not finite or decreases at sample {int(np.argmax(~(step >= 0))) + 1}"
-                )
-        if not (0 <= self.weight.min() and self.weight.max() < np.inf):
-            raise DataError(f"record {self.name!r}: weights must be finite and not negative")
+        put("weight", column("weight", weight))
+        check_columns(self.name, self.u, self.y, self.t, self.weight)
         if self.sigma is not None and not (np.isfinite(self.sigma) and self.sigma > 0):
             raise DataError(f"record {self.name!r}: sigma must be a positive number, got {self.sigma}")
 
@@ -228,7 +185,7 @@ class Record:
         """
         count = len(self) if period is None else period
         gap = abs(float(self.u[min(count, len(self) - 1)] - self.u[0]))
-        if cycles < 1 or gap > _OPEN * float(np.ptp(self.u)):
+        if cycles < 1 or gap > GAP * float(np.ptp(self.u)):
             raise DataError(
                 f"record {self.name!r} is not a period of a cycle: its input begins at {self.u[0]:g} and ends at {self.u[-1]:g} "
                 f"{self.u_unit}".rstrip()
@@ -272,7 +229,7 @@ class Record:
         Raises:
             DataError: a standard deviation is not a positive number where the sample counts.
         """
-        sigma = _column("sigma", sigma)
+        sigma = column("sigma", sigma)
         if sigma.size != len(self):
             raise DataError(f"record {self.name!r}: {sigma.size} standard deviations for {len(self)} samples")
         bad = self.used & ~(np.isfinite(sigma) & (sigma > 0))
@@ -383,6 +340,6 @@ class Record:
     @functools.cached_property
     def _digest(self) -> str:
         hasher = hashlib.sha256()
-        for column in (self.u, self.y, self.t, self.weight):
-            hasher.update(b"-" if column is None else np.ascontiguousarray(column))
+        for values in (self.u, self.y, self.t, self.weight):
+            hasher.update(b"-" if values is None else np.ascontiguousarray(values))
         return hasher.hexdigest()

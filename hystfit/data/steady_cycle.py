@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from hystfit.data.circulation import FEWEST, GAP
 from hystfit.data.record import Record
 
-_FEWEST = 8  # samples of a period
-_GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 _INSIDE = 0.1  # of the input's range: least distance of the first input from the turning points, where the state is known anyway
 _BACK = 0.01  # of the input's range: a step back against the branch, by noise
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
@@ -32,7 +31,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
     span, none = float(np.ptp(u)), np.zeros(len(y), bool)
     middle = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
-    if u.size < _FEWEST or not middle:
+    if u.size < FEWEST or not middle:
         return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     rising = 1.0 if u[away] > u[0] else -1.0
@@ -41,8 +40,8 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     second = first + _turn(-v[first:], span)
     beyond = np.flatnonzero(v[second:] >= v[0])
     last = second + int(beyond[0]) if beyond.size else u.size - 1
-    covers = v[first] > v.max() - _GAP * span and v[second] < v.min() + _GAP * span
-    if not covers or abs(u[last] - u[0]) > _GAP * span:
+    covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
+    if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none
     part = y[:, : last + 1]
     finite = np.isfinite(part).all(axis=1)

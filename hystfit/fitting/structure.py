@@ -9,12 +9,12 @@ import numpy as np
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Delay, Lag
 from hystfit.models.linear import Linear
 from hystfit.models.negate import Negate
-from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii, Rest
+from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.series import Series
 from hystfit.models.simulation import simulate

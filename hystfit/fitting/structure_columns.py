@@ -15,11 +15,11 @@ from numpy.polynomial.legendre import legvander
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.structure import Structure, falls, interval_of, output_of
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
 from hystfit.models.dynamics import Lag
-from hystfit.models.play_columns import element_columns, fading, rising_columns
-from hystfit.models.prandtl_ishlinskii import Envelope, Operator, PrandtlIshlinskii, Rest, envelope
+from hystfit.models.play_columns import Envelope, element_columns, envelope, fading, rising_columns
+from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.quality.held_out import HeldOut, Scheme

@@ -15,8 +15,9 @@ from jaxtyping import Array
 
 from hystfit.config import verb
 from hystfit.errors import DataError, ModelError
-from hystfit.models.jiles_atherton import MU0, langevin
+from hystfit.models.jiles_atherton import langevin
 from hystfit.params.host_arrays import compiled
+from hystfit.params.units import MU0
 
 _FIRST, _LAST = 0.3, 2.5  # of the mean pinning field that a loop shows: those of the cells from which a fit starts
 _SATURATED = 1.15  # ratio of the saturation to the largest polarization, from which a fit starts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -29,6 +29,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.quality.needs import Needs
 
 Use = Literal["inverse", "export"]
+Rest = Literal["level", "first"]
 
 
 class AbstractHysteresis(AbstractDynamics):
@@ -41,8 +42,19 @@ class AbstractHysteresis(AbstractDynamics):
 
     no_inverse: ClassVar[str] = ""
     """Why no model of its kind has an inverse; "" where one has."""
+    counts: ClassVar[Mapping[str, str]] = {}
+    """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """The words that a field takes, by the name of the field."""
+    c_template: ClassVar[str] = ""
+    """Name of its template of C code, where the template needs nothing but the fields (`CPart.of`)."""
 
     # -- values ------------------------------------------------------------------------------------------------------------
+
+    def __check_init__(self) -> None:
+        for name, known in self.words.items():
+            if (word := getattr(self, name)) not in known:
+                raise ModelError(f"{name} must be {', '.join(known[:-1])} or {known[-1]}, got {word!r}")
 
     def __repr__(self) -> str:
         return format_model(self)
@@ -63,10 +75,12 @@ class AbstractHysteresis(AbstractDynamics):
     def settings(self) -> dict[str, int | bool | str]:
         """Settings besides parameter values, as written after a name (`preisach:n=60`): whole numbers, words and switches.
 
-        By default the fields that are not parameters; override it where a constructor takes other settings.
+        By default the numbers of elements in `counts`, and the fields that are not parameters; override it where a constructor takes
+        other settings.
         """
         values = ((field.name, getattr(self, field.name)) for field in dataclasses.fields(self))
-        return {name: value for name, value in values if isinstance(value, (int, str))}
+        plain = {name: value for name, value in values if isinstance(value, (int, str))}
+        return {name: getattr(self, field).shape[-1] for name, field in self.counts.items()} | plain
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -93,7 +107,10 @@ class AbstractHysteresis(AbstractDynamics):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether its kind has an inverse; that of one model also depends on its parameters, see `obstacle`."""
+        """Whether advice may propose it without an extra margin, as it does models with an inverse.
+
+        It follows from no delay, not from `no_inverse`: with the margin, `check` no longer proposes `damper` for a damper.
+        """
         return not self.delays
 
     @property
@@ -193,11 +210,11 @@ class AbstractHysteresis(AbstractDynamics):
     @property
     def has_rest(self) -> bool:
         """Whether the model can rest before the record on its `level` or on the record's "first" input (see `with_rest`)."""
-        return False
+        return "rest" in self.words
 
     def with_rest(self, rest: str) -> AbstractHysteresis:
         """The same model, at rest before the record on its "level" or on the record's "first" input."""
-        return self
+        return dataclasses.replace(self, rest=rest) if self.has_rest else self
 
     @property
     def from_saturation(self) -> bool:
@@ -279,7 +296,11 @@ class AbstractHysteresis(AbstractDynamics):
         Raises:
             ModelError: the model has no C code.
         """
-        raise ModelError(f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)")
+        if not self.c_template:
+            raise ModelError(
+                f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)"
+            )
+        return CPart.of(self, self.c_template)
 
     def uniaxial_material(self) -> UniaxialMaterial:
         """The model as a material of OpenSees.
@@ -327,14 +348,13 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
     return output(zero), jax.jacfwd(output)(zero) if at else []
 
 
-def check_rest(rest: str) -> None:
-    """Refuse an unknown state of rest before a record.
-
-    Raises:
-        ModelError: neither "level" nor "first".
-    """
-    if rest not in ("level", "first"):
-        raise ModelError(f"rest must be level or first, got {rest!r}")
+def check_same_length(model: AbstractHysteresis, one: str, other: str, element: str) -> None:
+    """Refuse two arrays of a model that do not have one value for each element, such as a play."""
+    first, second = (getattr(getattr(model, name), "shape", None) for name in (one, other))
+    if first is None or second is None:  # placeholders of a tree
+        return
+    if first[-1:] != second[-1:]:
+        raise ModelError(f"{one} and {other} must have one value for each {element}, got shapes {first}, {second}")
 
 
 class PlayWeights(NamedTuple):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -14,9 +14,9 @@ from jaxtyping import Array
 
 from hystfit.data.batch import bucket
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
+    Scheme,
     bound,
     exact_step,
     initial_hysteresis,
@@ -26,10 +26,10 @@ from hystfit.models.bouc_wen_steps import (
     trapezoid,
 )
 from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -54,6 +54,7 @@ class BoucWen(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -73,11 +74,7 @@ class BoucWen(AbstractHysteresis):
         doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
-    scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")
-
-    def __check_init__(self) -> None:
-        if self.scheme not in ("semi-implicit", "exact"):
-            raise ModelError(f"scheme must be semi-implicit or exact, got {self.scheme!r}")
+    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     @property
     def delta(self) -> Scalar:
@@ -146,9 +143,7 @@ class BoucWen(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
-        numbers = {"C": self.c, "MU": self.mu, "TAU": self.tau, "RHO": self.rho, "OFFSET": self.offset}
-        numbers |= {"H0": np.asarray(initial_state(self))[0], "EXACT": int(self.scheme == "exact")}
-        return CPart(template("bouc_wen.c"), 1, numbers)
+        return CPart.of(self, "bouc_wen", h0=initial_state(self)[0], exact=self.scheme == "exact")
 
 
 class BoucWenStep(AbstractStepInverse):
@@ -226,9 +221,8 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     u, y = used_samples(records)
     offsets = offset_columns(records)
     bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
-    k = best_column(np.column_stack([u, offsets, bend]), states, y)
-    theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets, bend]), y)
-    slope, unit_factor, offset = theta[:3]
+    k, theta, _ = best_of_grid(states, np.column_stack([u, offsets, bend]), y)
+    unit_factor, slope, offset = theta[:3]
     c = max(slope, 1e-3 * abs(unit_factor), 1e-12)
     mu = float(np.clip(-unit_factor / c, 0.02, 0.98))
     values = {"c": c, "mu": mu, "tau": float(tau[k]), "rho": float(rho[k]), "offset": offset}

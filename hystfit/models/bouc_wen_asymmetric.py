@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start
 from hystfit.models.bouc_wen_steps import (
+    Scheme,
     bound,
     initial_hysteresis,
     initial_state,
@@ -25,7 +25,7 @@ from hystfit.models.bouc_wen_steps import (
     runge_kutta,
     semi_implicit,
 )
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
@@ -49,6 +49,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="asymmetric",
@@ -75,11 +76,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
     center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
-    scheme: Literal["semi-implicit", "exact"] = eqx.field(static=True, default="semi-implicit")
-
-    def __check_init__(self) -> None:
-        if self.scheme not in ("semi-implicit", "exact"):
-            raise ModelError(f"scheme must be semi-implicit or exact, got {self.scheme!r}")
+    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     def init(self, u0: Scalar) -> State:
         """State: h, shape (1,)."""
@@ -140,7 +137,5 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
-        names = ("c", "mu", "tau", "rho", "n", "skew", "offset", "center", "half")
-        numbers = {name.upper(): getattr(self, name) for name in names} | {"H0": np.asarray(initial_state(self))[0]}
-        numbers |= {"B": int(self.b.shape[0]) + 2, "EXACT": int(self.scheme == "exact")}
-        return CPart(template("bouc_wen_asymmetric.c"), 1, numbers, {"b": np.append([0.0, 0.0], np.asarray(self.b))})
+        b, exact = np.append([0.0, 0.0], self.b), self.scheme == "exact"
+        return CPart.of(self, "bouc_wen_asymmetric", h0=initial_state(self)[0], b=b, exact=exact)

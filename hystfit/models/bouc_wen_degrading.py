@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -12,25 +11,27 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Derived
-from hystfit.models.bouc_wen_steps import any_power, rate_integral, semi_implicit
-from hystfit.models.c_code import CPart, template
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.bouc_wen_steps import (
+    SUBSTEPS,
+    any_power,
+    check_substeps,
+    rate_integral,
+    semi_implicit,
+    substep_advice,
+)
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
-_SUBSTEPS = 2
-_TRUSTED = 0.25  # yield displacements in one substep up to which the error stays near 0.1 % of the range
 # Of the starting values: yield displacement over the half range, n, strength and stiffness lost over the record, pinching.
 _GRID = ((0.01, 0.02, 0.05, 0.1, 0.2, 0.5), (1.0, 2.0), (0.05, 1.0), (0.05, 2.0), (0.0, 0.9))
+_VARIED = ("zy", "n", "dnu", "deta", "zs", "p")
 _PINCHED = 10.0  # pinching is complete after this fraction 1 / 10 of the energy of the record
 
 
@@ -58,6 +59,7 @@ class BoucWenBaberNoori(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "bouc_wen_degrading"
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -80,11 +82,10 @@ class BoucWenBaberNoori(AbstractHysteresis):
     lam: Scalar = param(0.2, bounds=(0.01, 1.0), fixed=True, doc="growth of the slip's width with its depth")
     dpsi: Scalar = param(0.0, bounds=(0.0, 1.0), fixed=True, doc="growth of the slip's width per unit of energy")
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="force at zero input without hysteresis")
-    substeps: int = eqx.field(static=True, default=_SUBSTEPS)
+    substeps: int = eqx.field(static=True, default=SUBSTEPS)
 
     def __check_init__(self) -> None:
-        if self.substeps < 1:
-            raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
+        check_substeps(self.substeps)
 
     def init(self, u0: Scalar) -> State:
         """State: w and the energy e, shape (2,), zero at rest."""
@@ -133,15 +134,7 @@ class BoucWenBaberNoori(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the substeps."""
-        way = float(np.max(np.abs(np.diff(u)), initial=0.0)) / float(self.zy)
-        needed = math.ceil(way / _TRUSTED)
-        if needed <= self.substeps:
-            return ()
-        return (
-            f"the input moves by up to {way:.2g} yield displacements in one sample, and {self.substeps} substeps are accurate up to "
-            f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
-            "the model's name)",
-        )
+        return substep_advice(float(np.max(np.abs(np.diff(u)), initial=0.0)) / float(self.zy), self.substeps)
 
     def uniaxial_material(self) -> UniaxialMaterial:
         """`BoucWen` of OpenSees, which degrades, or `BWBN`, which pinches; the energy there is that here times kappa_w zy.
@@ -172,12 +165,6 @@ class BoucWenBaberNoori(AbstractHysteresis):
         slip = (v["q"], v["zs"], v["p"] / unit, v["zy"] * v["psi"], v["zy"] * v["dpsi"] / unit, v["lam"])
         return UniaxialMaterial("BWBN", (*first, *slip, tolerance, steps), lost, notes)
 
-    def c_part(self) -> CPart:
-        """The substeps of `step`."""
-        names = ("kappa_x", "kappa_w", "zy", "beta", "n", "dnu", "deta", "zs", "p", "q", "psi", "lam", "dpsi", "offset")
-        numbers = {name.upper(): getattr(self, name) for name in (*names, "substeps")}
-        return CPart(template("bouc_wen_degrading.c"), 2, numbers)
-
     def start(self, records: Sequence[Record]) -> BoucWenBaberNoori:
         """The first of `starting_points`."""
         return self.starting_points(records)[0]
@@ -193,25 +180,14 @@ class BoucWenBaberNoori(AbstractHysteresis):
             [zy, n, np.minimum(dnu / energy, 0.2), np.minimum(deta / energy, 0.7), zs, _PINCHED / energy]
         )
         grid[:, 5] = np.clip(grid[:, 5], 0.002, 4.0)
-        plain = BoucWenBaberNoori()
-        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(record.u))) for record in short]
-        states = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        states = grid_columns(BoucWenBaberNoori(kappa_x=0.0), _VARIED, grid, short)
         u, y = used_samples(short)
         fixed = np.column_stack([u, offset_columns(short)])
         found = []
         for kept in (np.flatnonzero(zs > 0), np.flatnonzero(zs == 0)):
-            k = int(kept[best_column(fixed, states[:, kept], y)])
-            theta, error = fit_linear(np.column_stack([u, states[:, k], fixed[:, 1:]]), y)
-            linear = dict(zip(("kappa_x", "kappa_w", "offset"), theta[:3], strict=True))
-            shape = dict(zip(("zy", "n", "dnu", "deta", "zs", "p"), grid[k], strict=True))
+            which, theta, error = best_of_grid(states[:, kept], fixed, y)
+            linear = dict(zip(("kappa_w", "kappa_x", "offset"), theta[:3], strict=True))
+            shape = dict(zip(_VARIED, grid[kept[which]], strict=True))
             shape["zs"] = max(shape["zs"], 0.05)
             found.append((error, dataclasses.replace(self, **linear, **shape)))
         return tuple(model for _, model in sorted(found, key=lambda pair: pair[0]))
-
-
-@compiled
-def _over_grid(plain: BoucWenBaberNoori, grid: Float[Array, "n 6"], u: Signal) -> Float[Array, "n T"]:
-    """w of models with (zy, n, dnu, deta, zs, p) in the rows of a grid, shape (grid, T)."""
-    where = lambda m: (m.zy, m.n, m.dnu, m.deta, m.zs, m.p, m.kappa_x)
-    one = lambda row: run(eqx.tree_at(where, plain, (*row, jnp.zeros_like(u[0]))), u, jnp.zeros_like(u))[0]
-    return jax.vmap(one)(grid)

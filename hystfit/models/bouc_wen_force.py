@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -16,17 +15,20 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen_steps import power_of, rate_integral, semi_implicit
-from hystfit.models.c_code import CPart, template
+from hystfit.models.bouc_wen_steps import (
+    SUBSTEPS,
+    check_substeps,
+    power_of,
+    rate_integral,
+    semi_implicit,
+    substep_advice,
+)
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
-
-_SUBSTEPS = 2
-_TRUSTED = 0.25  # fraction of the yield displacement in one substep up to which the error stays near 0.1 % of the range
 
 
 class BoucWenForce(AbstractHysteresis):
@@ -43,6 +45,7 @@ class BoucWenForce(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "bouc_wen_force"
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -56,11 +59,10 @@ class BoucWenForce(AbstractHysteresis):
     n: Scalar = param(1.5, bounds=(1.0, 20.0), doc="sharpness of the knee")
     w0: Scalar = param(0.0, bounds=(-1.0, 1.0), per_record=True, fixed=True, doc="w at the first sample")
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="force at zero input without hysteresis")
-    substeps: int = eqx.field(static=True, default=_SUBSTEPS)
+    substeps: int = eqx.field(static=True, default=SUBSTEPS)
 
     def __check_init__(self) -> None:
-        if self.substeps < 1:
-            raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
+        check_substeps(self.substeps)
 
     def init(self, u0: Scalar) -> State:
         """State: w, shape (1,)."""
@@ -83,15 +85,7 @@ class BoucWenForce(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the substeps."""
-        way = float(self.rho) * float(np.max(np.abs(np.diff(u)), initial=0.0))
-        needed = math.ceil(way / _TRUSTED)
-        if needed <= self.substeps:
-            return ()
-        return (
-            f"the input moves by up to {way:.2g} yield displacements in one sample, and {self.substeps} substeps are accurate up to "
-            f"{_TRUSTED * self.substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
-            "the model's name)",
-        )
+        return substep_advice(float(self.rho) * float(np.max(np.abs(np.diff(u)), initial=0.0)), self.substeps)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Flattest and steepest where |w| is largest: after the whole range from rest, which no other path within it exceeds."""
@@ -102,11 +96,6 @@ class BoucWenForce(AbstractHysteresis):
         reached = float(np.interp(high - low, travel, w)) ** n
         ends = np.array([1.0, 1 - reached, 1 + down * reached])
         return Slopes.of(float(self.kappa_x) + float(self.kappa_w) * rho * ends)
-
-    def c_part(self) -> CPart:
-        """One state; the substeps of `step`."""
-        names = ("kappa_x", "kappa_w", "rho", "sigma", "n", "w0", "offset", "substeps")
-        return CPart(template("bouc_wen_force.c"), 1, {name.upper(): getattr(self, name) for name in names})
 
     def uniaxial_material(self) -> UniaxialMaterial:
         """`BoucWen` of OpenSees: initial stiffness k, ratio alpha, beta and gamma of the displacement z = w / rho.
@@ -130,24 +119,9 @@ class BoucWenForce(AbstractHysteresis):
         """A grid over (rho, n), for each of which slope, force and offsets follow by linear least squares."""
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
-        states = np.concatenate([_unit_force(record.u, rho, n, float(self.sigma))[record.used] for record in records])
+        plain = BoucWenForce(kappa_x=0.0, sigma=self.sigma)
+        states = grid_columns(plain, ("rho", "n"), np.column_stack([rho, n]), records)
         u, y = used_samples(records)
-        offsets = offset_columns(records)
-        k = best_column(np.column_stack([u, offsets]), states, y)
-        theta, _ = fit_linear(np.column_stack([u, states[:, k], offsets]), y)
-        linear = dict(zip(("kappa_x", "kappa_w", "offset"), theta[:3], strict=True))
+        k, theta, _ = best_of_grid(states, np.column_stack([u, offset_columns(records)]), y)
+        linear = dict(zip(("kappa_w", "kappa_x", "offset"), theta[:3], strict=True))
         return dataclasses.replace(self, **linear, rho=rho[k], n=max(n[k], 1.05))
-
-
-def _unit_force(u: np.ndarray, rho: np.ndarray, n: np.ndarray, sigma: float) -> np.ndarray:
-    """State w for several (rho, n) at once: shape (T, len(rho))."""
-    w, out = np.zeros(rho.size), np.zeros((u.size, rho.size))
-    for k, du in enumerate(np.diff(u), start=1):
-        s = -1.0 if du < 0 else 1.0
-        q, half = s * w, 0.5 * rho * abs(du) / 2
-        for _ in range(2):
-            kappa = np.where(q >= 0, 1.0, 2 * sigma - 1) * np.abs(q) ** (n - 1)
-            q = np.minimum(((1 - half * kappa) * q + 2 * half) / (1 + half * kappa), 1.0)
-        w = s * q
-        out[k] = w
-    return out

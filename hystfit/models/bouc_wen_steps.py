@@ -6,14 +6,38 @@ and `down` rates [1/u], `highest` the bound of q [y].
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from hystfit.errors import ModelError
 from hystfit.params.host_arrays import compiled
+
+Scheme = Literal["semi-implicit", "exact"]
+SUBSTEPS = 2  # of a sample, by default
+_TRUSTED = 0.25  # yield displacements in one substep up to which the error stays near 0.1 % of the range
+
+
+def check_substeps(substeps: int) -> None:
+    """Refuse a model without substeps."""
+    if substeps < 1:
+        raise ModelError(f"at least one substep per sample is needed, got {substeps}")
+
+
+def substep_advice(largest: float, substeps: int) -> tuple[str, ...]:
+    """Advice where the largest step of the input, in yield displacements, is too long for the substeps."""
+    needed = math.ceil(largest / _TRUSTED)
+    if needed <= substeps:
+        return ()
+    return (
+        f"the input moves by up to {largest:.2g} yield displacements in one sample, and {substeps} substeps are accurate up to "
+        f"{_TRUSTED * substeps:.2g}: sample faster, or take more (substeps={needed}; at the shell :substeps={needed} after "
+        "the model's name)",
+    )
 
 
 def bound(m: Array, up: Array, factor: Array | float = 1.0) -> Array:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 _FOLDER = files("hystfit.models") / "c"
 
@@ -35,6 +40,30 @@ class CPart:
     numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     arrays: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     parts: tuple[CPart, ...] = ()
+
+    @classmethod
+    def of(cls, model: Any, name: str, states: int | None = None, **values: Any) -> CPart:
+        """The part of a model whose template names its fields: @M@_TAU is the number `tau`, @f@_w the array `w`, @M@_W_SIZE its length.
+
+        Args:
+            model: any but a composition.
+            name: of the file of the template, without ".c".
+            states: number of doubles of state; by default that of the model.
+            **values: numbers and arrays that are no fields, or stand for some; only those that the template names are written.
+        """
+        text = template(f"{name}.c")
+        fields = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)} | values
+        plain = {key: value for key, value in fields.items() if not isinstance(value, str)}
+        arrays = {key: value for key, value in plain.items() if np.ndim(value)}
+        numbers = {key.upper(): value for key, value in plain.items() if not np.ndim(value)}
+        numbers |= {f"{key.upper()}_SIZE": int(np.size(value)) for key, value in arrays.items()}
+        used = set(re.findall(r"@[fM]@_\w+", text))
+        return cls(
+            text,
+            jax.eval_shape(model.init, jnp.zeros(())).shape[0] if states is None else states,
+            {key: value for key, value in numbers.items() if f"@M@_{key}" in used},
+            {key: value for key, value in arrays.items() if f"@f@_{key}" in used and np.size(value)},
+        )
 
 
 def template(name: str) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -15,15 +15,15 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, check_rest
+from hystfit.models.base import AbstractHysteresis, Rest, check_same_length
 from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import relaxed
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
@@ -41,6 +41,7 @@ class LogCreep(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "log_creep"
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
 
@@ -50,17 +51,12 @@ class LogCreep(AbstractHysteresis):
     span: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", fixed=True, doc="displacement by which x is divided in the polynomial"
     )
-    tau: Float[Array, " modes"] = param(
-        _TAU, bounds=(0.0, np.inf), unit="s", fixed=True, doc="time constants of the relaxations"
-    )
-    weights: Float[Array, " modes"] = param(
-        _WEIGHTS, bounds=(0.0, np.inf), fixed=True, doc="decades that each relaxation stands for"
-    )
+    tau: Float[Array, " modes"] = element_places(_TAU, unit="s", doc="time constants of the relaxations")
+    weights: Float[Array, " modes"] = element_places(_WEIGHTS, doc="decades that each relaxation stands for")
     base: Scalar = param(_BASE, fixed=True, doc="decades that have passed before the first relaxation")
 
     def __check_init__(self) -> None:
-        if hasattr(self.tau, "shape") and hasattr(self.weights, "shape") and self.tau.shape != self.weights.shape:
-            raise ModelError(f"one weight per time constant: got {self.weights.shape} and {self.tau.shape}")
+        check_same_length(self, "weights", "tau", "relaxation")
 
     @classmethod
     def spanning(cls, shortest: float, longest: float, **fields: object) -> LogCreep:
@@ -127,13 +123,6 @@ class LogCreep(AbstractHysteresis):
         """See `CreepStep`."""
         return CreepStep(self)
 
-    def c_part(self) -> CPart:
-        """One recursion per relaxation."""
-        modes = int(self.tau.shape[0])
-        numbers = {"SPAN": self.span, "BASE": self.base, "MODES": modes, "DEGREE": int(self.gamma.shape[0]) - 1}
-        arrays = {"gamma": self.gamma, "weights": self.weights, "tau": self.tau}
-        return CPart(template("log_creep.c"), modes, numbers, arrays)
-
 
 class CreepStep(AbstractStepInverse):
     """Inverse of `LogCreep` (Minase et al. 2010, eq. (19)): (target - remaining relaxations) / gain of one sample."""
@@ -170,32 +159,21 @@ class LinearCreep(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
-    has_rest: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
     needs: ClassVar[Needs] = Needs(loop=False, time=True, creep=True)
 
-    a: Float[Array, " k"] = param(
-        (0.0,),
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.02,
-        linear=True,
-        vector=True,
-        doc="weight of the relaxations, one for all or one for each",
+    a: Float[Array, " k"] = element_weights(
+        (0.0,), scale=0.02, doc="weight of the relaxations, one for all or one for each"
     )
-    tau: Float[Array, " modes"] = param(
-        tuple(np.geomspace(0.05, 200.0, 7)),
-        bounds=(0.0, np.inf),
-        unit="s",
-        fixed=True,
-        doc="time constants of the relaxations",
+    tau: Float[Array, " modes"] = element_places(
+        tuple(np.geomspace(0.05, 200.0, 7)), unit="s", doc="time constants of the relaxations"
     )
     low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
     level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
-    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
+    rest: Rest = eqx.field(static=True, default="level")
 
     def __check_init__(self) -> None:
-        check_rest(self.rest)
         if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape not in ((1,), self.tau.shape):
             raise ModelError(f"one weight for all or one per time constant {self.tau.shape}: got {self.a.shape}")
 
@@ -222,10 +200,6 @@ class LinearCreep(AbstractHysteresis):
         tau = np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0])
         return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
 
-    def with_rest(self, rest: str) -> LinearCreep:
-        """See the base class."""
-        return dataclasses.replace(self, rest=rest)
-
     def without_creep(self) -> LinearCreep:
         """See the base class."""
         return dataclasses.replace(self, a=jnp.zeros_like(self.a))
@@ -239,8 +213,4 @@ class LinearCreep(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """One recursion per relaxation."""
-        modes = int(self.tau.shape[0])
-        numbers = {"LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
-        numbers |= {"FIRST": int(self.rest == "first"), "MODES": modes}
-        arrays = {"a": np.broadcast_to(np.asarray(self.a), (modes,)), "tau": self.tau}
-        return CPart(template("linear_creep.c"), modes, numbers, arrays)
+        return CPart.of(self, "linear_creep", first=self.rest == "first", a=np.broadcast_to(self.a, self.tau.shape))

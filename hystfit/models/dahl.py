@@ -12,13 +12,13 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
@@ -39,35 +39,21 @@ class Dahl(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "dahl"
+    counts: ClassVar[dict[str, str]] = {"bristles": "d"}
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(symmetry="symmetric", direction="clockwise", regularized=True)
 
-    Fc: Float[Array, " bristles"] = param(
-        (0.1,) * _BRISTLES,
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.1,
-        linear=True,
-        vector=True,
-        doc="friction force of each bristle",
-    )
-    d: Float[Array, " bristles"] = param(
-        tuple(np.geomspace(_SHORTEST, _LONGEST, _BRISTLES)),
-        bounds=(0.0, np.inf),
-        unit="u",
-        fixed=True,
-        vector=True,
-        doc="presliding displacements",
+    Fc: Float[Array, " bristles"] = element_weights((0.1,) * _BRISTLES, doc="friction force of each bristle")
+    d: Float[Array, " bristles"] = element_places(
+        tuple(np.geomspace(_SHORTEST, _LONGEST, _BRISTLES)), unit="u", doc="presliding displacements"
     )
     k: Scalar = param(0.0, unit="y/u", linear=True, doc="stiffness of the spring")
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the force")
 
     def __check_init__(self) -> None:
-        if hasattr(self.Fc, "shape") and hasattr(self.d, "shape") and self.Fc.shape[-1:] != self.d.shape[-1:]:
-            raise ModelError(
-                f"Fc and d must have one value for each bristle, got shapes {self.Fc.shape}, {self.d.shape}"
-            )
+        check_same_length(self, "Fc", "d", "bristle")
 
     @classmethod
     def of(cls, bristles: int = _BRISTLES) -> Dahl:
@@ -83,10 +69,6 @@ class Dahl(AbstractHysteresis):
             raise ModelError(f"at least one bristle is needed, got {bristles}")
         return cls(Fc=np.full(bristles, 0.5 / bristles), d=_spread(bristles))
 
-    def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
-        return {"bristles": int(self.d.shape[-1])}
-
     def init(self, u0: Scalar) -> State:
         """State: q of each bristle, free of force, shape (bristles,)."""
         return jnp.zeros(self.d.size) * u0
@@ -99,8 +81,7 @@ class Dahl(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        u = np.asarray(u, dtype=float)
-        return float(self.offset) + float(self.k) * u + _bent(u, np.asarray(self.d)) @ np.asarray(self.Fc)
+        return self.design_matrix(*drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The bristles, the spring and the offset."""
@@ -117,12 +98,6 @@ class Dahl(AbstractHysteresis):
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Flattest where all bristles slip, steepest after a reversal."""
         return Slopes.of(float(self.k), float(self.k) + 2.0 * float(jnp.sum(self.Fc / self.d)))
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        size = int(self.d.size)
-        numbers = {"BRISTLES": size, "K": self.k, "OFFSET": self.offset}
-        return CPart(template("dahl.c"), size, numbers, {"fc": self.Fc, "d": self.d})
 
 
 def _spread(bristles: int) -> np.ndarray:

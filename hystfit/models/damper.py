@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import LARGE, input_range, output_range, sampling_interval, speed
-from hystfit.params.param import leaves_of, param
+from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
 
 # Of stops of the displacement and of the velocity, over half the stroke and the speed; and of the bends of saturating forces.
@@ -62,20 +62,12 @@ class Damper(AbstractHysteresis):
     coupling: Float[Array, " products"] = param(
         (0.0,) * 4, unit="y", linear=True, doc="forces x |w|, x w, x^2 w and x^2 |w|"
     )
-    saturating: Float[Array, "ends bends"] = param(
+    saturating: Float[Array, "ends bends"] = element_weights(
         ((0.05,) * len(_BENDS),) * 2,
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.1,
-        linear=True,
         doc="forces that saturate in the velocity, at the lower and the upper end of the stroke",
     )
-    friction: Float[Array, " strokes"] = param(
-        (0.05,) * len(_STROKES), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the stops of x"
-    )
-    lagging: Float[Array, " lags"] = param(
-        (0.05,) * len(_LAGS), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="weights of the stops of w"
-    )
+    friction: Float[Array, " strokes"] = element_weights((0.05,) * len(_STROKES), doc="weights of the stops of x")
+    lagging: Float[Array, " lags"] = element_weights((0.05,) * len(_LAGS), doc="weights of the stops of w")
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the force")
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="lag of the velocity")
     center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
@@ -118,9 +110,7 @@ class Damper(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        design = self.design_matrix(*drive(self, u, dt))
-        weights = {leaf.index: np.ravel(getattr(self, leaf.path[-1])) for leaf in leaves_of(self)}
-        return np.sum([block.columns @ weights[block.leaf] for block in design.blocks], axis=0)
+        return self.design_matrix(*drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""
@@ -158,15 +148,7 @@ class Damper(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """The same step in C."""
-        numbers = {
-            name.upper(): getattr(self, name) for name in ("viscous", "offset", "tau", "center", "half", "speed")
-        }
-        numbers |= {"STROKES": len(_STROKES), "LAGS": len(_LAGS), "BENDS": len(_BENDS)}
-        arrays = {
-            name: getattr(self, name) for name in ("spring", "bent", "coupling", "saturating", "friction", "lagging")
-        }
-        arrays |= {"strokes": np.array(_STROKES), "lags": np.array(_LAGS), "bends": np.array(_BENDS)}
-        return CPart(template("damper.c"), len(_STROKES) + len(_LAGS) + 1, numbers, arrays)
+        return CPart.of(self, "damper", strokes=_STROKES, lags=_LAGS, bends=_BENDS)
 
 
 def _follow(plays: Array, at: Scalar, widths: tuple[float, ...]) -> Array:

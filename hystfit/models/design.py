@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import jax
 import numpy as np
 
 from hystfit.params.param import ParamInfo, leaves_of
@@ -75,6 +76,12 @@ class DesignMatrix:
         ]
         count = len(blocks[0].columns)
         return cls(tuple(blocks), np.zeros(count), np.arange(count))
+
+    def output(self, model: Any) -> np.ndarray:
+        """The output with the weights of a model, a value for each sample."""
+        values = jax.tree_util.tree_leaves(model)
+        columns = (block.columns @ np.ravel(values[block.leaf]) for block in self.blocks)
+        return sum(columns, start=self.rest)[self.index]
 
     def rows(self) -> DesignMatrix:
         """The same with one row per sample."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
@@ -47,6 +47,7 @@ class Duhem(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2, too_few="f and g are observed on one pair of branches, where they trade off"
     )
@@ -64,10 +65,6 @@ class Duhem(AbstractHysteresis):
     center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range of f and g")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range of f and g")
     scheme: Scheme = eqx.field(static=True, default="midpoint")
-
-    def __check_init__(self) -> None:
-        if self.scheme not in ("midpoint", "explicit", "exact"):
-            raise ModelError(f"scheme must be midpoint, explicit or exact, got {self.scheme!r}")
 
     @classmethod
     def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:
@@ -234,18 +231,13 @@ class Duhem(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """All schemes are in one template; tables of the exact one are written where it is used."""
-        m, n = int(self.f.shape[0]), int(self.g.shape[0])
-        numbers = {"ALPHA": self.alpha, "W0": self.w0, "CENTER": self.center, "HALF": self.half, "F": m, "G": n}
-        numbers |= {"EXACT": int(self.scheme == "exact"), "EXPLICIT": int(self.scheme == "explicit")}
-        arrays = {"f": self.f, "g": self.g}
+        values: dict[str, Any] = {"exact": self.scheme == "exact", "explicit": self.scheme == "explicit"}
         if self.scheme == "exact":
-            size = max(m, n)
-            numbers |= {"SIZE": size, "LONG": _LONG, "NODES": len(_NODES)}
+            size = max(self.f.shape[0], self.g.shape[0])
             padded = [np.pad(np.asarray(c), (0, size - c.shape[0])) for c in (self.f, self.g)]
-            slope = derivative_matrix(size) / float(self.half)
-            arrays |= {"f_padded": padded[0], "g_padded": padded[1], "derivative": slope}
-            arrays |= {"nodes": _NODES, "weights": _WEIGHTS}
-        return CPart(template("duhem.c"), 1, numbers, arrays)
+            values |= {"f_padded": padded[0], "g_padded": padded[1], "nodes": _NODES, "weights": _WEIGHTS}
+            values |= {"long": _LONG, "derivative": derivative_matrix(size) / float(self.half)}
+        return CPart.of(self, "duhem", **values)
 
 
 def _responses(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import ClassVar, Literal
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -15,8 +15,8 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, OutputResonance, check_rest
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, OutputResonance, Rest
+from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
@@ -35,6 +35,7 @@ class Delay(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "delay"
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
@@ -81,10 +82,6 @@ class Delay(AbstractHysteresis):
         """Refused: see `no_inverse`."""
         raise no_inverse(self)
 
-    def c_part(self) -> CPart:
-        """A line of fixed length."""
-        return CPart(template("delay.c"), self.longest + 1, {"LAG": self.lag, "LONGEST": self.longest})
-
 
 class Lag(AbstractHysteresis):
     """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
@@ -96,14 +93,11 @@ class Lag(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = False
     linear_in_input: ClassVar[bool] = True
-    has_rest: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
 
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
     level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
-    rest: Literal["level", "first"] = eqx.field(static=True, default="level")
-
-    def __check_init__(self) -> None:
-        check_rest(self.rest)
+    rest: Rest = eqx.field(static=True, default="level")
 
     def init(self, u0: Scalar) -> State:
         """State: the outputs of the two lags, in equilibrium at `level` or, where rest = "first", at the first input."""
@@ -129,17 +123,13 @@ class Lag(AbstractHysteresis):
         """Three samples."""
         return dataclasses.replace(self, tau=3.0 * sampling_interval(records))
 
-    def with_rest(self, rest: str) -> Lag:
-        """See the base class."""
-        return dataclasses.replace(self, rest=rest)
-
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The output is affine in the new input."""
         return LinearStep(self)
 
     def c_part(self) -> CPart:
         """Two recursions."""
-        return CPart(template("lag.c"), 2, {"TAU": self.tau, "LEVEL": self.level, "FIRST": int(self.rest == "first")})
+        return CPart.of(self, "lag", first=self.rest == "first")
 
 
 def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -153,6 +143,7 @@ class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "second_order"
     linear_in_input: ClassVar[bool] = True
 
     omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
@@ -208,10 +199,6 @@ class SecondOrder(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""
         raise no_inverse(self)
-
-    def c_part(self) -> CPart:
-        """The free decay of the deviation from the ramp response."""
-        return CPart(template("second_order.c"), 2, {"OMEGA": self.omega, "ZETA": self.zeta})
 
 
 def no_inverse(model: AbstractHysteresis) -> ModelError:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -17,19 +17,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bracketed import Root, solve_rising
-from hystfit.models.c_code import CPart, template
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, offset_columns, thinned, used_samples
+from hystfit.models.c_code import CPart
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
+from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs
 
-MU0 = 4e-7 * np.pi  # [T m/A]
 FIRST_CURVE = 64  # steps from the demagnetized state to the first input
 _STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
 _SERIES = 1e-2  # argument below which the Langevin function is its series
@@ -63,6 +60,7 @@ class JilesAtherton(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"curve": tuple(CURVES)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -93,10 +91,6 @@ class JilesAtherton(AbstractHysteresis):
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output of the demagnetized state", linear=True)
 
     curve: str = eqx.field(default="langevin", static=True)
-
-    def __check_init__(self) -> None:
-        if self.curve not in CURVES:
-            raise ModelError(f"curve must be one of {', '.join(CURVES)}, got {self.curve!r}")
 
     @classmethod
     def of(cls, curve: str = "langevin", pinning: bool = False, double: bool = False) -> JilesAtherton:
@@ -135,9 +129,7 @@ class JilesAtherton(AbstractHysteresis):
 
     def init(self, u0: Scalar) -> State:
         """State: effective field and irreversible part of the magnetization over Ms, shape (2,), on the first curve."""
-        path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
-        begin = jnp.zeros(2) + 0.0 * u0
-        return jax.lax.scan(lambda s, ends: (self._moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+        return on_first_curve(self._moved, u0)
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the effective field at u1, and what it magnetizes."""
@@ -210,13 +202,11 @@ class JilesAtherton(AbstractHysteresis):
         scale = np.array([half, 1.0, half, 1.0, 1.0])
         second = dict(zip("pr", ([value] for value in _DOUBLE), strict=True)) if self.p.size else {}
         plain = JilesAtherton(curve=self.curve, q=self.q, **second)  # type: ignore[arg-type]
-        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid * scale), jnp.asarray(record.u))) for record in short]
-        columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        varied = ("a", "coupling", "k", "c", "q")[: 4 + self.q.size]
+        columns = grid_columns(plain, varied, (grid * scale)[:, : len(varied)], short)
         u, y = used_samples(short)
         y = y - slope * u
-        offsets = offset_columns(short)
-        best = best_column(offsets, columns, y)
-        theta, _ = fit_linear(np.column_stack([columns[:, best], offsets]), y)
+        best, theta, _ = best_of_grid(columns, offset_columns(short), y)
         *four, q = (grid[best] * scale).tolist()
         shape = dict(zip(("a", "coupling", "k", "c"), four, strict=True)) | second | ({"q": [q]} if self.q.size else {})
         saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
@@ -229,11 +219,9 @@ class JilesAtherton(AbstractHysteresis):
     def c_part(self) -> CPart:
         """The same search in C."""
         second = self.p.size > 0
-        numbers = {"TANH": int(self.curve == "tanh"), "Q": self.q[0] if self.q.size else 0.0, "DOUBLE": int(second)}
-        numbers |= {"P": self.p[0] if second else 1.0, "R": self.r[0] if second else 1.0}
-        numbers |= {"MS": self.Ms, "A": self.a, "FIELD": self.mean_field, "K": self.k, "C": self.c}
-        numbers |= {"SLOPE": self.slope, "OFFSET": self.offset, "FIRST_CURVE": FIRST_CURVE}
-        return CPart(template("jiles_atherton.c"), 2, numbers)
+        values = {"tanh": self.curve == "tanh", "q": self.q[0] if self.q.size else 0.0, "double": second}
+        values |= {"p": self.p[0] if second else 1.0, "r": self.r[0] if second else 1.0}
+        return CPart.of(self, "jiles_atherton", mean_field=self.mean_field, first_curve=FIRST_CURVE, **values)
 
 
 class JilesAthertonStep(AbstractStepInverse):
@@ -252,6 +240,13 @@ class JilesAthertonStep(AbstractStepInverse):
         return Root(root.x - ja.mean_field * total(root.x), root.rising)
 
 
+def on_first_curve(moved: Callable[[State, Scalar, Scalar], State], u0: Scalar) -> State:
+    """The state at the input u0, by steps of a model from the demagnetized state."""
+    path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
+    begin = jnp.zeros(2) + 0.0 * u0
+    return jax.lax.scan(lambda s, ends: (moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+
+
 def langevin(x: Array) -> Array:
     """coth x - 1 / x of numbers of any shape, by its series near zero."""
     near = jnp.abs(x) < _SERIES
@@ -259,12 +254,3 @@ def langevin(x: Array) -> Array:
     square = jnp.where(near, x, 0.0) ** 2
     series = x * (1.0 / 3.0 - square * (1.0 / 45.0 - square * (2.0 / 945.0 - square / 4725.0)))
     return jnp.where(near, series, 1.0 / jnp.tanh(far) - 1.0 / far)
-
-
-@compiled
-def _over_grid(plain: JilesAtherton, grid: Float[Array, "n 5"], u: Signal) -> Float[Array, "n T"]:
-    """M / Ms of models with (a, coupling, k, c, q) in the rows of a grid, shape (grid, T)."""
-    where = lambda m: (m.a, m.coupling, m.k, m.c, m.q)
-    values = lambda row: (*row[:4], row[4:] if plain.q.size else plain.q)
-    one = lambda row: run(eqx.tree_at(where, plain, values(row)), u, jnp.zeros_like(u))[0]
-    return jax.vmap(one)(grid)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -15,12 +15,13 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bracketed import solve_rising
-from hystfit.models.jiles_atherton import FIRST_CURVE, JilesAtherton
+from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve
 from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _STEEPEST = 1e-9  # slope dB/dHe over its largest one, from which the derivative of the field counts as that of a jump
+_SHARED = ("Ms", "a", "coupling", "k", "c", "q", "slope")  # fields of the law in both forms
 
 
 class JilesAthertonField(AbstractHysteresis):
@@ -32,6 +33,7 @@ class JilesAthertonField(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"curve": tuple(CURVES)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -69,22 +71,11 @@ class JilesAthertonField(AbstractHysteresis):
     @property
     def magnet(self) -> JilesAtherton:
         """The same law with the field as input."""
-        return JilesAtherton(
-            Ms=self.Ms,
-            a=self.a,
-            coupling=self.coupling,
-            k=self.k,
-            c=self.c,
-            q=self.q,
-            slope=self.slope,
-            curve=self.curve,
-        )
+        return JilesAtherton(**{name: getattr(self, name) for name in _SHARED}, curve=self.curve)
 
     def init(self, u0: Scalar) -> State:
         """State: effective field and irreversible part of the magnetization over Ms, shape (2,), on the first curve."""
-        path = u0 * jnp.linspace(0.0, 1.0, FIRST_CURVE + 1)
-        begin = jnp.zeros(2) + 0.0 * u0
-        return jax.lax.scan(lambda s, ends: (self._moved(s, *ends), None), begin, (path[:-1], path[1:]))[0]
+        return on_first_curve(self._moved, u0)
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the effective field at which the flux density is u1, less the mean field."""
@@ -118,8 +109,7 @@ class JilesAthertonField(AbstractHysteresis):
         if {(record.u_unit, record.y_unit) for record in records} != {("T", "A/m")}:
             law = dataclasses.replace(law, slope=self.slope)
         found = law.start([_exchanged(record) for record in records])
-        shared = ("Ms", "a", "coupling", "k", "c", "q", "slope")
-        return dataclasses.replace(self, **{name: getattr(found, name) for name in shared})
+        return dataclasses.replace(self, **{name: getattr(found, name) for name in _SHARED})
 
 
 def _exchanged(record: Record) -> Record:

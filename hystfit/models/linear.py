@@ -9,7 +9,6 @@ import jax.numpy as jnp
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 
@@ -21,6 +20,7 @@ class Linear(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "linear"
     linear_in_input: ClassVar[bool] = True
 
     k: Scalar = param(0.0, unit="y/u", linear=True, doc="slope")
@@ -36,7 +36,3 @@ class Linear(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> Linear:
         """No slope; it follows from the fit."""
         return type(self)(k=0.0)
-
-    def c_part(self) -> CPart:
-        """A product."""
-        return CPart(template("linear.c"), 0, {"K": self.k})

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
-from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import TYPICAL, fit_linear, input_range, offset_columns, output_range, speed
 from hystfit.params.param import param
@@ -42,6 +41,7 @@ class LuGre(AbstractHysteresis):
         "friction that depends on the velocity has no inverse: a slipping bristle has the same force at every place"
     )
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "lugre"
     needs: ClassVar[Needs] = Needs(
         time=True,
         symmetry="symmetric",
@@ -127,11 +127,6 @@ class LuGre(AbstractHysteresis):
             k=theta[3],
             offset=theta[4],
         )
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        names = ("sigma0", "sigma1", "sigma2", "Fc", "dFs", "vs", "k", "offset")
-        return CPart(template("lugre.c"), 2, {name.upper(): getattr(self, name) for name in names})
 
 
 def _rates(record: Record) -> Float[np.ndarray, " T"]:

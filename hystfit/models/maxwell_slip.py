@@ -12,12 +12,12 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import TYPICAL, input_range, output_range, speed
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 _ELEMENTS = 10
@@ -42,6 +42,8 @@ class MaxwellSlip(AbstractHysteresis):
         "friction that depends on the velocity has no inverse: elements that slip have the same force at every place"
     )
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "maxwell_slip"
+    counts: ClassVar[dict[str, str]] = {"elements": "r"}
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(
         time=True,
@@ -53,21 +55,12 @@ class MaxwellSlip(AbstractHysteresis):
         too_few="static friction and the Stribeck velocity need reversals at several speeds",
     )
 
-    w: Float[Array, " elements"] = param(
-        (0.1,) * _ELEMENTS,
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.1,
-        linear=True,
-        vector=True,
-        doc="stiffness of each element, as force over half the range",
+    w: Float[Array, " elements"] = element_weights(
+        (0.1,) * _ELEMENTS, doc="stiffness of each element, as force over half the range"
     )
-    r: Float[Array, " elements"] = param(
+    r: Float[Array, " elements"] = element_places(
         tuple(np.geomspace(_SHORTEST, _LONGEST, _ELEMENTS)),
-        bounds=(0.0, np.inf),
         scale=0.1,
-        fixed=True,
-        vector=True,
         doc="limits at high velocity, over half the range of the input",
     )
     k: Scalar = param(0.0, unit="y", linear=True, doc="force of the spring over half the range")
@@ -80,8 +73,7 @@ class MaxwellSlip(AbstractHysteresis):
     speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="typical velocity")
 
     def __check_init__(self) -> None:
-        if hasattr(self.w, "shape") and hasattr(self.r, "shape") and self.w.shape[-1:] != self.r.shape[-1:]:
-            raise ModelError(f"w and r must have one value for each element, got shapes {self.w.shape}, {self.r.shape}")
+        check_same_length(self, "w", "r", "element")
 
     @classmethod
     def of(cls, elements: int = _ELEMENTS) -> MaxwellSlip:
@@ -97,10 +89,6 @@ class MaxwellSlip(AbstractHysteresis):
             raise ModelError(f"at least two elements are needed, got {elements}")
         return cls(w=np.full(elements, 1.0 / elements), r=np.geomspace(_SHORTEST, _LONGEST, elements))
 
-    def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
-        return {"elements": int(self.r.shape[-1])}
-
     def init(self, u0: Scalar) -> State:
         """State: deflections of the elements, free of force, and the last velocity, shape (elements + 1,)."""
         return jnp.zeros(self.r.size + 1) * u0
@@ -115,19 +103,10 @@ class MaxwellSlip(AbstractHysteresis):
         return jnp.concatenate([e, v[None]]), y
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """The deflections, one row after another; the spring, the velocity and the offset."""
-        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
-        dx, passes = np.diff(u, prepend=u[0]) / float(self.half), dt > 0
-        v = dx * float(self.half) / np.where(passes, dt, 1.0)
-        v = np.append(0.0, v[passes])[np.cumsum(passes)]  # a repeated time stamp keeps the last one
-        r = np.asarray(self.r)
-        limits = (1.0 + float(self.excess) * np.exp(-((v / float(self.vs)) ** 2)))[:, None] * r
-        e, now = np.empty(limits.shape), np.zeros(r.size)
-        for row, step, limit in zip(e, dx.tolist(), limits, strict=True):
-            np.minimum(np.maximum(now + step, -limit), limit, out=row)
-            now = row
-        x = (u - float(self.center)) / float(self.half)
-        columns = {"w": e, "k": x[:, None], "viscous": v[:, None] / float(self.speed), "offset": np.ones((u.size, 1))}
+        """The deflections and the velocity, which are the state; the spring and the offset."""
+        states, x = states_over(self, u, dt), (np.asarray(u, dtype=float) - float(self.center)) / float(self.half)
+        viscous = states[:, -1:] / float(self.speed)
+        columns = {"w": states[:, :-1], "k": x[:, None], "viscous": viscous, "offset": np.ones((x.size, 1))}
         return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> MaxwellSlip:
@@ -137,10 +116,3 @@ class MaxwellSlip(AbstractHysteresis):
         ranges = {"center": place.center, "half": place.half, "speed": typical, "vs": _FIRST[1] * typical}
         w = np.full(self.w.shape, 0.5 * out.half / self.w.size)
         return dataclasses.replace(self, **ranges, w=w, viscous=0.1 * out.half, excess=_FIRST[0], offset=out.center)
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        size = int(self.r.size)
-        names = ("k", "viscous", "offset", "excess", "vs", "center", "half", "speed")
-        numbers = {name.upper(): getattr(self, name) for name in names} | {"ELEMENTS": size}
-        return CPart(template("maxwell_slip.c"), size + 1, numbers, {"w": self.w, "r": self.r})

@@ -11,7 +11,6 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import AbstractStepInverse
 
@@ -20,6 +19,7 @@ class Negate(AbstractHysteresis):
     """The input with the opposite sign:  x = -u.  Before a hysteresis, for outputs that fall as the input rises."""
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "negate"
     linear_in_input: ClassVar[bool] = True
 
     def init(self, u0: Scalar) -> State:
@@ -45,10 +45,6 @@ class Negate(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The opposite of the target."""
         return NegateStep(self)
-
-    def c_part(self) -> CPart:
-        """One sign."""
-        return CPart(template("negate.c"), 0, {})
 
 
 class NegateStep(AbstractStepInverse):

@@ -10,7 +10,6 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
 from hystfit.params.param import param
@@ -20,6 +19,7 @@ class Offset(AbstractHysteresis):
     """A separate constant for each record:  y = value."""
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "offset"
 
     value: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
 
@@ -38,7 +38,3 @@ class Offset(AbstractHysteresis):
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """None."""
         return Slopes(0.0, 0.0)
-
-    def c_part(self) -> CPart:
-        """A number."""
-        return CPart(template("offset.c"), 0, {"VALUE": self.value})

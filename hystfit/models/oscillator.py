@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
 from hystfit.models.shapes import Scalar, Signal, State
@@ -54,6 +54,7 @@ class BoucWenOscillator(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"between": get_args(Between)}
     needs: ClassVar[Needs] = Needs(
         time=True, dynamics=True, too_few="mass, damping and stiffness trade off; measure around the resonance"
     )
@@ -78,8 +79,6 @@ class BoucWenOscillator(AbstractHysteresis):
     def __check_init__(self) -> None:
         if self.substeps < 1:
             raise ModelError(f"at least one substep per sample is needed, got {self.substeps}")
-        if self.between not in get_args(Between):
-            raise ModelError(f"between must be one of {', '.join(get_args(Between))}, got {self.between!r}")
 
     # -- simulation ----------------------------------------------------------------------------------------------------
 
@@ -287,10 +286,7 @@ class BoucWenOscillator(AbstractHysteresis):
             raise ModelError(
                 f"a band-limited force needs the {REACH} samples that follow, which C code does not have: {_CAUSAL}"
             )
-        names = ("m", "c", "K", "a", "r_load", "r_unl", "n", "Z", "offset")
-        numbers = {name.upper() if name != "K" else "STIFFNESS": getattr(self, name) for name in names}
-        numbers |= {"HOLD": int(self.between == "hold"), "SUBSTEPS": self.substeps}
-        return CPart(template("oscillator.c"), 4, numbers)
+        return CPart.of(self, "oscillator", hold=self.between == "hold")
 
 
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"

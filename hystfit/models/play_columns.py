@@ -1,13 +1,34 @@
-"""What the linear weights of a Prandtl-Ishlinskii model are multiplied by, in NumPy: a search over its terms compiles no program."""
+"""Envelopes of a Prandtl-Ishlinskii model, and what its linear weights are multiplied by, in NumPy: a search over its terms compiles no
+program.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from hystfit.quality.loops import branches
+
+Envelope = Literal["identity", "square", "mirror"]
+
+
+def envelope(kind: Envelope, x: Any) -> Any:
+    """A rising function of x with 0 -> 0 and 1 -> 1, rising outside [0, 1] as well."""
+    if kind == "identity":
+        return x
+    if kind == "square":
+        return x * abs(x)
+    return 1.0 - (1.0 - x) * abs(1.0 - x)
+
+
+def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
+    """Derivative of an envelope."""
+    if kind == "identity":
+        return np.ones_like(x)
+    return 2.0 * np.abs(x if kind == "square" else 1.0 - x)
 
 
 def play_columns(

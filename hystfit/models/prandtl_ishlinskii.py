@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,40 +14,22 @@ from numpy.polynomial.legendre import legder, legval, legvander
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, PlayWeights
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, PlayWeights, Rest
+from hystfit.models.c_code import CPart
 from hystfit.models.design import COLUMNS, DesignMatrix
-from hystfit.models.play_columns import element_columns, fading, rising_columns
+from hystfit.models.play_columns import Envelope, element_columns, envelope, envelope_slope, fading, rising_columns
+from hystfit.models.play_step import PlayStep
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
-from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
-Envelope = Literal["identity", "square", "mirror"]
 Operator = Literal["play", "stop"]
-Rest = Literal["level", "first"]
 _SWEPT = 201  # inputs at which slopes are swept
-
-
-def envelope(kind: Envelope, x: Any) -> Any:
-    """A rising function of x with 0 -> 0 and 1 -> 1, rising outside [0, 1] as well."""
-    if kind == "identity":
-        return x
-    if kind == "square":
-        return x * abs(x)
-    return 1.0 - (1.0 - x) * abs(1.0 - x)
-
-
-def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
-    """Derivative of an envelope."""
-    if kind == "identity":
-        return np.ones_like(x)
-    return 2.0 * np.abs(x if kind == "square" else 1.0 - x)
 
 
 class PrandtlIshlinskii(AbstractHysteresis):
@@ -74,26 +55,17 @@ class PrandtlIshlinskii(AbstractHysteresis):
         ModelError: an unknown envelope, operator or rest, or weights whose shape does not fit the thresholds.
     """
 
-    w: Float[Array, "envelopes plays"] = param(
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.1,
-        linear=True,
-        effect=lambda model: model.r if model.operator == "stop" else 1.0,
-        doc="weights of the plays or stops",
+    w: Float[Array, "envelopes plays"] = element_weights(
+        effect=lambda model: model.r if model.operator == "stop" else 1.0, doc="weights of the plays or stops"
     )
-    r: Float[Array, " plays"] = param(
-        bounds=(0.0, np.inf), scale=0.1, fixed=True, doc="half widths of the plays, as fractions of the input range"
+    r: Float[Array, " plays"] = element_places(
+        scale=0.1, doc="half widths of the plays, as fractions of the input range"
     )
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the single-valued part"
     )
-    rise: Float[Array, " degree"] = param(
-        (),
-        bounds=(0.0, np.inf),
-        unit="y",
-        linear=True,
-        doc="increments of the rising single-valued part over the range",
+    rise: Float[Array, " degree"] = element_weights(
+        (), scale=1.0, doc="increments of the rising single-valued part over the range"
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     hardening: Float[Array, " fading"] = param(
@@ -108,17 +80,13 @@ class PrandtlIshlinskii(AbstractHysteresis):
     rest: Rest = eqx.field(static=True, default="level")
 
     rate_independent: ClassVar[bool] = True
-    has_rest: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"operator": get_args(Operator), "rest": get_args(Rest)}
     has_fast_run: ClassVar[bool] = True
 
     def __check_init__(self) -> None:
         unknown = [kind for kind in self.envelopes if kind not in get_args(Envelope)]
         if unknown or not self.envelopes:
             raise ModelError(f"envelopes must be identity, square or mirror, got {self.envelopes}")
-        if self.operator not in get_args(Operator) or self.rest not in get_args(Rest):
-            raise ModelError(
-                f"operator must be play or stop and rest level or first, got {self.operator!r}, {self.rest!r}"
-            )
         if not (hasattr(self.w, "shape") and hasattr(self.r, "shape")):
             return
         if self.w.shape != (len(self.envelopes), *self.r.shape):
@@ -227,23 +195,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
         path = state[-1] + jnp.abs(x - self._position(u0))
         return jnp.append(plays.reshape(-1), path), y + jnp.exp(-path / self.s0) * fading
 
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """With hardening, plays and path alone are in the scan."""
-        if not self.hardening.size:
-            return super().sweep(state, u0, u, dt)
-
-        def once(carry: tuple[Array, Array], row: tuple[Array, Array]) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
-            (plays, path), (u1, way) = carry, row
-            plays, total, fading = self._dragged(plays, u1)
-            return (plays, path + way), (total, fading, path + way)
-
-        x = self._position(u)
-        ways = jnp.abs(jnp.diff(x, prepend=self._position(u0)))
-        begin = state[: self.w.size].reshape(self.w.shape), state[-1]
-        (plays, last), (total, fading, path) = jax.lax.scan(once, begin, (u, ways))
-        y = self.offset + total + self._single(x) + jnp.exp(-path / self.s0) * fading
-        return jnp.append(plays.reshape(-1), last), y
-
     def _dragged(self, plays: Array, u: Array) -> tuple[Array, Array, Array]:
         """Plays at the input u, the weighted sum of all elements, and that of those which fade."""
         plays = self._move(plays, u)
@@ -255,9 +206,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """By columns, without a program to compile, where these are not too large."""
         if np.size(u) * self.w.size > COLUMNS:
             return super().free_run(u, dt)
-        design = self.design_matrix(*drive(self, u, dt))
-        values = jax.tree_util.tree_leaves(self)
-        return np.sum([block.columns @ np.ravel(values[block.leaf]) for block in design.blocks], axis=0)
+        return self.design_matrix(*drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns run by run of monotonic input, without a pass for each of the weights."""
@@ -292,10 +241,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
         path = round(float(self.s0)) if self.hardening.size else 0
         shape = {"plays": plays, "degree": self.b.size + self.rise.size, "envelopes": count}
         return shape | {"operator": self.operator, "hardening": path, "rest": self.rest}
-
-    def with_rest(self, rest: str) -> PrandtlIshlinskii:
-        """See the base class."""
-        return dataclasses.replace(self, rest=rest)
 
     def reach(self) -> tuple[float, float]:
         """A quarter of the range beyond it on either side."""
@@ -340,48 +285,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Plays or stops, envelopes and hardening are in one template."""
-        kinds = [("identity", "square", "mirror").index(kind) for kind in self.envelopes]
-        count, plays = self.w.shape
-        hardens = int(bool(self.hardening.size))
-        numbers = {"OFFSET": self.offset, "LOW": self.low, "HIGH": self.high, "LEVEL": self.level}
-        numbers |= {"FIRST": int(self.rest == "first"), "STOPS": int(self.operator == "stop"), "HARDENS": hardens}
-        numbers |= {"ENVELOPES": int(count), "PLAYS": int(plays)}
-        numbers |= {"B": int(self.b.size) + 1, "RISE": int(self.rise.size)}
-        arrays = {"w": self.w, "r": self.r, "b": np.append(0.0, np.asarray(self.b)), "kinds": np.array(kinds)}
-        if self.rise.size:
-            arrays["rise"] = self.rise
-        if hardens:
-            numbers["S0"] = self.s0
-            arrays["hardening"] = self.hardening
-        return CPart(template("prandtl_ishlinskii.c"), int(count * plays) + hardens, numbers, arrays)
-
-
-class PlayStep(AbstractStepInverse):
-    """Exact inverse of `PrandtlIshlinskii` with one identity envelope and a straight single-valued part.
-
-    A way d from the last input moves the plays whose dead band t_j it has passed: b d + sum of w_j max(0, d - t_j) is
-    piecewise linear and rising, and the active plays follow from its values at the t_j. Stops give min(d, t_j) instead.
-    """
-
-    model: PrandtlIshlinskii
-    needs_limits: ClassVar[bool] = False
-
-    def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
-        pi = self.model
-        w, x0 = pi.w[0], (u0 - pi.low) / (pi.high - pi.low)
-        steepness = 2.0 * jnp.sum(pi.b) + jnp.sum(pi.rise)
-        now = pi.step(state, u0, u0, dt)[1]
-        s, way = jnp.where(target < now, -1.0, 1.0), jnp.abs(target - now)
-        dead = jnp.maximum(s * (state - x0) + pi.r, 0.0)
-        reached = dead[:, None] - dead[None, :]  # way at the start of play k less the dead band of play j
-        if pi.operator == "play":
-            gains = steepness * dead + jnp.maximum(reached, 0.0) @ w
-            active = gains < way
-            slope, shift = steepness + jnp.sum(jnp.where(active, w, 0.0)), jnp.sum(jnp.where(active, w * dead, 0.0))
-        else:
-            gains = steepness * dead + jnp.minimum(dead[:, None], dead[None, :]) @ w
-            active = gains < way
-            slope, shift = steepness + jnp.sum(jnp.where(active, 0.0, w)), -jnp.sum(jnp.where(active, w * dead, 0.0))
-        d = jnp.where(slope > 0, (way + shift) / jnp.where(slope > 0, slope, 1.0), jnp.where(way > 0, jnp.inf, 0.0))
-        return Root(pi.low + (x0 + s * d) * (pi.high - pi.low), slope >= 0)
+        kinds = np.array([get_args(Envelope).index(kind) for kind in self.envelopes])
+        switches = {"first": self.rest == "first", "stops": self.operator == "stop"}
+        return CPart.of(self, "prandtl_ishlinskii", kinds=kinds, b=np.append(0.0, self.b), **switches)

@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import speed, speeds
@@ -72,7 +72,7 @@ class Viscous(_AbstractRate):
 
     def c_part(self) -> CPart:
         """A difference quotient."""
-        return CPart(template("rate.c"), 1, {"FORCE": self.c, "SATURATES": 0})
+        return CPart.of(self, "rate", force=self.c, saturates=0)
 
 
 class SaturatingRate(_AbstractRate):
@@ -97,7 +97,7 @@ class SaturatingRate(_AbstractRate):
 
     def c_part(self) -> CPart:
         """A difference quotient."""
-        return CPart(template("rate.c"), 1, {"FORCE": self.F, "V0": self.v0, "SATURATES": 1})
+        return CPart.of(self, "rate", force=self.F, saturates=1)
 
 
 class Excess(_AbstractRate):
@@ -127,7 +127,7 @@ class Excess(_AbstractRate):
 
     def c_part(self) -> CPart:
         """A difference quotient."""
-        return CPart(template("rate.c"), 1, {"FORCE": self.g, "V0": self.e, "SATURATES": 2})
+        return CPart.of(self, "rate", force=self.g, v0=self.e, saturates=2)
 
 
 def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:

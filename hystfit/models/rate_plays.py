@@ -13,14 +13,14 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, PlayWeights
+from hystfit.models.base import AbstractHysteresis, PlayWeights, check_same_length
 from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart, template
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 _SMOOTH = 3.0  # sampling intervals over which the rate is averaged
@@ -41,6 +41,8 @@ class RateDependentPlays(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "rate_plays"
+    counts: ClassVar[dict[str, str]] = {"plays": "r"}
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(
         time=True,
@@ -51,16 +53,8 @@ class RateDependentPlays(AbstractHysteresis):
         too_few="the growth of the thresholds with the rate and their widths at rest trade off",
     )
 
-    w: Float[Array, " plays"] = param(
-        bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, vector=True, doc="weights of the plays"
-    )
-    r: Float[Array, " plays"] = param(
-        bounds=(0.0, np.inf),
-        scale=0.1,
-        fixed=True,
-        vector=True,
-        doc="half widths at rest, as fractions of the input range",
-    )
+    w: Float[Array, " plays"] = element_weights(doc="weights of the plays")
+    r: Float[Array, " plays"] = element_places(scale=0.1, doc="half widths at rest, as fractions of the input range")
     gain: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", linear=True, doc="rise of the part without hysteresis over the range"
     )
@@ -76,8 +70,7 @@ class RateDependentPlays(AbstractHysteresis):
     speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="rate where q = 1")
 
     def __check_init__(self) -> None:
-        if hasattr(self.w, "shape") and hasattr(self.r, "shape") and self.w.shape[-1:] != self.r.shape[-1:]:
-            raise ModelError(f"w and r must have one value for each play, got shapes {self.w.shape}, {self.r.shape}")
+        check_same_length(self, "w", "r", "play")
 
     @classmethod
     def of(cls, plays: int = 20) -> RateDependentPlays:
@@ -92,10 +85,6 @@ class RateDependentPlays(AbstractHysteresis):
         if plays < 1:
             raise ModelError(f"at least one play is needed, got {plays}")
         return cls(w=np.full(plays, 0.01), r=0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2)
-
-    def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
-        return {"plays": int(self.r.shape[-1])}
 
     def plays(self) -> tuple[PlayWeights, ...]:
         """The weights over the thresholds at rest."""
@@ -128,19 +117,10 @@ class RateDependentPlays(AbstractHysteresis):
         return jnp.where(dt > 0, left * state[-2] + (1.0 - left) * state[-1], state[-2]), state[-1]
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """The plays, one row after another."""
-        u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
-        x, r, kappa = (u - float(self.low)) / float(self.high - self.low), np.asarray(self.r), float(self.kappa)
-        left = np.exp(-dt / float(self.tau))
-        rates = np.abs(np.diff(u, prepend=u[0])) / np.where(dt > 0, dt, 1.0) / float(self.speed)
-        columns, now, q, last = np.empty((u.size, r.size)), np.full(r.size, x[0]), 0.0, 0.0
-        for k in range(u.size):
-            if dt[k] > 0:
-                q, last = left[k] * q + (1.0 - left[k]) * last, rates[k]
-            width = r + kappa * q
-            columns[k] = now = np.maximum(x[k] - width, np.minimum(x[k] + width, now))
-        blocks = {"w": columns, "gain": x[:, None], "offset": np.ones((u.size, 1))}
-        return DesignMatrix.of(self, blocks)
+        """The plays, which are in the state; the straight part and the offset."""
+        x = (np.asarray(u, dtype=float) - float(self.low)) / float(self.high - self.low)
+        columns = {"w": states_over(self, u, dt)[:, :-2], "gain": x[:, None], "offset": np.ones((x.size, 1))}
+        return DesignMatrix.of(self, columns)
 
     def start(self, records: Sequence[Record]) -> RateDependentPlays:
         """Ranges and rates from the records; the weights follow from a linear solve."""
@@ -165,18 +145,6 @@ class RateDependentPlays(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `RatePlayStep`."""
         return RatePlayStep(self)
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        numbers = {
-            name.upper(): getattr(self, name) for name in ("gain", "offset", "kappa", "tau", "low", "high", "speed")
-        }
-        return CPart(
-            template("rate_plays.c"),
-            int(self.r.size) + 2,
-            numbers | {"PLAYS": int(self.r.size)},
-            {"w": self.w, "r": self.r},
-        )
 
 
 class RatePlayStep(AbstractStepInverse):

@@ -11,7 +11,6 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range, speeds
 from hystfit.params.param import param
@@ -32,6 +31,7 @@ class RateShift(AbstractHysteresis):
         "the static model fitted at the rate of use"
     )
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "rate_shift"
     needs: ClassVar[Needs] = Needs(
         loop=False,
         time=True,
@@ -63,7 +63,3 @@ class RateShift(AbstractHysteresis):
         typical = [float(np.median(rates)) for record in records if (rates := speeds(record)).size]
         slow = min((rate for rate in typical if rate > 0), default=1.0)
         return dataclasses.replace(self, c=0.02 * input_range(records).half, q0=0.1 * slow)
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        return CPart(template("rate_shift.c"), 2, {"C": self.c, "Q0": self.q0})

@@ -23,16 +23,12 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
 
     Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written. Settings
     follow a name: "preisach:n=60:reversible=no". A class of hystfit stands for its first name.
-
-    Raises:
-        ModelError: an unknown name or setting (the message lists what there is), a filter without a hysteresis, a file without
-            such a class, a class that is not finished, a search, or something else than a model.
     """
     if isinstance(choice, AbstractHysteresis):
         return choice
     if isinstance(choice, type) and issubclass(choice, AbstractHysteresis):
         named = [name for name, kind in _kinds().items() if kind is choice]
-        return MODELS[named[0]].make() if named else _made(choice)
+        return MODELS[named[0]].default if named else _made(choice)
     if not isinstance(choice, str):
         raise ModelError(
             f"expected a model, its class or its name, got {getattr(choice, '__name__', type(choice).__name__)}"
@@ -55,7 +51,8 @@ def _composed(expression: str) -> AbstractHysteresis:
         if name not in MODELS:
             hint = near(name, MODELS)
             raise ModelError(f"no model {name!r}{hint}; the models are: {', '.join(MODELS)} (join several by +)")
-        places[MODELS[name].place].append(MODELS[name].make(**(_chosen(name, given) if mark else {})))
+        entry = MODELS[name]
+        places[entry.place].append(entry.make(**_chosen(name, given)) if mark else entry.default)
     added = places["core"] + places["beside"]
     if not added:
         raise ModelError(f"{expression!r} has no hysteresis model: add one, such as bouc-wen")
@@ -68,11 +65,7 @@ _SWITCH = {"yes": True, "true": True, "no": False, "false": False}
 
 
 def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
-    """Settings of a model from "name=value:name=value".
-
-    Raises:
-        ModelError: not of that form, an unknown setting, or a value of another kind.
-    """
+    """Settings of a model from "name=value:name=value"."""
     known, chosen = MODELS[name].settings(), {}
     for pair in given.split(":"):
         key, mark, text = (part.strip() for part in pair.partition("="))
@@ -91,11 +84,7 @@ def _chosen(name: str, given: str) -> dict[str, int | bool | str]:
 
 
 def _made(kind: type[AbstractHysteresis]) -> AbstractHysteresis:
-    """A model of a class of the user's, with its default values.
-
-    Raises:
-        ModelError: the class lacks a method, or a parameter has no default.
-    """
+    """A model of a class of the user's, with its default values."""
     refuse_unfinished(kind, ModelError)
     try:
         return kind()
@@ -118,7 +107,7 @@ def model_name(model: AbstractHysteresis) -> str:
 
 @functools.cache
 def _kinds() -> dict[str, type[AbstractHysteresis]]:
-    return {name: type(entry.make()) for name, entry in MODELS.items()}
+    return {name: type(entry.default) for name, entry in MODELS.items()}
 
 
 def tried() -> tuple[str, ...]:
@@ -131,7 +120,7 @@ def judged() -> dict[str, Needs]:
     first: dict[tuple[type[AbstractHysteresis], Needs], str] = {}
     counts: dict[str, int] = {}
     for name, entry in MODELS.items():
-        model = entry.make()
+        model = entry.default
         if model.needs is not None:
             if not any(issubclass(type(model), kind) and model.needs == needs for kind, needs in first):
                 first[type(model), model.needs] = name
@@ -141,7 +130,7 @@ def judged() -> dict[str, Needs]:
 
 def judged_as(name: str) -> str | None:
     """Name under which `judged` has the needs of a model; None where it declares none."""
-    model = MODELS[name].make()
+    model = MODELS[name].default
     same = lambda row, needs: (
         isinstance(model, _kinds()[row]) and dataclasses.replace(needs, parameters=0) == model.needs
     )

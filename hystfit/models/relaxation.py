@@ -11,9 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.even_steps import relaxed
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import sampling_interval
@@ -32,6 +30,7 @@ class Relaxation(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "relaxation"
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True
@@ -40,8 +39,7 @@ class Relaxation(AbstractHysteresis):
     tau: Float[Array, " modes"] = param((0.1, 1.0), bounds=(0.0, np.inf), unit="s", scale=1.0, doc="time constants")
 
     def __check_init__(self) -> None:
-        if hasattr(self.a, "shape") and hasattr(self.tau, "shape") and self.a.shape != self.tau.shape:
-            raise ModelError(f"one weight per time constant: got {self.a.shape} and {self.tau.shape}")
+        check_same_length(self, "a", "tau", "relaxation")
 
     def init(self, u0: Scalar) -> State:
         """State: the slow followers z, in equilibrium at u0."""
@@ -67,8 +65,3 @@ class Relaxation(AbstractHysteresis):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The output is affine in the new input."""
         return LinearStep(self)
-
-    def c_part(self) -> CPart:
-        """One recursion per mode."""
-        modes = int(self.tau.shape[0])
-        return CPart(template("relaxation.c"), modes, {"MODES": modes}, {"a": self.a, "tau": self.tau})

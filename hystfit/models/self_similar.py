@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,13 +13,13 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import output_range
-from hystfit.params.param import param
+from hystfit.params.param import element_places, param
 from hystfit.quality.needs import Needs
 
 _THRESHOLDS = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the stops, as fractions of the largest input so far
@@ -79,13 +78,8 @@ class SelfSimilarStops(AbstractHysteresis):
         vector=True,
         doc="half widths of the plays, as fractions of the peak",
     )
-    peaks: Float[Array, " peaks"] = param(
-        (1.0,),
-        bounds=(0.0, np.inf),
-        unit="u",
-        fixed=True,
-        vector=True,
-        doc="peaks of the input at which weights apply, rising",
+    peaks: Float[Array, " peaks"] = element_places(
+        (1.0,), unit="u", doc="peaks of the input at which weights apply, rising"
     )
     floor: Scalar = param(0.02, bounds=(0.0, np.inf), unit="u", scale=0.02, fixed=True, doc="least peak of the input")
     decay: Scalar = param(
@@ -159,9 +153,7 @@ class SelfSimilarStops(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        design = self.design_matrix(*drive(self, u, dt))
-        values = jax.tree_util.tree_leaves(self)
-        return np.sum([block.columns @ np.ravel(values[block.leaf]) for block in design.blocks], axis=0)
+        return self.design_matrix(*drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""
@@ -214,9 +206,4 @@ class SelfSimilarStops(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """The same step in C."""
-        numbers = {"STOPS": int(self.r.size), "PEAKS": int(self.peaks.size), "FADES": int(bool(self.fading.size))}
-        numbers |= {"FLOOR": self.floor, "DECAY": self.decay, "OFFSET": self.offset}
-        arrays = {"r": self.r, "peaks": self.peaks, "weights": jnp.concatenate([self.w, self.c], axis=1).reshape(-1)}
-        if self.fading.size:
-            arrays["fading"] = self.fading
-        return CPart(template("self_similar.c"), int(self.r.size) + 2, numbers, arrays)
+        return CPart.of(self, "self_similar", weights=np.hstack([self.w, self.c]).ravel())

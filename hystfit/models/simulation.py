@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from hystfit.config import require_x64
+from hystfit.data.batch import bucket
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.params.host_arrays import compiled
@@ -192,12 +193,29 @@ def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) ->
     return y, *end
 
 
-def check_one_device(model: Any) -> None:
-    """Refuse a model whose parameters have a leading axis, one element per device.
+def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
+    """State after each sample of a run, shape (T, states): what the linear weights of some models are multiplied by.
 
-    Raises:
-        ParameterError: it is not one device.
+    Args:
+        model: any whose `step` needs no later sample.
+        u, dt: as in `simulate`.
     """
+    u, dt = (np.asarray(values) for values in drive(model, u, dt))
+    extra = bucket(u.size) - u.size  # records of similar length share one program
+    return np.asarray(_states(model, np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))))[: u.size]
+
+
+@compiled
+def _states(model: AbstractDynamics, u: Array, dt: Array) -> Array:
+    def once(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+        state = model.step(state, *sample)[0]
+        return state, state
+
+    return jax.lax.scan(once, model.init(u[0]), (jnp.concatenate([u[:1], u[:-1]]), u, dt))[1]
+
+
+def check_one_device(model: Any) -> None:
+    """Refuse a model whose parameters have a leading axis, one element per device."""
     if any(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(model)):
         return
     zero = jnp.zeros(())

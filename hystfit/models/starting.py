@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record, median_interval
+from hystfit.models.simulation import run
+from hystfit.params.host_arrays import compiled
 from hystfit.params.units import Scales
 from hystfit.quality.loops import reversals
 
@@ -121,6 +127,34 @@ def fit_linear(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
 def offset_columns(records: Sequence[Record]) -> np.ndarray:
     """A column of ones for each record on its samples that count: offsets of their own, shape (n, R)."""
     return np.repeat(np.eye(len(records)), [int(record.used.sum()) for record in records], axis=0)
+
+
+@compiled
+def simulated_grid(
+    plain: Any, fields: tuple[str, ...], grid: Float[Array, "n k"], u: Float[Array, " T"]
+) -> Float[Array, "n T"]:
+    """Outputs of a model that needs no time, with its fields of these names at the values in each row of a grid."""
+    one = lambda row: run(dataclasses.replace(plain, **dict(zip(fields, row, strict=True))), u, jnp.zeros_like(u))[0]
+    return jax.vmap(one)(grid)
+
+
+class BestOfGrid(NamedTuple):
+    """Number of a point of a grid, the coefficients of its output and of the fixed columns, and the squared error."""
+
+    which: int
+    coefficients: np.ndarray
+    error: float
+
+
+def grid_columns(plain: Any, fields: tuple[str, ...], grid: np.ndarray, records: Sequence[Record]) -> np.ndarray:
+    """`simulated_grid` over the samples of records that count, record after record, shape (n, K)."""
+    return np.concatenate([np.asarray(simulated_grid(plain, fields, grid, r.u))[:, r.used].T for r in records])
+
+
+def best_of_grid(columns: np.ndarray, fixed: np.ndarray, y: np.ndarray) -> BestOfGrid:
+    """The column that fits outputs y best beside the fixed columns, by linear least squares."""
+    k = best_column(fixed, columns, y)
+    return BestOfGrid(k, *fit_linear(np.column_stack([columns[:, k], fixed]), y))
 
 
 def best_column(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:

@@ -7,20 +7,14 @@ import itertools
 from collections.abc import Sequence
 from typing import ClassVar
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
-from hystfit.models.c_code import CPart, template
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, thinned, used_samples
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import branches
@@ -57,6 +51,7 @@ class Steel02(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    c_template: ClassVar[str] = "steel02"
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         direction="clockwise",
@@ -154,11 +149,6 @@ class Steel02(AbstractHysteresis):
         notes = ("after a partial unloading the law overshoots the branch that was left",)
         return UniaxialMaterial("Steel02", (*value.values(), *knee), lost_constants(offset=float(self.offset)), notes)
 
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        names = ("fy", "E", "b", "R0", "cR1", "cR2", "a1", "a3", "sigInit", "deadband", "offset")
-        return CPart(template("steel02.c"), _STATES, {name.upper(): getattr(self, name) for name in names})
-
     def start(self, records: Sequence[Record]) -> Steel02:
         """The best of a grid over yield strain, b, cR1 and the shifts, with the yield stress by least squares.
 
@@ -169,11 +159,9 @@ class Steel02(AbstractHysteresis):
         grid = np.column_stack([1.0 / (ey * half), b, cR1, a, a])
         deadband = max(float(self.deadband), _REVERSAL * strain_noise(records))
         plain = Steel02(deadband=deadband)
-        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(record.u))) for record in short]
-        columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        columns = grid_columns(plain, ("E", "b", "cR1", "a1", "a3"), grid, short)
         _, y = used_samples(short)
-        best = best_column(np.zeros((y.size, 0)), columns, y)
-        theta, _ = fit_linear(columns[:, [best]], y)
+        best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         shape = {"E": fy * grid[best, 0], "b": b[best], "cR1": cR1[best], "a1": a[best], "a3": a[best]}
         return dataclasses.replace(self, fy=fy, **shape, deadband=deadband)
@@ -183,11 +171,3 @@ def strain_noise(records: Sequence[Record]) -> float:
     """Largest rms noise of the inputs of records [u]; 0 where the records show only an upper bound of it."""
     found = (noise_rms(record.u) for record in records)
     return max((noise for noise, is_bound in found if noise and not is_bound), default=0.0)
-
-
-@compiled
-def _over_grid(plain: Steel02, grid: Float[Array, "n 5"], u: Signal) -> Float[Array, "n T"]:
-    """Stress of models with fy = 1 and (E, b, cR1, a1, a3) in the rows of a grid, shape (grid, T)."""
-    where = lambda m: (m.E, m.b, m.cR1, m.a1, m.a3)
-    one = lambda row: run(eqx.tree_at(where, plain, tuple(row)), u, jnp.zeros_like(u))[0]
-    return jax.vmap(one)(grid)

@@ -39,9 +39,6 @@ def from_json(described: dict[str, Any], allowed: Collection[str] = ()) -> Abstr
     """The model that `to_json` described.
 
     `allowed` are the files of the user's that may be run.
-
-    Raises:
-        ModelError: not such a description, or a class that is not there or not allowed.
     """
     model = _unpack(described, allowed)
     if not isinstance(model, AbstractHysteresis):
@@ -141,11 +138,7 @@ def _array(values: Any, shape: Any) -> jax.Array:
 
 
 def _class_of(place: Any, allowed: Collection[str]) -> type[eqx.Module]:
-    """The class of a description, without running anything but hystfit's own modules and allowed files.
-
-    Raises:
-        ModelError: it is not there, is not a model or part of one, or its file is not allowed.
-    """
+    """The class of a description, without running anything but hystfit's own modules and allowed files."""
     home, _, name = str(place).rpartition(":")
     if _is_own(home):
         try:

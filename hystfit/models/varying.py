@@ -15,19 +15,14 @@ from jaxtyping import Array, Float
 from hystfit.data.covariates import covariate, covariate_unit
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.models.base import AbstractHysteresis, Derived, OutputResonance, PlayWeights
-from hystfit.models.c_code import CPart
+from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.composition import AbstractComposition
 from hystfit.models.design import Block, DesignMatrix
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.slopes import Slopes
-from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.models.uniaxial_material import UniaxialMaterial
+from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code, Note
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import ParamInfo, as_array, leaves_of, param
 from hystfit.params.space import ParameterSpace
-from hystfit.quality.needs import Needs
 
 _INSIDE = 1e-6  # of the distance from a parameter to its bound, within which a slope cannot carry it
 _BEYOND = 0.005  # of the covariates' range, from which a value lies outside
@@ -68,6 +63,20 @@ class Slope(eqx.Module):
     unit: str = eqx.field(static=True, default="1")
     scale: float = eqx.field(static=True, default=1.0)
     linear: bool = eqx.field(static=True, default=False)
+
+
+def _at_covariates(name: str) -> Any:
+    """A method of the base class: that of the model at the covariates."""
+
+    def method(self: Varying, *args: Any, **options: Any) -> Any:
+        return getattr(self.resolved(), name)(*args, **options)
+
+    method.__name__, method.__doc__ = name, "As the model at the covariates."
+    return method
+
+
+def _of_model(name: str) -> Any:
+    return property(lambda self: getattr(self.model, name), doc="As the model.")
 
 
 class Varying(AbstractComposition):
@@ -113,6 +122,25 @@ class Varying(AbstractComposition):
         slopes = tuple(_slope(model, space, name, one, names.index(name), edges) for name, one in pairs)
         return cls((model,), slopes, values[0], values.mean(axis=0), edges, names)
 
+    one_scan = _of_model("one_scan")
+    needs = _of_model("needs")
+    degrades = _of_model("degrades")
+    init = _at_covariates("init")
+    step = _at_covariates("step")
+    sweep = _at_covariates("sweep")
+    free_run = _at_covariates("free_run")
+    advice = _at_covariates("advice")
+    plays = _at_covariates("plays")
+    plane = _at_covariates("plane")
+    hysteretic_share = _at_covariates("hysteretic_share")
+    slope_range = _at_covariates("slope_range")
+    reach = _at_covariates("reach")
+    inputs_between = _at_covariates("inputs_between")
+    step_inverse = _at_covariates("step_inverse")
+    output_resonance = _at_covariates("output_resonance")
+    c_part = _at_covariates("c_part")
+    uniaxial_material = _at_covariates("uniaxial_material")
+
     @property
     def model(self) -> AbstractHysteresis:
         """The model at the reference."""
@@ -121,21 +149,6 @@ class Varying(AbstractComposition):
     def __repr__(self) -> str:
         listed = ", ".join(f"{slope.parameter} of {slope.covariate}" for slope in self.slopes)
         return f"{type(self).__name__}({self.model!r}, {listed})"
-
-    @property
-    def one_scan(self) -> bool:
-        """As the model."""
-        return self.model.one_scan
-
-    @property
-    def needs(self) -> Needs | None:
-        """As the model."""
-        return self.model.needs
-
-    @property
-    def degrades(self) -> bool:
-        """As the model."""
-        return self.model.degrades
 
     @property
     def covariates(self) -> tuple[str, ...]:
@@ -192,24 +205,6 @@ class Varying(AbstractComposition):
                 inner += [_at_end(self, slope, float(edge[slope.which])) for edge in np.asarray(self.edges)]
         return tuple(inner)
 
-    # -- dynamics ----------------------------------------------------------------------------------------------------------
-
-    def init(self, u0: Scalar) -> State:
-        """As the model at the covariates."""
-        return self.resolved().init(u0)
-
-    def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """As the model at the covariates."""
-        return self.resolved().step(state, u0, u1, dt)
-
-    def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """As the model at the covariates."""
-        return self.resolved().sweep(state, u0, u, dt)
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """As the model at the covariates."""
-        return self.resolved().free_run(u, dt)
-
     # -- fitting -----------------------------------------------------------------------------------------------------------
 
     def start(self, records: Sequence[Record]) -> Varying:
@@ -233,10 +228,6 @@ class Varying(AbstractComposition):
         """None: another choice has other parameters."""
         return ()
 
-    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """As the model at the covariates."""
-        return self.resolved().advice(u, dt)
-
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of the model, and for the slope of a linear parameter those times the distance from the reference."""
         design = self.resolved().design_matrix(u, dt)
@@ -248,48 +239,6 @@ class Varying(AbstractComposition):
             if slope.linear and slope.leaf in columns:
                 blocks.append(Block(leaf.index, leaf.info, columns[slope.leaf] * away[slope.which]))
         return dataclasses.replace(design, blocks=tuple(blocks))
-
-    def plays(self) -> tuple[PlayWeights, ...]:
-        """As the model at the covariates."""
-        return self.resolved().plays()
-
-    def plane(self) -> Any:
-        """As the model at the covariates."""
-        return self.resolved().plane()
-
-    def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
-        """As the model at the covariates."""
-        return self.resolved().hysteretic_share(u, dt)
-
-    # -- control -----------------------------------------------------------------------------------------------------------
-
-    def reach(self) -> tuple[float, float] | None:
-        """As the model at the covariates."""
-        return self.resolved().reach()
-
-    def inputs_between(self, low: float, high: float) -> tuple[float, float]:
-        """As the model at the covariates."""
-        return self.resolved().inputs_between(low, high)
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """As the model at the covariates."""
-        return self.resolved().step_inverse(sign)
-
-    def output_resonance(self) -> OutputResonance | None:
-        """As the model at the covariates."""
-        return self.resolved().output_resonance()
-
-    def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
-        """As the model at the covariates."""
-        return self.resolved().slope_range(low, high, dt)
-
-    def c_part(self) -> CPart:
-        """As the model at the covariates."""
-        return self.resolved().c_part()
-
-    def uniaxial_material(self) -> UniaxialMaterial:
-        """As the model at the covariates."""
-        return self.resolved().uniaxial_material()
 
 
 def _check_spread(names: Sequence[str], values: np.ndarray) -> None:

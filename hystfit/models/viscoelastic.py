@@ -12,12 +12,12 @@ from jaxtyping import Array, Complex, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import input_range, output_range, sampling_interval
-from hystfit.params.param import param
+from hystfit.params.param import element_places, element_weights
 from hystfit.quality.needs import Needs
 
 _BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
@@ -34,32 +34,18 @@ class Viscoelastic(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    c_template: ClassVar[str] = "viscoelastic"
+    counts: ClassVar[dict[str, str]] = {"modes": "tau"}
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(loop=False, time=True, rate=True, regularized=True)
 
-    g: Float[Array, " modes"] = param(
-        (0.1,) * _MODES,
-        bounds=(0.0, np.inf),
-        unit="y/u",
-        scale=0.1,
-        linear=True,
-        vector=True,
-        doc="stiffness of each element",
-    )
-    tau: Float[Array, " modes"] = param(
-        tuple(np.geomspace(1e-3, 1e3, _MODES)),
-        bounds=(0.0, np.inf),
-        unit="s",
-        fixed=True,
-        vector=True,
-        doc="relaxation times",
+    g: Float[Array, " modes"] = element_weights((0.1,) * _MODES, unit="y/u", doc="stiffness of each element")
+    tau: Float[Array, " modes"] = element_places(
+        tuple(np.geomspace(1e-3, 1e3, _MODES)), unit="s", doc="relaxation times"
     )
 
     def __check_init__(self) -> None:
-        if hasattr(self.g, "shape") and hasattr(self.tau, "shape") and self.g.shape[-1:] != self.tau.shape[-1:]:
-            raise ModelError(
-                f"g and tau must have one value for each element, got shapes {self.g.shape}, {self.tau.shape}"
-            )
+        check_same_length(self, "g", "tau", "element")
 
     @classmethod
     def of(cls, modes: int = _MODES) -> Viscoelastic:
@@ -75,10 +61,6 @@ class Viscoelastic(AbstractHysteresis):
             raise ModelError(f"at least one element is needed, got {modes}")
         return cls(g=np.full(modes, 0.1), tau=np.geomspace(1e-3, 1e3, modes))
 
-    def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
-        return {"modes": int(self.tau.shape[-1])}
-
     def init(self, u0: Scalar) -> State:
         """State: extensions of the springs, relaxed at u0, shape (modes,)."""
         return jnp.zeros(self.tau.size) * u0
@@ -92,15 +74,8 @@ class Viscoelastic(AbstractHysteresis):
         return new, jnp.dot(self.g, new)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """Extensions of all springs."""
-        u, dt, tau = np.asarray(u, dtype=float), np.asarray(dt, dtype=float), np.asarray(self.tau)
-        steps, inverse = np.unique(dt, return_inverse=True)
-        passed = steps[:, None] / tau
-        left, share = np.exp(-passed), np.where(passed > 0, -np.expm1(-passed) / np.where(passed > 0, passed, 1.0), 1.0)
-        columns, now = np.empty((u.size, tau.size)), np.zeros(tau.size)
-        for k, (at, du) in enumerate(zip(inverse.ravel().tolist(), np.diff(u, prepend=u[0]).tolist(), strict=True)):
-            columns[k] = now = left[at] * now + share[at] * du
-        return DesignMatrix.of(self, {"g": columns})
+        """Extensions of all springs, which are the state."""
+        return DesignMatrix.of(self, {"g": states_over(self, u, dt)})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' of the chain at frequencies.
@@ -118,12 +93,3 @@ class Viscoelastic(AbstractHysteresis):
         tau = np.geomspace(shortest / _BEYOND, longest * _BEYOND, self.tau.shape[-1])
         g = np.full(tau.shape, 0.2 * output_range(records).half / input_range(records).half / tau.size)
         return dataclasses.replace(self, g=g, tau=tau)
-
-    def c_part(self) -> CPart:
-        """The same step in C."""
-        return CPart(
-            template("viscoelastic.c"),
-            int(self.tau.size),
-            {"MODES": int(self.tau.size)},
-            {"g": self.g, "tau": self.tau},
-        )

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
+from hystfit.models.base import AbstractHysteresis, check_same_length
+from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
-from hystfit.models.starting import best_column, fit_linear, input_range, thinned, used_samples
+from hystfit.models.starting import best_of_grid, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -55,6 +55,7 @@ class VoceChaboche(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    counts: ClassVar[dict[str, str]] = {"backstresses": "S"}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -81,10 +82,7 @@ class VoceChaboche(AbstractHysteresis):
     )
 
     def __check_init__(self) -> None:
-        if hasattr(self.S, "shape") and hasattr(self.g, "shape") and self.S.shape[-1:] != self.g.shape[-1:]:
-            raise ModelError(
-                f"S and g must have one value for each backstress, got shapes {self.S.shape}, {self.g.shape}"
-            )
+        check_same_length(self, "S", "g", "backstress")
 
     @classmethod
     def of(cls, backstresses: int = 2) -> VoceChaboche:
@@ -99,10 +97,6 @@ class VoceChaboche(AbstractHysteresis):
         if backstresses < 1:
             raise ModelError(f"at least one backstress is needed, got {backstresses}")
         return cls(S=np.full(backstresses, 0.4 / backstresses), g=np.geomspace(3.0, 30.0, backstresses))
-
-    def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
-        return {"backstresses": int(self.S.shape[-1])}
 
     def init(self, u0: Scalar) -> State:
         """State after loading from zero strain to u0: plastic strain, its path and the backstresses, shape (2 + K,)."""
@@ -163,9 +157,7 @@ class VoceChaboche(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """The same Newton steps in C."""
-        numbers = {name.upper(): getattr(self, name) for name in ("E", "sy0", "Q", "D", "offset")}
-        numbers |= {"RATE_Q": self.b, "RATE_D": self.a, "SOFTEST": _SOFTEST, "NEWTON": _NEWTON, "K": int(self.S.size)}
-        return CPart(template("voce_chaboche.c"), 2 + int(self.S.size), numbers, {"S": self.S, "g": self.g})
+        return CPart.of(self, "voce_chaboche", softest=_SOFTEST, newton=_NEWTON)
 
     def start(self, records: Sequence[Record]) -> VoceChaboche:
         """The best of a grid over yield strain, isotropic hardening and rate, with the stresses scaled by least squares."""
@@ -176,8 +168,7 @@ class VoceChaboche(AbstractHysteresis):
         runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), jnp.asarray(r.u))) for r in short]
         columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
         _, y = used_samples(short)
-        best = best_column(np.zeros((y.size, 0)), columns, y)
-        theta, _ = fit_linear(columns[:, [best]], y)
+        best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         unit = _on_grid(plain, grid[best], np.asarray(half))
         scaled = {name: sy0 * np.asarray(getattr(unit, name)) for name in ("E", "sy0", "Q", "D", "S")}

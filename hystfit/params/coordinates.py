@@ -40,9 +40,15 @@ def _physical(z: Any, lower: Any, upper: Any, scale: Any, kinds: tuple[int, ...]
 _physical_traced = functools.partial(jax.jit, static_argnums=4, inline=True)(_physical)
 
 
-@functools.partial(jax.jit, static_argnums=4, inline=True)
-def _slope(z: Array, lower: Array, upper: Array, scale: Array, kinds: tuple[int, ...]) -> Array:
-    return jax.jvp(lambda z: _physical_traced(z, lower, upper, scale, kinds), (z,), (jnp.ones_like(z),))[1]
+def _slope(z: Any, lower: Any, upper: Any, scale: Any, kinds: tuple[int, ...], xp: Any = jnp) -> Any:
+    kind = xp.asarray(kinds, dtype=int)
+    grown = xp.exp(xp.where(kind == BOTH, -xp.abs(z), xp.where(kind == REAL, 0.0, z)))
+    width = xp.where(kind == BOTH, upper - lower, 0.0)
+    one = scale * xp.where(kind == UPPER, -grown, grown)
+    return xp.where(kind == BOTH, width * grown / (1.0 + grown) ** 2, one)
+
+
+_slope_traced = functools.partial(jax.jit, static_argnums=4, inline=True)(_slope)
 
 
 class Coordinates(eqx.Module):
@@ -118,13 +124,10 @@ class Coordinates(eqx.Module):
     def slope(self, z: Any, xp: Any = jnp) -> Any:
         """dx/dz, element by element (the maps do not mix parameters), shape (p,); `xp` as in `physical`."""
         if xp is jnp:
-            return _slope(z, self.lower, self.upper, self.scale, self.kinds)
-        z, kind = np.asarray(z, float), np.asarray(self.kinds, dtype=int)
+            return _slope_traced(z, self.lower, self.upper, self.scale, self.kinds)
         lower, upper, scale = (np.asarray(v) for v in (self.lower, self.upper, self.scale))
         with np.errstate(all="ignore"):
-            grown = np.exp(np.where(kind == BOTH, -np.abs(z), np.where(kind == REAL, 0.0, z)))
-            one = scale * np.where(kind == UPPER, -grown, grown)
-            return np.where(kind == BOTH, (upper - lower) * grown / (1.0 + grown) ** 2, one)
+            return _slope(np.asarray(z, float), lower, upper, scale, self.kinds, np)
 
     def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
         """log |det dx/dz|."""

@@ -101,11 +101,7 @@ def _setting() -> str:
 
 
 def _text(value: Any) -> str:
-    """A text that is equal for two values exactly when they are traced alike.
-
-    Raises:
-        _NotByValueError: there is none.
-    """
+    """A text that is equal for two values exactly when they are traced alike."""
     if type(value) in _BY_VALUE or isinstance(value, np.dtype):
         return f"{type(value).__name__} {value!r}"
     if isinstance(value, jax.tree_util.PyTreeDef):
@@ -128,11 +124,7 @@ def _text(value: Any) -> str:
 
 
 def _name(thing: Any) -> str:
-    """Where a class or function is found; its package's version determines what it does.
-
-    Raises:
-        _NotByValueError: it belongs to another package, or is not found under its name.
-    """
+    """Where a class or function is found; its package's version determines what it does."""
     module, name = thing.__module__, thing.__qualname__
     if module.partition(".")[0] not in _VERSIONED:
         raise _NotByValueError(thing)

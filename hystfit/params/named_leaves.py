@@ -40,11 +40,7 @@ class NamedLeaves:
         self.names = short_names([leaf.path for leaf in self.leaves])
 
     def find(self, name: str) -> tuple[int, list[int]]:
-        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path.
-
-        Raises:
-            ParameterError: an unknown or ambiguous name (the message lists the names), or an element outside the array.
-        """
+        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path."""
         match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
         words = tuple(match["path"].split(".")) if match else ()
         hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []
@@ -73,11 +69,7 @@ class NamedLeaves:
         return self.leaves[number].index, k
 
     def with_values(self, tree: Any, values: Mapping[str, Any]) -> Any:
-        """A tree of this structure with other values of some parameters, and every array of one type.
-
-        Raises:
-            ParameterError: an unknown name, another number of elements, or a value that is not a finite number.
-        """
+        """A tree of this structure with other values of some parameters, and every array of one type."""
         flat, treedef = jax.tree_util.tree_flatten(tree)
         for name, value in values.items():
             number, positions = self.find(name)
@@ -97,11 +89,7 @@ class NamedLeaves:
         return jax.tree_util.tree_unflatten(treedef, [_strong(leaf) for leaf in flat])
 
     def check_bounds(self, tree: Any) -> None:
-        """Refuse values outside the bounds of their parameters.
-
-        Raises:
-            ParameterError: a value is outside, or no number.
-        """
+        """Refuse values outside the bounds of their parameters."""
         flat = jax.tree_util.tree_leaves(tree)
         for leaf, name in zip(self.leaves, self.names, strict=True):
             value = np.asarray(flat[leaf.index])

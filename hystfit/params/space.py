@@ -23,7 +23,7 @@ from hystfit.params.param import ParamInfo, leaves_of
 from hystfit.params.ties import Tie, narrowed, ties_of
 from hystfit.params.units import Scales
 
-_MANY = 12  # elements of an array of either sign above which they are weights, not coefficients
+MANY = 12  # elements of an array above which they share a row of a table, and those of either sign are weights
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
@@ -262,7 +262,7 @@ class ParameterSpace:
         """
         leaves = [self.leaves[number] for number, _, _ in self.sources]
         rows = [
-            info.linear and bool(leaf.shape) and (info.bounds[0] == 0.0 or leaf.size > _MANY)
+            info.linear and bool(leaf.shape) and (info.bounds[0] == 0.0 or leaf.size > MANY)
             for info, leaf in zip(self.infos, leaves, strict=True)
         ]
         return np.array(rows, dtype=bool) & ~self.sources_of_ties

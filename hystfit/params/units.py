@@ -21,11 +21,7 @@ _FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample|\[\w+\])(?:\^(?P<power>-?\d+(?
 
 
 def exponents(unit: str) -> dict[str, float]:
-    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y".
-
-    Raises:
-        ParameterError: the expression is not of that form.
-    """
+    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y"."""
     powers: dict[str, float] = {}
     for sign, part in _parts(unit):
         match = _FACTOR.match(part)
@@ -265,9 +261,6 @@ def conversion(source: str, target: str) -> float | None:
     Args:
         source: unit of the values.
         target: desired unit.
-
-    Raises:
-        DataError: they are units of different quantities.
     """
     if source == target:
         return 1.0
@@ -280,7 +273,7 @@ def conversion(source: str, target: str) -> float | None:
 
 
 _ENERGIES = ("J", "J/m2", "J/m3", "J/kg")
-_VACUUM = 4e-7 * math.pi  # mu0 [T m/A]: a field times a moment is an energy after multiplication by it
+MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multiplication by it
 
 
 def loop_energy(one: str, other: str) -> tuple[str, float]:
@@ -297,7 +290,7 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     for base, power in second.powers:
         powers[base] = powers.get(base, 0.0) + power
     vacuum = {"kg": 1.0, "m": 1.0, "s": -2.0, "A": -2.0}
-    for extra, factor in (({}, 1.0), (vacuum, _VACUUM)):
+    for extra, factor in (({}, 1.0), (vacuum, MU0)):
         total = {base: powers.get(base, 0.0) + extra.get(base, 0.0) for base in {*powers, *extra} - {"rad"}}
         key = tuple(sorted((base, power) for base, power in total.items() if power))
         for unit in _ENERGIES:

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.params.space import ParameterSpace
-
-MANY = 12  # weights of one array above which they share one row
+from hystfit.params.space import MANY, ParameterSpace
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,9 +25,6 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
     Args:
         result: a fit.
         path: of the file.
-
-    Raises:
-        DataError: the folder does not exist, or cannot be written.
     """
     import scipy.io
 

@@ -7,6 +7,10 @@ import itertools
 
 import numpy as np
 
+from hystfit.quality.loops import reversals
+
+TURN = 0.05  # of the input's range: smallest reversal that ends a branch
+ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 _LARGE = 0.9  # of the input's range that a branch of the largest loops covers
 _GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
 _OPEN = 4.0  # standard errors by which an area differs from zero where there is a loop
@@ -46,6 +50,11 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
         if np.ptp(joined.u) >= _LARGE * span:
             large.append(joined)
     return large
+
+
+def turns_of(u: np.ndarray) -> np.ndarray:
+    """Samples at which the branches of a loop end."""
+    return reversals(u, TURN * float(np.ptp(u)))
 
 
 def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:

@@ -9,17 +9,27 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.models.jiles_atherton import MU0
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import loop_energy, parse_unit, quantity
+from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
-from hystfit.quality.loops import reversals
 from hystfit.results.instrument_values import convention_notes, with_stated
-from hystfit.results.loop_branches import Branch, area, area_error, closes, combined, crossing, is_open, large_branches
+from hystfit.results.loop_branches import (
+    ENDS,
+    Branch,
+    area,
+    area_error,
+    closes,
+    combined,
+    crossing,
+    is_open,
+    large_branches,
+    turns_of,
+)
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
@@ -27,9 +37,6 @@ from hystfit.results.magnetic_values import magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import polarization_values
 
-_TURN = 0.05  # of the input's range: smallest reversal that ends a branch
-_FEWEST = 8  # samples of a loop
-_ENDS = 0.95  # of half the input's range: what lies beyond counts as the ends of a loop
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 
@@ -127,12 +134,12 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     """Quantities, corrections and notes of a record."""
     kept = record.used
     u, y = record.u[kept], record.y[kept]
-    if u.size < _FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return (), (), ()
     kind, (noise, is_bound) = LoopKind.of(Dataset((record,))), noise_rms(y)
     sigma = None if is_bound or noise is None else noise
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
-    turns = reversals(u, _TURN * float(np.ptp(u)))
+    turns = turns_of(u)
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
@@ -220,7 +227,7 @@ def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[Lo
     """Half the difference of the mean outputs near both ends of the input, as instruments read the saturation."""
     u, y = (np.concatenate(columns) for columns in zip(*((b.u, b.y) for b in branches), strict=True))
     center, half = 0.5 * (u.max() + u.min()), 0.5 * np.ptp(u)
-    high, low = u - center >= _ENDS * half, u - center <= -_ENDS * half
+    high, low = u - center >= ENDS * half, u - center <= -ENDS * half
     error = None if sigma is None else 0.5 * sigma * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
     value = 0.5 * float(y[high].mean() - y[low].mean())
     yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)

@@ -14,16 +14,12 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.models.jiles_atherton import MU0
-from hystfit.params.units import parse_unit
-from hystfit.quality.loops import reversals
-from hystfit.results.loop_branches import Branch, asymmetry, combined, crossing, large_branches
+from hystfit.params.units import MU0, parse_unit
+from hystfit.results.loop_branches import ENDS, Branch, asymmetry, combined, crossing, large_branches, turns_of
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.saturation_law import Saturation, saturation
 
 ON_REQUEST = ("drift", "offset", "slope")
-_TURN = 0.05  # of the input's range: smallest reversal that ends a branch
-_ENDS = 0.95  # of the largest field, from which the output counts as that of the ends
 _POLARIZATION = re.compile(r"(?:mu_?0|µ0|μ0)?\s*[JIM](?:\b|_| )|.*polari[sz]ation|.*magneti[sz]ation", re.IGNORECASE)
 
 
@@ -84,9 +80,6 @@ class MagneticLoop:
             sample: what is known of the sample, beside the header of the file.
             noise: standard deviation of the output's noise.
             correct: which of `ON_REQUEST` to apply.
-
-        Raises:
-            DataError: a correction of another name.
         """
         if unknown := set(correct) - set(ON_REQUEST):
             raise DataError(f"no correction {sorted(unknown)[0]!r}; there are {', '.join(ON_REQUEST)}")
@@ -109,7 +102,7 @@ class MagneticLoop:
     def _with(self, correction: Correction | None = None, **changes: object) -> MagneticLoop:
         listed = self.corrections if correction is None else (*self.corrections, correction)
         made = dataclasses.replace(self, corrections=listed, **changes)  # type: ignore[arg-type]
-        turns = reversals(made.h, _TURN * float(np.ptp(made.h)))
+        turns = turns_of(made.h)
         return dataclasses.replace(made, branches=tuple(large_branches(made.h, made.j, turns)) if turns.size else ())
 
     @property
@@ -124,7 +117,7 @@ class MagneticLoop:
 
     def _drift(self, apply: bool) -> MagneticLoop:
         """The gap at the tip of the first closed cycle, removed in proportion to the number of samples."""
-        edges = [0, *reversals(self.h, _TURN * float(np.ptp(self.h))).tolist(), self.h.size - 1]
+        edges = [0, *turns_of(self.h).tolist(), self.h.size - 1]
         tops = [
             k
             for k in range(len(edges) - 2)
@@ -188,7 +181,7 @@ class MagneticLoop:
             sign: 0.5 for the sum, -0.5 for the difference.
         """
         largest = min(float(self.h.max()), -float(self.h.min()))
-        high, low = self.h >= _ENDS * largest, self.h <= -_ENDS * largest
+        high, low = self.h >= ENDS * largest, self.h <= -ENDS * largest
         if not (largest > 0 and high.any() and low.any()):
             return 0.5 * float(self.j.max()) + sign * float(self.j.min()), None
         error = None if self.noise is None else 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hystfit.models.jiles_atherton import MU0
+from hystfit.params.units import MU0
 from hystfit.results.loop_branches import Branch, area, area_error, closes, crossing
 from hystfit.results.magnetic_loop import MagneticLoop
 from hystfit.results.measured_value import LoopValue

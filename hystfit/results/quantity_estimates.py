@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -12,19 +13,23 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.relative_size import relative_size
 from hystfit.results.estimates import ParameterEstimate
+from hystfit.results.loop_branches import turns_of
 from hystfit.results.loop_values import quantities
-from hystfit.results.measured_quantities import measured_quantities
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
-from hystfit.results.steady_loops import Excitation, creeps
+from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
+_WHOLE = 0.01  # gap to the fitted range, in parts of it, within which a measured cycle covers it
+_INPUTS = 2001  # of the branches of a measured cycle
+_CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
 _OPEN = 1.0  # a quantity is undetermined when its standard error is its natural size
 
 
@@ -180,3 +185,51 @@ def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
         error = float(np.sqrt(max(variance, 0.0))) if known else None
         rows.append(ParameterEstimate(name, float(number), error, units(unit), None, None, False, None, known, doc))
     return tuple(rows)
+
+
+# -- without the model ---------------------------------------------------------------------------------------------------------
+
+
+def measured_quantities(data: Dataset) -> dict[str, float]:
+    """Quantities of the loops as measured, by name, without a model: medians over the closed loops that cover the range of all records.
+
+    Samples are joined by straight lines. Empty where no two successive branches cover the range and meet at both ends: a first rise from
+    rest and the branch after it are no loop.
+    """
+    excitation = Excitation.of(data)
+    inputs = np.linspace(excitation.low, excitation.high, _INPUTS)
+    branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    for record in data.map(from_turning_point):
+        turns = np.unique([0, *turns_of(record.u), len(record) - 1]).tolist()
+        found = [
+            (bool(record.u[b] > record.u[a]), _measured_branch(record, a, b, inputs))
+            for a, b in itertools.pairwise(turns)
+        ]
+        for pair in itertools.pairwise(found):
+            if _closed(*pair):
+                for rises, branch in pair:
+                    branches[rises].append(branch)
+    if not branches[True]:
+        return {}
+    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.force_driven)
+    values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
+    return {name: value for name, value in values.items() if np.isfinite(value)}
+
+
+def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray | None]) -> bool:
+    """Whether two successive branches cover the range, and the second ends where the first began."""
+    (rises, first), (_, second) = one, other
+    if first is None or second is None:
+        return False
+    end = 0 if rises else -1
+    return bool(abs(first[end] - second[end]) <= _CLOSED * np.ptp(first))
+
+
+def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:
+    """The measured output at inputs between two turning points; None where the branch does not cover them."""
+    kept = first + np.flatnonzero(record.used[first : last + 1])
+    kept = kept[np.argsort(record.u[kept], kind="stable")]
+    u, slack = record.u[kept], _WHOLE * float(inputs[-1] - inputs[0])
+    if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:
+        return None
+    return np.interp(inputs, u, record.y[kept])

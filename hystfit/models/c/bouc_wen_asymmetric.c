@@ -54,5 +54,5 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
 #endif
     if (next)
         next[0] = sign * q;
-    return @M@_OFFSET + @M@_C * u1 + legendre(@f@_b, @M@_B, (u1 - @M@_CENTER) / @M@_HALF) - sign * q;
+    return @M@_OFFSET + @M@_C * u1 + legendre(@f@_b, @M@_B_SIZE, (u1 - @M@_CENTER) / @M@_HALF) - sign * q;
 }

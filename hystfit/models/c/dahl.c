@@ -3,7 +3,7 @@ static void @f@_init(double *s, double u0)
 {
     int i;
     (void)u0;
-    for (i = 0; i < @M@_BRISTLES; i++)
+    for (i = 0; i < @M@_D_SIZE; i++)
         s[i] = 0;
 }
 
@@ -13,9 +13,9 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     double y = @M@_OFFSET + @M@_K * u1;
     int i;
     (void)dt;
-    for (i = 0; i < @M@_BRISTLES; i++) {
+    for (i = 0; i < @M@_D_SIZE; i++) {
         const double q = way + (s[i] - way) * exp(-fabs(u1 - u0) / @f@_d[i]);
-        y += @f@_fc[i] * q;
+        y += @f@_Fc[i] * q;
         if (next)
             next[i] = q;
     }

@@ -2,8 +2,8 @@
 static void @f@_init(double *s, double u0)
 {
     int j;
-    for (j = 0; j < @M@_STROKES + @M@_LAGS + 1; j++)
-        s[j] = j < @M@_STROKES ? (u0 - @M@_CENTER) / @M@_HALF : 0;
+    for (j = 0; j < @M@_STROKES_SIZE + @M@_LAGS_SIZE + 1; j++)
+        s[j] = j < @M@_STROKES_SIZE ? (u0 - @M@_CENTER) / @M@_HALF : 0;
 }
 
 static double @f@_follow(double play, double at, double r)
@@ -13,7 +13,7 @@ static double @f@_follow(double play, double at, double r)
 
 static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 {
-    const int end = @M@_STROKES + @M@_LAGS;
+    const int end = @M@_STROKES_SIZE + @M@_LAGS_SIZE;
     const double x = (u1 - @M@_CENTER) / @M@_HALF;
     const double part = fmax(0, fmin(1, 0.5 * (1 + x)));
     double w = s[end], size, y;
@@ -26,19 +26,19 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     y = @M@_OFFSET + x * (@f@_spring[0] + x * (@f@_spring[1] + x * (@f@_spring[2] + x * x * @f@_spring[3])));
     y += w * (@M@_VISCOUS + @f@_bent[0] * size + @f@_bent[1] * w * w + @f@_bent[2] * w);
     y += x * (@f@_coupling[0] * size + @f@_coupling[1] * w + x * (@f@_coupling[2] * w + @f@_coupling[3] * size));
-    for (j = 0; j < @M@_BENDS; j++)
-        y += ((1 - part) * @f@_saturating[j] + part * @f@_saturating[@M@_BENDS + j]) * tanh(w / @f@_bends[j]);
-    for (j = 0; j < @M@_STROKES; j++) {
+    for (j = 0; j < @M@_BENDS_SIZE; j++)
+        y += ((1 - part) * @f@_saturating[j] + part * @f@_saturating[@M@_BENDS_SIZE + j]) * tanh(w / @f@_bends[j]);
+    for (j = 0; j < @M@_STROKES_SIZE; j++) {
         const double play = @f@_follow(s[j], x, @f@_strokes[j]);
         y += @f@_friction[j] * (x - play);
         if (next)
             next[j] = play;
     }
-    for (j = 0; j < @M@_LAGS; j++) {
-        const double play = @f@_follow(s[@M@_STROKES + j], w, @f@_lags[j]);
+    for (j = 0; j < @M@_LAGS_SIZE; j++) {
+        const double play = @f@_follow(s[@M@_STROKES_SIZE + j], w, @f@_lags[j]);
         y += @f@_lagging[j] * (w - play);
         if (next)
-            next[@M@_STROKES + j] = play;
+            next[@M@_STROKES_SIZE + j] = play;
     }
     if (next)
         next[end] = w;

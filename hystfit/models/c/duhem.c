@@ -2,18 +2,18 @@
 #if @M@_EXACT
 static double @f@_particular(double v, double kappa)
 {
-    double q[@M@_SIZE], slope[@M@_SIZE], total = 0;
+    double q[@M@_F_PADDED_SIZE], slope[@M@_F_PADDED_SIZE], total = 0;
     int i, j, round;
-    for (i = 0; i < @M@_SIZE; i++)
+    for (i = 0; i < @M@_F_PADDED_SIZE; i++)
         q[i] = @f@_f_padded[i] + @f@_g_padded[i] / kappa;
-    for (round = 0; round < @M@_SIZE; round++) {
-        total += legendre(q, @M@_SIZE, (v - @M@_CENTER) / @M@_HALF);
-        for (i = 0; i < @M@_SIZE; i++) {
+    for (round = 0; round < @M@_F_PADDED_SIZE; round++) {
+        total += legendre(q, @M@_F_PADDED_SIZE, (v - @M@_CENTER) / @M@_HALF);
+        for (i = 0; i < @M@_F_PADDED_SIZE; i++) {
             slope[i] = 0;
-            for (j = 0; j < @M@_SIZE; j++)
-                slope[i] += @f@_derivative[i * @M@_SIZE + j] * q[j];
+            for (j = 0; j < @M@_F_PADDED_SIZE; j++)
+                slope[i] += @f@_derivative[i * @M@_F_PADDED_SIZE + j] * q[j];
         }
-        for (i = 0; i < @M@_SIZE; i++)
+        for (i = 0; i < @M@_F_PADDED_SIZE; i++)
             q[i] = -slope[i] / kappa;
     }
     return total;
@@ -38,9 +38,9 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     } else {
         double sum = 0;
         int k;
-        for (k = 0; k < @M@_NODES; k++) {
+        for (k = 0; k < @M@_NODES_SIZE; k++) {
             const double x = (u0 + 0.5 * (1 + @f@_nodes[k]) * dv - @M@_CENTER) / @M@_HALF;
-            const double push = drive * legendre(@f@_f, @M@_F, x) + dv * legendre(@f@_g, @M@_G, x);
+            const double push = drive * legendre(@f@_f, @M@_F_SIZE, x) + dv * legendre(@f@_g, @M@_G_SIZE, x);
             sum += @f@_weights[k] * exp(-0.5 * (1 - @f@_nodes[k]) * drive) * push;
         }
         w = exp(-drive) * w + 0.5 * sum;
@@ -48,7 +48,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
 #else
     {
         const double x = (0.5 * (u0 + u1) - @M@_CENTER) / @M@_HALF;
-        const double f = legendre(@f@_f, @M@_F, x), g = legendre(@f@_g, @M@_G, x);
+        const double f = legendre(@f@_f, @M@_F_SIZE, x), g = legendre(@f@_g, @M@_G_SIZE, x);
         if (@M@_EXPLICIT)
             w += drive * (f - w) + dv * g;
         else

@@ -55,12 +55,12 @@ static double @f@_total(const double *s, double sign, double field)
 /* The new effective field, where He - alpha M is the input: regula falsi with halving, in a bracket that cannot lose the root. */
 static double @f@_field(const double *s, double sign, double u)
 {
-    double low = fmin(u - @M@_FIELD, s[0]), high = fmax(u + @M@_FIELD, s[0]);
-    double below = low - @M@_FIELD * @f@_total(s, sign, low) - u, above = high - @M@_FIELD * @f@_total(s, sign, high) - u;
+    double low = fmin(u - @M@_MEAN_FIELD, s[0]), high = fmax(u + @M@_MEAN_FIELD, s[0]);
+    double below = low - @M@_MEAN_FIELD * @f@_total(s, sign, low) - u, above = high - @M@_MEAN_FIELD * @f@_total(s, sign, high) - u;
     if (sign > 0)
-        low = s[0], below = s[0] - @M@_FIELD * @f@_total(s, sign, s[0]) - u;
+        low = s[0], below = s[0] - @M@_MEAN_FIELD * @f@_total(s, sign, s[0]) - u;
     else if (sign < 0)
-        high = s[0], above = s[0] - @M@_FIELD * @f@_total(s, sign, s[0]) - u;
+        high = s[0], above = s[0] - @M@_MEAN_FIELD * @f@_total(s, sign, s[0]) - u;
     else
         return s[0];
     for (int i = 0; i < 200 && high - low > 4e-16 * fmax(fabs(low), fabs(high)); i++) {
@@ -68,7 +68,7 @@ static double @f@_field(const double *s, double sign, double u)
         double miss;
         if (!(middle > low && middle < high))
             middle = 0.5 * (low + high);
-        miss = middle - @M@_FIELD * @f@_total(s, sign, middle) - u;
+        miss = middle - @M@_MEAN_FIELD * @f@_total(s, sign, middle) - u;
         if (miss == 0)
             return middle;
         if (miss < 0)

@@ -2,7 +2,7 @@
 static void @f@_init(double *s, double u0)
 {
     int k;
-    for (k = 0; k < @M@_MODES; k++)
+    for (k = 0; k < @M@_TAU_SIZE; k++)
         s[k] = ((@M@_FIRST ? u0 : @M@_LEVEL) - @M@_LOW) / (@M@_HIGH - @M@_LOW);
 }
 
@@ -12,7 +12,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     double y = 0;
     int k;
     (void)u0;
-    for (k = 0; k < @M@_MODES; k++) {
+    for (k = 0; k < @M@_TAU_SIZE; k++) {
         const double z = s[k] - expm1(-dt / @f@_tau[k]) * (x - s[k]);
         if (next)
             next[k] = z;

@@ -7,11 +7,11 @@ static void @f@_init(double *s, double u0)
 
 static void @f@_slope(const double *q, double force, double *rate)
 {
-    const double kz = (1 - @M@_A) * @M@_STIFFNESS, share = 0.5 * (@M@_R_LOAD + @M@_R_UNL), skew = 0.5 * (@M@_R_LOAD - @M@_R_UNL);
+    const double kz = (1 - @M@_A) * @M@_K, share = 0.5 * (@M@_R_LOAD + @M@_R_UNL), skew = 0.5 * (@M@_R_LOAD - @M@_R_UNL);
     const double size = @M@_N == 1.0 ? fabs(q[2]) / @M@_Z : pow(fabs(q[2]) / @M@_Z, @M@_N);
     const double sign = q[2] > 0 ? 1.0 : q[2] < 0 ? -1.0 : 0.0;
     rate[0] = q[1];
-    rate[1] = (force - @M@_C * q[1] - @M@_A * @M@_STIFFNESS * q[0] - q[2]) / @M@_M;
+    rate[1] = (force - @M@_C * q[1] - @M@_A * @M@_K * q[0] - q[2]) / @M@_M;
     rate[2] = kz * (q[1] - (share * fabs(q[1]) * sign + skew * q[1]) * size);
 }
 

@@ -14,12 +14,12 @@ static int @f@_cell(const double *at, int count, double u)
 
 static double @f@_everett(double above, double below)
 {
-    const int i = @f@_cell(@f@_levels, @M@_LEVELS, above), j = @f@_cell(@f@_levels, @M@_LEVELS, below);
+    const int i = @f@_cell(@f@_levels, @M@_LEVELS_SIZE, above), j = @f@_cell(@f@_levels, @M@_LEVELS_SIZE, below);
     const double p = fmin(fmax((above - @f@_levels[i]) / (@f@_levels[i + 1] - @f@_levels[i]), 0.0), 1.0);
     const double q = fmin(fmax((below - @f@_levels[j]) / (@f@_levels[j + 1] - @f@_levels[j]), 0.0), 1.0);
-    const double *row = @f@_off + i * @M@_LEVELS + j;
+    const double *row = @f@_off + i * @M@_LEVELS_SIZE + j;
     const double near = (1 - q) * row[0] + q * row[1];
-    const double far = (1 - q) * row[@M@_LEVELS] + q * row[@M@_LEVELS + 1];
+    const double far = (1 - q) * row[@M@_LEVELS_SIZE] + q * row[@M@_LEVELS_SIZE + 1];
     double diagonal;
     if (i == j)
         diagonal = (p - q) * (p - q) * @f@_diagonal[i];
@@ -31,8 +31,8 @@ static double @f@_everett(double above, double below)
 /* A first excursion is quadratic between the knots, the single-valued part straight, and straight beyond them. */
 static double @f@_excursion(double u)
 {
-    const double x = fmin(fmax(u, @f@_knots[0]), @f@_knots[@M@_KNOTS - 1]);
-    const int k = @f@_cell(@f@_knots, @M@_KNOTS, x);
+    const double x = fmin(fmax(u, @f@_knots[0]), @f@_knots[@M@_KNOTS_SIZE - 1]);
+    const int k = @f@_cell(@f@_knots, @M@_KNOTS_SIZE, x);
     const double t = (x - @f@_knots[k]) / (@f@_knots[k + 1] - @f@_knots[k]);
     const double f0 = @f@_first[2 * k], middle = @f@_first[2 * k + 1], f1 = @f@_first[2 * k + 2];
     return f0 + t * (4 * middle - f1 - 3 * f0 + t * 2 * (f1 - 2 * middle + f0));
@@ -40,10 +40,10 @@ static double @f@_excursion(double u)
 
 static double @f@_single(double u)
 {
-    const int k = @f@_cell(@f@_knots, @M@_KNOTS, u);
+    const int k = @f@_cell(@f@_knots, @M@_KNOTS_SIZE, u);
     const double t = (u - @f@_knots[k]) / (@f@_knots[k + 1] - @f@_knots[k]);
     return @M@_OFFSET + @f@_straight[k] + t * (@f@_straight[k + 1] - @f@_straight[k]) +
-           legendre(@f@_b, @M@_B, (u - @M@_CENTER) / @M@_HALF);
+           legendre(@f@_b, @M@_B_SIZE, (u - @M@_CENTER) / @M@_HALF);
 }
 
 /* The other end of the interval that a first extremum spans. */

@@ -2,7 +2,7 @@
 static void @f@_init(double *s, double u0)
 {
     int k;
-    for (k = 0; k < @M@_MODES; k++)
+    for (k = 0; k < @M@_TAU_SIZE; k++)
         s[k] = u0;
 }
 
@@ -11,7 +11,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     double y = u1;
     int k;
     (void)u0;
-    for (k = 0; k < @M@_MODES; k++) {
+    for (k = 0; k < @M@_TAU_SIZE; k++) {
         const double z = s[k] - expm1(-dt / @f@_tau[k]) * (u1 - s[k]);
         if (next)
             next[k] = z;

@@ -162,11 +162,7 @@ class EverettTable:
 
 
 def _single_peaks(record: Record, levels: np.ndarray) -> list[Record]:
-    """The curves of a record, cut where its input is back at the lowest level.
-
-    Raises:
-        DataError: a curve that does not fall back, or that reverses between the lowest level and its peak.
-    """
+    """The curves of a record, cut where its input is back at the lowest level."""
     r, span = record.take(record.used), float(np.ptp(levels))
     near = r.u <= levels[0] + _NEAR * span
     edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))

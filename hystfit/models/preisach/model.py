@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
@@ -16,7 +16,7 @@ from numpy.polynomial.legendre import legder, legval
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.c_code import CPart, template
+from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
 from hystfit.models.preisach.design_matrix import features
@@ -29,8 +29,8 @@ from hystfit.models.shapes import Scalar
 from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
-from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.param import leaves_of, param
+from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.param import element_weights, leaves_of, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -66,6 +66,11 @@ class Preisach(AbstractPlane):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "initial": get_args(Rest),
+        "elements": get_args(Elements),
+        "spacing": get_args(Spacing),
+    }
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "preisach"
     needs: ClassVar[Needs] = Needs(
@@ -75,17 +80,11 @@ class Preisach(AbstractPlane):
         too_few="weights of relays that never switch are not determined; regularize, or measure first-order reversal curves",
     )
 
-    w: Float[Array, " cells"] = param(
-        bounds=(0.0, np.inf),
-        unit="y",
-        scale=0.01,
-        linear=True,
-        doc="weights of the cells or relays, (i, j) row by row, j <= i",
+    w: Float[Array, " cells"] = element_weights(
+        scale=0.01, doc="weights of the cells or relays, (i, j) row by row, j <= i"
     )
     levels: Float[Array, " levels"] = param(unit="u", fixed=True, doc="thresholds, rising")
-    slopes: Float[Array, " intervals"] = param(
-        (), bounds=(0.0, np.inf), unit="y", scale=0.1, linear=True, doc="rises of the piecewise linear reversible part"
-    )
+    slopes: Float[Array, " intervals"] = element_weights((), doc="rises of the piecewise linear reversible part")
     b: Float[Array, " degree"] = param(
         (), unit="y", linear=True, doc="Legendre coefficients 1, 2, ... of the reversible part"
     )
@@ -107,13 +106,7 @@ class Preisach(AbstractPlane):
     depth: int = eqx.field(static=True, default=64)
 
     def __check_init__(self) -> None:
-        for name, value, known in (
-            ("initial", self.initial, Rest),
-            ("elements", self.elements, Elements),
-            ("spacing", self.spacing, Spacing),
-        ):
-            if value not in get_args(known):
-                raise ModelError(f"{name} must be one of {', '.join(get_args(known))}, got {value!r}")
+        super().__check_init__()
         if self.depth < 2:
             raise ModelError(f"depth must be at least 2 extrema, got {self.depth}")
         if all(hasattr(leaf, "shape") for leaf in (self.w, self.levels, self.slopes)):
@@ -331,7 +324,7 @@ class Preisach(AbstractPlane):
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PreisachStep`; a search for point relays."""
-        return PreisachStep.of(self) if self.elements == "cells" else SearchStep(self, sign)
+        return PreisachStep.of(self) if self.elements == "cells" and not self.no_inverse else super().step_inverse(sign)
 
     def c_part(self) -> CPart:
         """Stack of extrema with the tables of the inverse.
@@ -346,18 +339,12 @@ class Preisach(AbstractPlane):
             )
         solver = PreisachStep.of(self)
         knots, everett = np.asarray(solver.knots), solver.memory.everett
-        numbers = {
-            "LEVELS": int(self.levels.shape[0]),
-            "KNOTS": knots.size,
-            "DEPTH": self.depth,
-            "REST": solver.memory.rest,
-        }
-        numbers |= {"OFFSET": self.offset, "CENTER": self.center, "HALF": self.half, "B": int(self.b.shape[0]) + 1}
-        numbers["INITIAL"] = {"negative": -1, "demagnetized": 0, "positive": 1}[self.initial]
-        arrays = {"levels": self.levels, "off": everett.off, "diagonal": everett.diagonal, "sums": everett.sums}
-        arrays |= {"knots": knots, "first": solver.excursion, "b": np.append(0.0, np.asarray(self.b))}
-        arrays["straight"] = solver.straight if self.slopes.size else np.zeros(knots.size)
-        return CPart(template("preisach.c"), 1 + 2 * self.depth, numbers, arrays)
+        tables = {"off": everett.off.ravel(), "diagonal": everett.diagonal, "sums": everett.sums, "knots": knots}
+        tables |= {"first": solver.excursion, "b": np.append(0.0, self.b)}
+        tables["straight"] = solver.straight if self.slopes.size else np.zeros(knots.size)
+        initial = {"negative": -1, "demagnetized": 0, "positive": 1}[self.initial]
+        states = 1 + 2 * self.depth
+        return CPart.of(self, "preisach", states, rest=solver.memory.rest, initial=initial, **tables)
 
 
 def _start_at_an_end(records: Sequence[Record]) -> bool:

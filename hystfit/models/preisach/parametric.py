@@ -6,7 +6,7 @@ The plane is described by coercivity h = (alpha - beta) / 2 and interaction m = 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
@@ -19,6 +19,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.param import param
@@ -42,6 +43,7 @@ class ParametricPreisach(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"density": get_args(Density), "initial": get_args(Rest)}
     has_fast_run: ClassVar[bool] = True
 
     saturation: Scalar = param(
@@ -58,12 +60,10 @@ class ParametricPreisach(AbstractHysteresis):
     )
     center: Scalar = param(0.0, unit="u", fixed=True, doc="input of the demagnetized state")
     density: Density = eqx.field(static=True, default="gaussian")
-    initial: Literal["demagnetized", "negative", "positive"] = eqx.field(static=True, default="demagnetized")
+    initial: Rest = eqx.field(static=True, default="demagnetized")
     depth: int = eqx.field(static=True, default=64)
 
     def __check_init__(self) -> None:
-        if self.density not in get_args(Density):
-            raise ModelError(f"density must be one of {', '.join(get_args(Density))}, got {self.density!r}")
         if hasattr(self.levels, "shape") and self.levels.shape[0] < 2:
             raise ModelError(f"a density needs at least two levels, got {self.levels.shape[0]}")
 

@@ -7,9 +7,7 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from hystfit.errors import ModelError
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -21,6 +19,10 @@ class SignedPreisach(Preisach):
     """
 
     has_inverse: ClassVar[bool] = False
+    no_inverse: ClassVar[str] = (
+        "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
+        "weights >= 0 (preisach-forc)"
+    )
     needs: ClassVar[Needs] = dataclasses.replace(Preisach.needs, direction="any")
 
     w: Float[Array, " cells"] = param(
@@ -29,14 +31,3 @@ class SignedPreisach(Preisach):
     slopes: Float[Array, " intervals"] = param(
         (), unit="y", scale=0.1, linear=True, doc="rises of the piecewise linear reversible part"
     )
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused.
-
-        Raises:
-            ModelError: always.
-        """
-        raise ModelError(
-            "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
-            "weights >= 0 (preisach-forc)"
-        )
