@@ -133,7 +133,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
         for row in ranked
         if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
     ]
-    plain = lambda row: (row.effective or row.parameters or 0, len(row.obstacles or ()), row.score_percent)
+    plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
     simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
     return simple + ranked[len(alike) :]
 
