@@ -102,23 +102,22 @@ class ComparisonRun:
         waiting = self._next(self._keep_finished(waiting, shown), shown, workers)
         search = self.fits.get(SEARCH)
         found, delay = structure_of(search.model) if search else (Structure(), False)
-        rings = self._rings()
+        rings, iterated = self._rings(), chosen.iterated
         if not (white or rings or delay or found.timed):
-            timed = tuple(name for name in chosen.iterated if not make_model(name).rate_independent)
-            self._skip((*timed, *chosen.resonant), _TIMELESS)
-            chosen = Candidates(chosen.closed, tuple(name for name in chosen.iterated if name not in timed))
-        chosen = chosen.beside(found, delay)
-        early, late = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
-        for names in ((*chosen.closed, *early), late):
+            iterated = tuple(name for name in iterated if make_model(name).rate_independent)
+            self._skip([name for name in chosen.iterated if name not in iterated], _TIMELESS)
+        if not rings:
+            self._skip(chosen.resonant, "the response shows no resonance")
+        chosen = Candidates(chosen.closed, iterated, chosen.resonant if rings else ()).beside(found, delay)
+        others = (*chosen.closed, *chosen.resonant), chosen.iterated
+        for number, names in enumerate(others if rings else [sum(others, ())]):
             if not white and self._is_white():
                 self._skip((*(one.name for one in waiting), *names), _WHITE)
-                waiting = []
-            elif rings and names is late and self._resonance_needed():
+            elif number and self._resonance_needed():
                 self._skip(names, "a resonance is needed")
             else:
-                waiting += self._looked_at(names, shown, workers)
-                self._finish(waiting, shown, workers, past_white=white)
-                waiting = []
+                self._finish([*waiting, *self._looked_at(names, shown, workers)], shown, workers, past_white=white)
+            waiting = []
 
     def _spacing(self, waiting: Sequence[Candidate]) -> int:
         """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""

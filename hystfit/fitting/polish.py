@@ -37,7 +37,9 @@ class Polished(NamedTuple):
     linearized: Linearization | None
 
 
-def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN) -> Polished:
+def polish(
+    problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN, *, held: np.ndarray | None = None
+) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
     The Jacobian enters by its triangular factor, not by normal equations, which would square its condition. Offsets of records are
@@ -48,11 +50,12 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         z: start, unconstrained, shape (p,).
         steps: linearizations at most.
         gain: predicted decrease of the cost, relative to it, at which the fit has converged.
+        held: which parameters stay, shape (p,), bool; None for none.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
     samples, largest = int(problem.used.sum()), _largest_output(problem)
-    at, damping, converged, evaluations = _linearize(problem, z, order, samples), 1e-6, False, 1
+    at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
     while evaluations < steps:
         floor = _floor(problem, at.x, samples, largest)
@@ -66,7 +69,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, gain: float = _GAIN
         step[order] = ordered
         step = step * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
         at, linearized = at._replace(linearized=None), None  # of a long record there is no room for two
-        new, evaluations = _linearize(problem, at.z + step, order, samples), evaluations + 1
+        new, evaluations = _linearize(problem, at.z + step, order, samples, held), evaluations + 1
         blurred = _BLUR * np.sqrt(
             2 * at.cost * floor
         )  # where a smaller decrease cannot be seen, the linear model decides
@@ -103,7 +106,9 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
         return float(samples * np.square(np.float64(ROUNDING * largest / problem.scales.y)))
 
 
-def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:
+def _linearize(
+    problem: Problem, z: np.ndarray, order: np.ndarray, samples: int, held: np.ndarray | None
+) -> _Linearized:
     """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
     x, bounded = problem.space.physical(z), problem.space.kinds != REAL
     linear = problem.linearization(x)
@@ -115,6 +120,8 @@ def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int)
         columns = factor[:, :-1]
         columns *= problem.space.slope(z)[order]
         columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
+        if held is not None:
+            columns[:, held[order]] = 0.0
     return _Linearized(z, x, cost, factor, linear)
 
 

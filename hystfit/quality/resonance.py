@@ -145,8 +145,12 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     """
     u = np.frombuffer(x)
     columns = Regressors.of(u, np.frombuffer(y), np.frombuffer(used, dtype=bool))
-    without = min(columns.error_without(), columns.error_static(u))
-    return without, *columns.best_resonance(_Response(*map(np.frombuffer, response)))
+    error, *resonance = columns.best_resonance(_Response(*map(np.frombuffer, response)))
+    static = columns.static(u)
+    without = min(columns.error_without(), columns.error_corrected(static))
+    # Like is compared with like: the richer description is filtered too.
+    behind = columns.error_corrected(_filtered(static, *resonance))
+    return without, min(error, behind), *resonance
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
@@ -202,10 +206,10 @@ class Regressors:
         behind = [self.error(lagged(lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
         return min(*after, *behind)
 
-    def error_static(self, x: np.ndarray) -> float:
-        """Root mean square error of hysteresis whose envelopes are free: of plays, and of the branches where the input rises and falls.
+    def static(self, x: np.ndarray) -> np.ndarray:
+        """Columns of hysteresis whose envelopes are free: of plays, and of the branches where the input rises and falls.
 
-        It is corrected for the number of columns. A loop of one amplitude and rate leaves nothing beyond for a resonance to explain.
+        A loop of one amplitude and rate leaves nothing beyond for a resonance to explain.
         """
         hinges = lambda values: np.maximum(values[:, None] - _KNOTS, 0.0)
         rises = np.gradient(x) > 0
@@ -214,7 +218,11 @@ class Regressors:
             for side in (True, False)
         ]
         envelopes = [hinges(play) for play in self.hysteresis[:, 3:].T]
-        parts = np.hstack([self.hysteresis, self.beside, *branches, *envelopes])
+        return np.hstack([self.hysteresis, *branches, *envelopes])
+
+    def error_corrected(self, columns: np.ndarray) -> float:
+        """Root mean square error of the output by columns and those beside them, corrected for their number."""
+        parts = np.hstack([columns, self.beside])
         freedom = 1 - parts.shape[1] / np.count_nonzero(self.used)
         return self.error(parts) / np.sqrt(freedom) if freedom > 0 else np.inf
 
