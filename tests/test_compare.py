@@ -276,7 +276,11 @@ def test_models_of_time_are_tried_where_the_search_needs_time_and_none_beside_on
     y = np.asarray(hf.simulate(hf.BoucWen(), u, 0.01)[0]) + 0.005 * np.random.default_rng(0).normal(size=t.size)
     found = hf.compare(hf.Record(u, y, t))
     rows = {row.asked: row for row in found.rows}
-    for name, lacking in (("bouc-wen+log-creep", "time"), ("bouc-wen-force+viscous", "time"), ("oscillator", "resonance")):
+    for name, lacking in (
+        ("bouc-wen+log-creep", "time"),
+        ("bouc-wen-force+viscous", "time"),
+        ("oscillator", "resonance"),
+    ):
         assert rows[name].in_sample_percent is None
         assert lacking in rows[name].note
     assert found.rows[0].name == "bouc-wen"

@@ -59,7 +59,8 @@ def test_a_resonance_far_above_a_triangle_wave_rings_after_its_turns() -> None:
             position += step / 4 * speed
         y.append(position)
     found = dynamics_of(hf.Record(u=u, y=np.array(y) + 2e-4 * np.random.default_rng(0).normal(size=t.size), t=t))
-    assert found is not None and found.resonant
+    assert found is not None
+    assert found.resonant
     assert found.natural_frequency == pytest.approx(180, rel=0.03)
 
 

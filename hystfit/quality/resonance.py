@@ -29,6 +29,9 @@ _RINGING = 0.1  # damping ratio below which a resonance above the excited freque
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis without dynamics follows a loop
+# Least ratio of the errors of a filter that runs backward in time and of one that runs forward: 1.3 and 1.7 on two stages that ring, at
+# most 1.02 on steep transitions without a resonance.
+_FORWARD = 1.1
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
@@ -148,9 +151,10 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     error, *resonance = columns.best_resonance(_Response(*map(np.frombuffer, response)))
     static = columns.static(u)
     without = min(columns.error_without(), columns.error_corrected(static))
-    # Like is compared with like: the richer description is filtered too.
-    behind = columns.error_corrected(_filtered(static, *resonance))
-    return without, min(error, behind), *resonance
+    # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before
+    # the turns of the input.
+    behind, ahead = (columns.error_corrected(_filtered(static[::way], *resonance)[::way]) for way in (1, -1))
+    return without, min(error, behind) if ahead > _FORWARD * behind else error, *resonance
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
