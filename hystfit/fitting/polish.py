@@ -15,13 +15,14 @@ from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
 _GAIN = 1e-10  # predicted decrease of the cost, relative to it, at which the fit has converged: 1e-3 standard errors at 10 000 samples
-ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
+# Relative size of rounding errors: of the output, whose square no cost can fall below for each sample, and of what is left of a column of
+# the Jacobian, or of the information, once the others are taken out of it.
+ROUNDING = 1e-14
 _BLUR = 0.01  # rounding error of an output over ROUNDING
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10
 LONGEST_STEP = 4.0  # step in z of parameters with bounds, infinity norm
 # Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
 _NOTHING = 1e-8
-_INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
 
 
 class Polished(NamedTuple):
@@ -140,6 +141,6 @@ def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarra
     rows = np.vstack([R / size, np.diag(np.full(size.size, np.sqrt(damping)))])
     others = np.linalg.lstsq(rows, np.concatenate([-q, np.zeros(q.size)]), rcond=None)[0] / size
     shifts = -triangle[:offsets, p] - triangle[:offsets, offsets:p] @ others
-    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=_INDEPENDENT)[0]
-    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=_INDEPENDENT)[0]
+    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=ROUNDING)[0]
+    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=ROUNDING)[0]
     return np.concatenate([shifts, others]), 0.5 * float(full @ full + np.sum(triangle[:offsets, p] ** 2))
