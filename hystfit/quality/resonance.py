@@ -148,13 +148,13 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     """
     u = np.frombuffer(x)
     columns = Regressors.of(u, np.frombuffer(y), np.frombuffer(used, dtype=bool))
-    error, *resonance = columns.best_resonance(_Response(*map(np.frombuffer, response)))
+    error, frequency, damping = columns.best_resonance(_Response(*map(np.frombuffer, response)))
     static = columns.static(u)
     without = min(columns.error_without(), columns.error_corrected(static))
     # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before
     # the turns of the input.
-    behind, ahead = (columns.error_corrected(_filtered(static[::way], *resonance)[::way]) for way in (1, -1))
-    return without, min(error, behind) if ahead > _FORWARD * behind else error, *resonance
+    behind, ahead = (columns.error_corrected(_filtered(static[::way], frequency, damping)[::way]) for way in (1, -1))
+    return without, min(error, behind) if ahead > _FORWARD * behind else error, frequency, damping
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
