@@ -9,6 +9,7 @@ from hystfit.outcome import Code
 from hystfit.quality.check import examine
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import reversals
+from hystfit.quality.summary import dynamics_of
 
 
 def codes(record: hf.Record) -> set[Code]:
@@ -42,6 +43,25 @@ def test_a_resonance_behind_a_play_is_one() -> None:
         position += step * speed
         y.append(position)
     assert Code.DYNAMICS in codes(hf.Record(u=u, y=np.array(y), t=t))
+
+
+def test_a_resonance_far_above_a_triangle_wave_rings_after_its_turns() -> None:
+    """Four plays driven at 8 Hz, then 180 Hz with little damping, by a plain loop: what hysteresis leaves is the ringing."""
+    step = 2e-4
+    t = step * np.arange(6000)
+    u = (2 * np.abs((8 * t + 0.25) % 1 - 0.5) - 0.5) * np.linspace(2.0, 0.6, t.size)
+    radii, weights, omega, zeta = np.array([0.1, 0.25, 0.4, 0.6]), np.array([0.4, 0.3, 0.2, 0.2]), 2 * np.pi * 180, 0.02
+    plays, position, speed, y = np.zeros(4), 0.0, 0.0, []
+    for drive in u:
+        plays = np.clip(plays, drive - radii, drive + radii)
+        for _ in range(4):
+            speed += step / 4 * (omega**2 * (drive + weights @ plays - position) - 2 * zeta * omega * speed)
+            position += step / 4 * speed
+        y.append(position)
+    found = dynamics_of(hf.Record(u=u, y=np.array(y) + 2e-4 * np.random.default_rng(0).normal(size=t.size), t=t))
+    assert found is not None
+    assert found.resonant
+    assert found.natural_frequency == pytest.approx(180, rel=0.03)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])

@@ -155,3 +155,19 @@ def test_an_unknown_scheme_and_the_future_of_reversal_curves_are_refused():
         curves.append(hf.Record(u=u, y=u + 0.1 * start * (1 - u), name=f"from {start:.2f}"))
     with pytest.raises(ModelError):
         hf.compare(hf.Dataset(tuple(curves)), left_out="future")
+
+
+def test_a_refit_keeps_an_initial_state_that_its_samples_have_forgotten():
+    """The samples of later cycles say nothing of the state before the first, and any value would fit them."""
+    u = np.cos(np.linspace(0, 20 * np.pi, 1201))
+    y, state = np.empty_like(u), 0.3
+    for k, (before, now) in enumerate(zip(np.r_[u[0], u[:-1]], u, strict=True)):
+        for _ in range(50):  # dy = 3 |du| (u + 0.4 u^3 - y) + 0.2 du, by short steps
+            du = (now - before) / 50
+            state += 3 * abs(du) * (now + 0.4 * now**3 - state) + 0.2 * du
+        y[k] = state
+    noise = 0.01
+    y += noise * np.random.default_rng(0).normal(size=y.size)
+    fit = hf.fit("duhem", hf.Record(u, y), starts=2)
+    assert fit.train.rmse == pytest.approx(noise, rel=0.1)
+    assert left_out_error(fit) < 1.5 * noise

@@ -11,7 +11,8 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
-_RANK = 1e-14  # of a number that is left of the information, below which it is rounding errors
+from hystfit.fitting.polish import ROUNDING
+
 _STEPS, _SETTLED, _DAMPED = 60, 1e-5, 0.7
 
 
@@ -30,11 +31,11 @@ def about_estimate(
         side: 1 for a lower bound, -1 for an upper bound.
     """
     near, others = np.isfinite(room), ~np.isfinite(room)
-    inverse = np.linalg.pinv(information[np.ix_(others, others)], rcond=_RANK, hermitian=True)
+    inverse = np.linalg.pinv(information[np.ix_(others, others)], rcond=ROUNDING, hermitian=True)
     follow = np.zeros((side.size, int(near.sum())))
     follow[near] = np.diag(side[near])
     follow[others] = -inverse @ information[np.ix_(others, near)] * side[near]
-    curvature = follow.T @ information @ follow + _RANK * np.diag(np.diag(information)[near])
+    curvature = follow.T @ information @ follow + ROUNDING * np.diag(np.diag(information)[near])
     mean, covariance = truncated_moments(curvature, follow.T @ slope, -room[near])
     free = np.zeros(side.size)
     free[others] = -inverse @ slope[others]

@@ -17,14 +17,13 @@ from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
-from hystfit.quality.record_quality import SPEEDS_APART
+from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
 from hystfit.quality.summary import speeds_of
 from hystfit.results.loop_kinds import LoopKind
 
 # An area has a direction from five of its standard errors, and from a thousandth of the box around it: the narrowest loops of piezo
 # actuators have ten thousandths.
 _ERRORS, _NARROWEST = 5.0, 1e-3
-_FOLLOWS = 0.5  # correlation with the input, below which the sign of an output is not that of the loop
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +106,7 @@ def _contrary(data: Dataset) -> str:
 def _way(record: Record) -> float:
     """Which way a loop runs: positive for an output that lags, 1 or more where noise cannot turn it."""
     u, y = record.u[record.used], record.y[record.used]
-    if not (np.ptp(u) > 0 and np.ptp(y) > 0) or abs(np.corrcoef(u, y)[0, 1]) < _FOLLOWS:
+    if not (np.ptp(u) > 0 and np.ptp(y) > 0) or abs(np.corrcoef(u, y)[0, 1]) < FOLLOWS:
         return 0.0
     # The area is a sum of outputs, each weighed by the step of the input around it.
     error = (noise_rms(y)[0] or 0.0) / np.ptp(y) * np.sqrt(np.sum(np.gradient(u) ** 2)) / np.ptp(u)

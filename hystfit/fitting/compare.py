@@ -51,10 +51,11 @@ def compare(
         data: one record or several, or a data frame.
         models: names as `hystfit models` lists them (joined by "+"), classes, models, or "prandtl-ishlinskii-search", which searches
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
-            None (or "auto") tries every family that the records can drive, and stops those that cannot win: their fit errs more than
-            the best model does in cross-validation, or their first fit errs one and a half times as much. A first fit starts from two
-            points and is judged on the fitted samples; that of a model with elements has its default size and is judged by
-            cross-validation.
+            None (or "auto") tries every family that the records can drive, those with a resonance where the response shows one, and
+            stops those that cannot win: their fit errs more than the best model does in cross-validation, or their first fit errs one
+            and a half times as much. A first fit starts from two points and is judged on the fitted samples; that of a model with
+            elements has its default size, is judged by cross-validation on at most 2048 samples or so, and stops once the choices
+            that lowered the error of another such model would not suffice.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -133,7 +134,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
         for row in ranked
         if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
     ]
-    plain = lambda row: (row.effective or row.parameters or 0, len(row.obstacles or ()), row.score_percent)
+    plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
     simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
     return simple + ranked[len(alike) :]
 

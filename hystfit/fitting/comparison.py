@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from hystfit.outcome import Column, Status, Table, fragment
 from hystfit.quality.held_out import Scheme
@@ -13,6 +13,30 @@ from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
 Purpose = Literal["prediction", "inverse", "export"]
+
+
+class Obstacles(Mapping[str, str]):
+    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables.
+
+    Args:
+        result: the fit.
+    """
+
+    def __init__(self, result: FitResult):
+        self._result = result
+
+    @functools.cached_property
+    def _texts(self) -> dict[str, str]:
+        return {use: text for use in get_args(Purpose)[1:] if (text := self._result.obstacle(use))}
+
+    def __getitem__(self, purpose: str) -> str:
+        return self._texts[purpose]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._texts)
+
+    def __len__(self) -> int:
+        return len(self._texts)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +68,7 @@ class Row:
     status: Status
     note: str = ""
     bic: float | None = None
-    obstacles: dict[str, str] | None = None
+    obstacles: Mapping[str, str] | None = None
     family_inverts: bool = True
     effective: float | None = None
 
@@ -169,6 +193,8 @@ class Comparison:
             "winner": self.rows[0].name,
             "left_out": self.scheme,
             "purpose": self.purpose,
-            "rows": [dataclasses.asdict(row) for row in self.rows],
+            "rows": [
+                {**vars(row), "obstacles": None if row.obstacles is None else dict(row.obstacles)} for row in self.rows
+            ],
             "provenance": self.winner.provenance,
         }

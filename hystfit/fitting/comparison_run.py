@@ -13,16 +13,16 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.candidates import Candidates
-from hystfit.fitting.comparison import Purpose, Row
+from hystfit.fitting.comparison import Obstacles, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
-from hystfit.fitting.contender import Candidate, First, contenders
+from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.screening import MARGIN
-from hystfit.fitting.sizes import SizeSearch
+from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
@@ -31,7 +31,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
-from hystfit.quality.held_out import Scheme, correlation_length, equal_errors, held_out
+from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
 from hystfit.quality.summary import dynamics_of
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
@@ -71,6 +71,9 @@ class ComparisonRun:
         self.fits: dict[str, FitResult] = {}
         self.solved: dict[str, Solved] = {}
         self.errors: list[Exception] = []
+        self.lowered: list[
+            float
+        ] = []  # final cross-validation errors over those of first fits, of models with elements
 
     def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
         """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
@@ -96,28 +99,29 @@ class ComparisonRun:
             self.rows, self.fits, self.errors = [], {}, []
             self.run((first,), shown, workers)
             waiting = self._looked_at(others, shown, workers)
-        self._finish(waiting, shown, workers)
+        waiting = self._next(self._keep_finished(waiting, shown), shown, workers)
         search = self.fits.get(SEARCH)
         found, delay = structure_of(search.model) if search else (Structure(), False)
-        rings = self._rings()
+        rings, iterated = self._rings(), chosen.iterated
         if not (white or rings or delay or found.timed):
-            timed = tuple(name for name in chosen.iterated if not make_model(name).rate_independent)
-            self._skip((*timed, *chosen.resonant), _TIMELESS)
-            chosen = Candidates(chosen.closed, tuple(name for name in chosen.iterated if name not in timed))
-        chosen = chosen.beside(found, delay)
-        self.run(chosen.closed, shown, workers)
-        steps = (chosen.resonant, chosen.iterated) if rings else (chosen.iterated, chosen.resonant)
-        for number, names in enumerate(steps):
+            iterated = tuple(name for name in iterated if make_model(name).rate_independent)
+            self._skip([name for name in chosen.iterated if name not in iterated], _TIMELESS)
+        if not rings:
+            self._skip(chosen.resonant, "the response shows no resonance")
+        chosen = Candidates(chosen.closed, iterated, chosen.resonant if rings else ()).beside(found, delay)
+        others = (*chosen.closed, *chosen.resonant), chosen.iterated
+        for number, names in enumerate(others if rings else [sum(others, ())]):
             if not white and self._is_white():
-                self._skip(names, _WHITE)
-            elif rings and number and self._resonance_needed():
+                self._skip((*(one.name for one in waiting), *names), _WHITE)
+            elif number and self._resonance_needed():
                 self._skip(names, "a resonance is needed")
             else:
-                self._finish(self._looked_at(names, shown, workers), shown, workers, past_white=white)
+                self._finish([*waiting, *self._looked_at(names, shown, workers)], shown, workers, past_white=white)
+            waiting = []
 
     def _spacing(self, waiting: Sequence[Candidate]) -> int:
         """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
-        if held_out(list(self.data)).scheme is not Scheme.SCATTERED:
+        if self._held.scheme is not Scheme.SCATTERED:
             return 1
         least = min(
             (one.first for one in waiting if one.first is not None), key=lambda first: first.error, default=None
@@ -128,7 +132,7 @@ class ComparisonRun:
             and least.model is not None
             and (best is None or 100 * least.error < _score(best) * self._span)
         ):
-            fit = solve_model(least.model, self.data, self.options).unjudged()
+            fit = solve_model(least.model, self.data, self.options).unjudged
         elif best is not None:
             fit = self.fits[best.asked]
         else:
@@ -188,18 +192,21 @@ class ComparisonRun:
         """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
         waiting = self._keep_finished(candidates, shown)
         while waiting:
-            for one in waiting:
-                one.row = self._excluded_row(one)
             if not past_white and self._is_white():
-                self._skip([one.name for one in waiting if one.row is None], _WHITE)
-                self._keep_finished([one for one in waiting if one.row is not None], shown)
+                self._skip([one.name for one in waiting], _WHITE)
                 return
-            ahead = contenders([one for one in waiting if one.row is None], self.equal)
-            self._each(self._fit, ahead, shown, workers)
-            for one in ahead:
-                one.row = one.row or self._beaten_row(one)
-            self._each(self._validate, [one for one in ahead if one.row is None], shown, workers)
-            waiting = self._keep_finished(waiting, shown)
+            waiting = self._next(waiting, shown, workers)
+
+    def _next(self, waiting: Sequence[Candidate], shown: ShownProgress, workers: Workers) -> list[Candidate]:
+        """Fit and validate the model with the best first fit; returns those that may still win."""
+        for one in waiting:
+            one.row = self._excluded_row(one)
+        ahead = leader([one for one in waiting if one.row is None], self.equal)
+        if ahead is not None:
+            self._each(self._fit, [ahead], shown, workers)
+            ahead.row = ahead.row or self._beaten_row(ahead)
+            self._each(self._validate, [ahead] if ahead.row is None else [], shown, workers)
+        return self._keep_finished(waiting, shown)
 
     def _each(
         self,
@@ -241,6 +248,8 @@ class ComparisonRun:
                 self.errors.append(one.failure)
             if one.result is not None and one.solved is not None:
                 self.fits[one.name], self.solved[one.name] = one.result, one.solved
+                if one.first is not None and one.first.model is not None and one.result.left_out is not None:
+                    self.lowered.append(one.result.left_out / one.first.error)
             shown.done(one.name)
         return [one for one in candidates if one.row is None]
 
@@ -270,12 +279,11 @@ class ComparisonRun:
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
         assert one.solved is not None
-        name, result = one.name, one.solved.unjudged()
+        name, result = one.name, one.solved.unjudged
         progress("cross-validation")
         score, criterion = left_out_error(result, self.left_out), bic(result)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
-        obstacles = {use: text for use in ("inverse", "export") if (text := result.obstacle(use))}
         one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -287,7 +295,7 @@ class ComparisonRun:
             seconds=0.0,
             status=result.status,
             bic=criterion if np.isfinite(criterion) else None,
-            obstacles=obstacles,
+            obstacles=Obstacles(result),
             family_inverts=result.model.has_inverse,
             effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
@@ -302,7 +310,7 @@ class ComparisonRun:
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
-            one.first = First(found[1], found[0])
+            one.first = First(found[1], weights_of(found[0]), found[0])
         else:
             problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
             method = ESTIMATORS.make(choose_method(problem)).quick()
@@ -311,7 +319,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = First(rms if np.isfinite(rms) else np.inf, parameters=estimate.x.size)
+            one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
@@ -324,7 +332,9 @@ class ComparisonRun:
         if best is None or first is None:
             return None
         error = 100 * first.error / self._span
-        if not np.isfinite(error) or error <= MARGIN * best:
+        # Sizes and other choices lower the error of a model with elements by about as much as that of another.
+        lowered = min(self.lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
+        if not np.isfinite(error) or error * lowered <= self.equal * best:
             return None
         note = (
             f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
@@ -337,10 +347,12 @@ class ComparisonRun:
         best, solved = self._best(), one.solved
         if best is None or solved is None:
             return None
-        result = solved.unjudged()
-        weight = np.asarray(result.problem.objective.batch.weight)
-        squares = float(np.sum(weight * result.problem.residuals(result.x) ** 2))
-        error = 100 * np.sqrt(squares / weight.sum()) / self._span
+        result, held = solved.unjudged, self._held.folds
+        residuals, weights = result.problem.residuals(result.x), np.asarray(result.problem.objective.batch.weight)
+        # What is never held out, such as the largest of the cycles, is not in the errors of the others.
+        asked = [weight[: fold.size] * (fold >= 0) for weight, fold in zip(weights, held, strict=True)]
+        squares = sum(float(w @ row[: w.size] ** 2) for w, row in zip(asked, residuals, strict=True))
+        error = 100 * np.sqrt(squares / sum(w.sum() for w in asked)) / self._span
         if error <= self.equal * best:
             return None
         note = (
@@ -371,8 +383,12 @@ class ComparisonRun:
     @property
     def scheme(self) -> Scheme:
         """What was held out."""
-        return Scheme.FUTURE if self.left_out == "future" else held_out(list(self.data)).scheme
+        return Scheme.FUTURE if self.left_out == "future" else self._held.scheme
 
-    @property
+    @functools.cached_property
+    def _held(self) -> HeldOut:
+        return held_out(list(self.data))
+
+    @functools.cached_property
     def _span(self) -> float:
         return output_range(self.data).width

@@ -13,8 +13,6 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note
 from hystfit.results.result import FitResult
 
-_WAVE = 2  # models that are validated side by side before their errors may stop others
-
 
 class First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
@@ -23,8 +21,8 @@ class First(NamedTuple):
     """
 
     error: float
+    parameters: int
     model: AbstractHysteresis | None = None
-    parameters: int | None = None
 
 
 @dataclasses.dataclass
@@ -54,8 +52,8 @@ class Candidate:
     seconds: float = 0.0
 
 
-def contenders(waiting: Sequence[Candidate], equal: float = 1.0) -> list[Candidate]:
-    """The models to validate next, because they may stop the others: those with the best first fits, of models with elements first.
+def leader(waiting: Sequence[Candidate], equal: float = 1.0) -> Candidate | None:
+    """The model to validate next, because it may stop the others; None where no first fit is known.
 
     Args:
         waiting: models that are not validated.
@@ -63,6 +61,5 @@ def contenders(waiting: Sequence[Candidate], equal: float = 1.0) -> list[Candida
     """
     firsts = [(one, one.first) for one in waiting if one.first is not None]
     most = equal * min((first.error for _, first in firsts), default=0.0)
-    plain = lambda first: (first.error > most, (first.parameters or 0) if first.error <= most else first.error)
-    ordered = sorted(firsts, key=lambda pair: (pair[1].model is None, *plain(pair[1])))
-    return [one for one, _ in ordered[:_WAVE]]
+    alike = [(one, first) for one, first in firsts if first.error <= most]
+    return min(alike, key=lambda pair: (pair[1].parameters, pair[1].error), default=(None,))[0]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -105,6 +106,7 @@ class Solved:
         """The result with standard errors."""
         return judge(self.setup, self.estimate, self.options, self.watch)
 
+    @functools.cached_property
     def unjudged(self) -> FitResult:
         """The result with its verdict, without standard errors."""
         noise = NoiseEstimate(str(self.options.noise), {})

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, linear_positions
+from hystfit.fitting.polish import polish
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
@@ -17,6 +18,9 @@ from hystfit.inference.residuals import ResidualAnalysis
 from hystfit.quality.held_out import FOLDS, future
 from hystfit.results.result import FitResult
 
+# Part of the effect of a parameter on all samples, below which the others do not determine it, such as an initial state that they have
+# forgotten: its standard error would be a hundred times as large.
+_LOST = 0.01
 LeftOut = Literal["auto", "future"]
 CHOICES: tuple[str, ...] = get_args(LeftOut)
 
@@ -54,13 +58,21 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
 def _refitted(
     method: str, problem: Problem, x: np.ndarray, splits: list[tuple[list[np.ndarray], list[np.ndarray]]]
 ) -> float:
-    """Error on the held-out side of each split, of refits to its other side that start from physical x."""
+    """Error on the held-out side of each split, of refits to its other side that start from physical x.
+
+    Parameters that the other side does not determine keep their value in x.
+    """
     z = problem.space.unconstrained(problem.space.clip(x))
-    name = "lm" if method == "convex" and not len(linear_positions(problem)) else method
+    descends = method == "lm" or (method == "convex" and not len(linear_positions(problem)))
+    effects = _effects(problem, x) if descends else np.zeros(0)
     squares, total = 0.0, 0.0
     for seen, asked in splits:
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
-        fitted = ESTIMATORS.make(name).estimate(training, z[None]).x
+        if descends:
+            lost = _effects(training, x) < _LOST * effects
+            fitted = training.space.physical(polish(training, z, held=lost).z)
+        else:
+            fitted = ESTIMATORS.make(method).estimate(training, z[None]).x
         predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))
         for mask, record, y in zip(asked, problem.data, predicted, strict=True):
             held = mask & record.used
@@ -68,6 +80,11 @@ def _refitted(
                 squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
             total += float(record.weight[held].sum())
     return float(np.sqrt(squares / total)) if total else float("nan")
+
+
+def _effects(problem: Problem, x: np.ndarray) -> Float[np.ndarray, " p"]:
+    """Root of the sum of squared changes of the samples that count by each parameter."""
+    return np.linalg.norm(problem.linearization(x).triangle(), axis=0)
 
 
 def _with_absent_records(

@@ -15,13 +15,14 @@ from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
 NEAR, EXACT = 1e-3, 3e-7  # standard errors from the minimum, in the linear model, at which a fit has converged
-ROUNDING = 1e-14  # relative error of the output, whose square no cost can fall below for each sample
+# Relative size of rounding errors: of the output, whose square no cost can fall below for each sample, and of what is left of a column of
+# the Jacobian, or of the information, once the others are taken out of it.
+ROUNDING = 1e-14
 _BLUR = 0.01  # rounding error of an output over ROUNDING
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10
 LONGEST_STEP = 4.0  # step in z of parameters with bounds, infinity norm
 # Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
 _NOTHING = 1e-8
-_INDEPENDENT = 1e-14  # part of a column of the Jacobian that is not another's, below which it is rounding errors
 
 
 class Polished(NamedTuple):
@@ -37,7 +38,9 @@ class Polished(NamedTuple):
     linearized: Linearization | None
 
 
-def polish(problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEAR) -> Polished:
+def polish(
+    problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEAR, *, held: np.ndarray | None = None
+) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
     The Jacobian enters by its triangular factor, not by normal equations, which would square its condition. Offsets of records are
@@ -48,12 +51,13 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEA
         z: start, unconstrained, shape (p,).
         steps: linearizations at most.
         within: standard errors from the minimum, in the linear model, at which the fit has converged.
+        held: which parameters stay, shape (p,), bool; None for none.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
     samples, largest = int(problem.used.sum()), _largest_output(problem)
     gain = gain_within(within, samples)
-    at, damping, converged, evaluations = _linearize(problem, z, order, samples), 1e-6, False, 1
+    at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
     while evaluations < steps:
         floor = _floor(problem, at.x, samples, largest)
@@ -67,7 +71,7 @@ def polish(problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEA
         step[order] = ordered
         step = step * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
         at, linearized = at._replace(linearized=None), None  # of a long record there is no room for two
-        new, evaluations = _linearize(problem, at.z + step, order, samples), evaluations + 1
+        new, evaluations = _linearize(problem, at.z + step, order, samples, held), evaluations + 1
         blurred = _BLUR * np.sqrt(
             2 * at.cost * floor
         )  # where a smaller decrease cannot be seen, the linear model decides
@@ -109,7 +113,9 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
         return float(samples * np.square(np.float64(ROUNDING * largest / problem.scales.y)))
 
 
-def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int) -> _Linearized:
+def _linearize(
+    problem: Problem, z: np.ndarray, order: np.ndarray, samples: int, held: np.ndarray | None
+) -> _Linearized:
     """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
     x, bounded = problem.space.physical(z), problem.space.kinds != REAL
     linear = problem.linearization(x)
@@ -121,6 +127,8 @@ def _linearize(problem: Problem, z: np.ndarray, order: np.ndarray, samples: int)
         columns = factor[:, :-1]
         columns *= problem.space.slope(z)[order]
         columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
+        if held is not None:
+            columns[:, held[order]] = 0.0
     return _Linearized(z, x, cost, factor, linear)
 
 
@@ -139,6 +147,6 @@ def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarra
     rows = np.vstack([R / size, np.diag(np.full(size.size, np.sqrt(damping)))])
     others = np.linalg.lstsq(rows, np.concatenate([-q, np.zeros(q.size)]), rcond=None)[0] / size
     shifts = -triangle[:offsets, p] - triangle[:offsets, offsets:p] @ others
-    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=_INDEPENDENT)[0]
-    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=_INDEPENDENT)[0]
+    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=ROUNDING)[0]
+    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=ROUNDING)[0]
     return np.concatenate([shifts, others]), 0.5 * float(full @ full + np.sum(triangle[:offsets, p] ** 2))

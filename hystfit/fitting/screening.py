@@ -10,12 +10,11 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.fit_setup import started_problem, without_faults
-from hystfit.fitting.sizes import SizeSearch
+from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import POOR
 from hystfit.models.registry import SEARCH, make_model, model_name
-from hystfit.params.param import leaves_of
 from hystfit.quality.held_out import equal_errors
 
 # How many times the error of the best decides without further evidence: a first fit that errs more is not validated, and a model without an
@@ -60,7 +59,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
             except HystfitError:  # these records cannot start it
                 continue
             model, error = problem.model, fit_ridge(system).score
-        weights = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
+        weights = weights_of(model)
         yield Screened(model_name(model), error, weights, model.has_inverse, found)
 
 

@@ -9,28 +9,38 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.smooth_weights import left_out_score
+from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.smooth import SMOOTHNESS
 from hystfit.models.registry import model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
+from hystfit.params.param import leaves_of
 from hystfit.quality.held_out import GAIN
 
 _COARSE = SMOOTHNESS[::2]
+_SAMPLES = 2048  # of all records together: two for each weight of 60 levels
+
+
+def weights_of(model: AbstractHysteresis) -> int:
+    """Number of weights and other parameters of a model that a fit determines."""
+    return sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
 
 
 class SizeSearch:
     """Search over the choices of one model, one after another; the weights are solved for at the starting values of all others.
 
     Args:
-        data: records.
+        data: records; of long ones every k-th sample and the reversals count.
         spacing: samples over which errors are correlated, see `held_out`.
         progress: called with the name of each model that is tried.
     """
 
     def __init__(self, data: Dataset, spacing: int = 1, progress: Callable[[str], object] = lambda _: None):
-        self._data, self._spacing, self._progress = data, spacing, progress
+        self._data, self._progress = thinned(data, _SAMPLES), progress
+        # The spacing is that of samples, of which fewer are left.
+        self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
         self._scores: dict[str, float] = {}
 
     def first(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, float] | None:

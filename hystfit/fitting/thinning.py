@@ -59,9 +59,14 @@ def kept_samples(
     return [_kept_samples(len(record), turn, length) for record, turn in zip(records, turns, strict=True)], length
 
 
-def thinned(data: Dataset) -> Dataset:
-    """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are."""
-    turns, length = _plan(data)
+def thinned(data: Dataset, samples: int = _SAMPLES) -> Dataset:
+    """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are.
+
+    Args:
+        data: records.
+        samples: that all records together keep, see `thin`.
+    """
+    turns, length = _plan(data, samples)
     pairs = zip(data, turns, strict=True)
     return Dataset(
         tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),

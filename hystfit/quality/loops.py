@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-_TURN = 0.02  # of the input's range: smaller reversals are noise
+SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ
 SLACK = 0.01  # of a range, which noise and rounding may make up
 _BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
@@ -56,7 +56,7 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
 
 def clear_reversals(u: np.ndarray) -> np.ndarray:
     """Turning points from which the input moves back by more than 2 % of its range, as by `reversals`."""
-    return reversals(u, _TURN * float(np.ptp(u)))
+    return reversals(u, SAME_LEVEL * float(np.ptp(u)))
 
 
 def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:

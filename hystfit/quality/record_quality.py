@@ -20,7 +20,9 @@ WHOLE = 0.95  # part of the stiffness from which a device is whole
 WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
 SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 _CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
-_FALLING = -0.5  # correlation of output and input below which the output falls as the input rises
+FOLLOWS = (
+    0.5  # size of the correlation of output and input from which the output follows the input, or falls as it rises
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,7 +156,7 @@ class RecordQuality:
     @property
     def falls(self) -> bool:
         """Whether the output falls as the input rises, apart from the loop."""
-        return self.correlation < _FALLING
+        return self.correlation < -FOLLOWS
 
     @property
     def circulation(self) -> str | None:

@@ -8,9 +8,8 @@ import itertools
 import numpy as np
 
 from hystfit.quality.drift import LIKE, like_cycles
-from hystfit.quality.loops import Loop, closed_loops, loop_area, loop_branches
+from hystfit.quality.loops import SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
 
-_SHORTER = 0.02  # by which a branch may be shorter than the shortest that defines the initial stiffness
 _CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
@@ -220,7 +219,7 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
     if not first.any():
         return None
     known = stroke[first]
-    repeated = ~first & (stroke > 0.1 * farthest[-1]) & (stroke > (1 - _SHORTER) * known.min())
+    repeated = ~first & (stroke > 0.1 * farthest[-1]) & (stroke > (1 - SAME_LEVEL) * known.min())
     repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
     lasted = np.diff(turns if t is None else t[turns])
     with np.errstate(divide="ignore", invalid="ignore"):

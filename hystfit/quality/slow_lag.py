@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.quality.baselines import play_positions
-from hystfit.quality.delay import MOST
+from hystfit.quality.delay import MOST, REMAINS
 from hystfit.quality.lag import unexplained
 from hystfit.quality.resonance import FEWEST, explains, lagged
 
@@ -13,7 +13,6 @@ SHORT = 6.0  # samples up to which a lag is short
 _LAGS = 10  # that are tried
 _LONGEST = 0.25  # of a branch
 _RADII = np.geomspace(0.03, 1.0, 8)  # of plays, for an input from -1 to 1
-_BETTER = 0.7  # error over that with a short lag, below which a long one is found
 
 
 def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | None:
@@ -47,7 +46,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     lags = np.geomspace(SHORT, longest, _LAGS)
     errors = np.array([error(lag) for lag in lags])
     best = int(np.argmin(errors))
-    found = explains(errors[best], without) and errors[best] < _BETTER * errors[0]
+    found = explains(errors[best], without) and errors[best] < REMAINS * errors[0]
     return float(lags[best]) if found else None
 
 

@@ -6,7 +6,8 @@ import itertools
 
 import numpy as np
 
-_LEVEL = 0.02  # distance from the outermost turning level, as a fraction of the range of u, up to which a branch begins there
+from hystfit.quality.loops import SAME_LEVEL
+
 _LARGER = 1.1  # ratio of the largest strokes so far between which branches are compared
 _FEWEST = 2  # branches on each side of the comparison
 _VISIBLE = 0.02  # least rise along a branch, as a fraction of the range of y
@@ -35,13 +36,13 @@ def _from_lowest(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | Non
     """The ratio for branches that begin at the lowest level."""
     span, lowest = float(np.ptp(u)), float(u.min())
     ends = [*turns.tolist(), u.size - 1]
-    begin = [(a, b) for a, b in itertools.pairwise(ends) if u[a] - lowest <= _LEVEL * span and u[b] > u[a]]
+    begin = [(a, b) for a, b in itertools.pairwise(ends) if u[a] - lowest <= SAME_LEVEL * span and u[b] > u[a]]
     branches = [(a, b, float(u[:a].max()) - lowest) for a, b in begin if a > 0 and np.isfinite(y[a : b + 1]).all()]
     if not branches:
         return None
     least = min(stroke for _, _, stroke in branches)
     common = min(least, min(float(u[b]) - lowest for _, b, _ in branches))
-    if common <= 3 * _LEVEL * span:
+    if common <= 3 * SAME_LEVEL * span:
         return None
     first = [_rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke < _LARGER * least]
     largest = max(stroke for _, _, stroke in branches)
