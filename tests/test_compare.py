@@ -253,15 +253,6 @@ def test_what_the_search_finds_beside_its_plays_is_tried_beside_other_models():
     assert every.beside(Structure(), delay=False).iterated == every.iterated
 
 
-@pytest.mark.parametrize("way", [1, -1])
-def test_a_loop_of_either_direction_is_tried_with_weights_of_either_sign(way):
-    """Relays of one sign describe loops that lag; those of either sign also a cell, whose voltage leads its charge."""
-    angle = np.linspace(0, 4 * np.pi, 400)
-    names = candidates(hf.Dataset.of(hf.Record(np.sin(angle), np.sin(angle - 0.3 * way)))).names
-    assert "preisach-signed" in names
-    assert ("preisach" in names) == (way > 0)
-
-
 def test_a_resonance_brings_the_oscillator():
     t = np.arange(0.0, 20.0, 0.01)
     u = np.sin(2 * np.pi * (0.2 * t + 0.5 * (2.5 - 0.2) / 20 * t**2))

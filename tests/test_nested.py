@@ -1,6 +1,5 @@
 """Nested sampling against quadrature, on a posterior with two modes by symmetry; runs that go on; bad input."""
 
-import importlib
 import itertools
 import shutil
 
@@ -20,7 +19,6 @@ from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import prepare
 
 SETTINGS = dict(noise="iid", live=300, seed=5)
-sampling = importlib.import_module("hystfit.sampling.sample")  # the package has a function of this name
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +108,7 @@ def test_residuals_suggest_no_priors_for_an_evidence(monkeypatch, sampler, sugge
     def prepare(result, *, noise, priors, by_residuals):
         raise Asked(by_residuals)
 
-    monkeypatch.setattr(sampling, "prepare", prepare)
+    monkeypatch.setattr("hystfit.sampling.base.prepare", prepare)
     with pytest.raises(Asked) as asked:
         sample(None, sampler, noise="discrepancy")
     assert asked.value.args == (suggested,)

@@ -77,6 +77,7 @@ INDEPENDENT = {
         "Record",
         "HystfitError",
         "priors",
+        "CorrelatedPriors",
         "control.export_field_programs",
         "control.export_opensees",
         "identify.FieldFromInduction",

@@ -1,7 +1,6 @@
 """Samplers against grids, closed forms and each other; diagnostics against ArviZ; runs killed and resumed; bad input."""
 
 import dataclasses
-import importlib
 import itertools
 import os
 import signal
@@ -842,6 +841,6 @@ def test_bands_under_heavy_tails_have_the_tails_of_students_t(fitted):
 @pytest.mark.parametrize("kind", ["nuts", "nested"])
 def test_a_missing_package_is_named_before_the_posterior_is_prepared(kind, fitted, monkeypatch):
     monkeypatch.setitem(sys.modules, "blackjax", None)
-    monkeypatch.setattr(importlib.import_module("hystfit.sampling.sample"), "prepare", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("hystfit.sampling.base.prepare", lambda *_, **__: 1 / 0)
     with pytest.raises(MissingExtraError, match=r"hystfit-jax\[bayes\]"):
         sample(fitted, kind)

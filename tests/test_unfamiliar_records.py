@@ -427,12 +427,13 @@ def test_columns_without_names_come_with_the_options_that_swap_them(tmp_path: Pa
     assert not swaps(hf.read(tmp_path / "named.dat"))
 
 
-def test_the_column_that_separates_curves_in_time_is_named(tmp_path: Path) -> None:
+def test_the_column_that_separates_curves_in_time_names_them(tmp_path: Path) -> None:
     rows = [f"{run},{time},{np.sin(time)},{np.cos(time)}" for run in "ab" for time in range(20)]
     (tmp_path / "runs.csv").write_text("\n".join(["device,t_s,u_V,y_um", *rows]))
-    with pytest.raises(hf.errors.DataError, match="by='device'"):
-        hf.read(tmp_path / "runs.csv")
-    assert len(hf.read(tmp_path / "runs.csv", by="device")) == 2
+    data = hf.read(tmp_path / "runs.csv")
+    assert [record.name for record in data] == ["device=a", "device=b"]
+    assert [record.name for record in hf.read(tmp_path / "runs.csv", by="device")] == ["device=a", "device=b"]
+    assert not any("not used" in note.text for note in data[0].notes)
 
 
 def test_a_switch_is_neither_clipped_nor_damaged() -> None:

@@ -18,7 +18,7 @@ from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.column_names import column_unit
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.copies import without_copies
-from hystfit.reading.curves import divider_of, labels_of, select_curves, shown, split_curves, text_of
+from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
 from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
@@ -69,6 +69,8 @@ def assemble(
     named = {"time": None if isinstance(time, bool) or time == "none" else time, "input": input, "output": output}
     _check_problems(table, [None if key is None else find(table, key, role) for role, key in named.items()])
     choice = choose(table, time, input, output, [*others, *dividers])
+    if divider is None and (divider := restart_divider(table, choice)) is not None:
+        choice = choose(table, time, input, output, [*others, *dividers, divider])
     if choice.untimed:
         table = dataclasses.replace(table, interval=None)
     _check_problems(table, [choice.time, choice.input, choice.output])
@@ -92,8 +94,8 @@ def assemble(
         records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
     if not several and len(records) == 1:
         return records[0]
-    # A column that the user names separates measurements, whose numbers may be equal.
-    return Dataset(tuple(records) if by is not None else without_copies(records), name=stem)
+    # A column separates measurements, whose numbers may be equal.
+    return Dataset(tuple(records) if divider is not None else without_copies(records), name=stem)
 
 
 def _of_layout(table: Table, input: Column | None, output: Column | None) -> tuple[Column | None, Column | None]:

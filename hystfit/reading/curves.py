@@ -194,6 +194,15 @@ def _restarts(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
     return back
 
 
+def restart_divider(table: Table, choice: Choice) -> int | None:
+    """Position of the column that changes where the time starts again, and nowhere else; None without one."""
+    if table.part is not None or table.calibration is not None or _numbers_of_curves(table, choice, [])[-1] > 0:
+        return None
+    begins = _restarts(table, choice, [])
+    name = divider_of(table, table.line, begins) if begins.any() else None
+    return None if name is None else table.names.index(name)
+
+
 def _of_several_rows(
     groups: list[tuple[str, np.ndarray]], table: Table, choice: Choice, notes: list[Note]
 ) -> list[tuple[str, np.ndarray]]:

@@ -100,7 +100,9 @@ def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if hasattr(arviz, "psislw"):  # before version 1
         smoothed, shapes = arviz.psislw(log_weights)
     else:
-        smoothed, shapes = optional("arviz_stats", "bayes", "importance sampling").base.array_stats.psislw(log_weights)
+        from arviz_stats.base import array_stats
+
+        smoothed, shapes = array_stats.psislw(log_weights)
     weights = np.exp(smoothed - np.max(smoothed, axis=-1, keepdims=True))
     return weights / weights.sum(axis=-1, keepdims=True), np.atleast_1d(np.asarray(shapes))
 

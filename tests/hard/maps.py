@@ -17,6 +17,7 @@ import sys
 import time
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.signal import lfilter
 
@@ -90,7 +91,7 @@ def on_crease(result: hf.FitResult) -> bool:
     problem, x = result.problem, np.asarray(result.x)
     if any(problem.at_bound(x)) or problem.space.linear.all():
         return False
-    misfit, J = (np.asarray(v) for v in problem.objective.linearize_at(problem.space.unconstrained(x)))
+    misfit, J = (np.asarray(v) for v in problem.objective.linearize_at(jnp.asarray(problem.space.unconstrained(x))))
     step = np.linalg.lstsq(J.T, misfit, rcond=None)[0] @ J
     return float(np.linalg.norm(step)) > STATIONARY * float(np.linalg.norm(misfit)) / np.sqrt(misfit.size)
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import ClassVar
 
 from jaxtyping import Array, Float
 
 from hystfit.models.preisach.model import Preisach
 from hystfit.params.param import param
-from hystfit.quality.needs import Needs
 
 
 class SignedPreisach(Preisach):
@@ -23,7 +21,7 @@ class SignedPreisach(Preisach):
         "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
         "weights >= 0 (preisach-forc)"
     )
-    needs: ClassVar[Needs] = dataclasses.replace(Preisach.needs, direction="any")
+    needs: ClassVar[None] = None  # as `Preisach`, which `check` judges
 
     w: Float[Array, " cells"] = param(
         unit="y", scale=0.01, linear=True, doc="weights of the cells or relays, (i, j) row by row, j <= i"
