@@ -171,3 +171,12 @@ def test_a_refit_keeps_an_initial_state_that_its_samples_have_forgotten():
     fit = hf.fit("duhem", hf.Record(u, y), starts=2)
     assert fit.train.rmse == pytest.approx(noise, rel=0.1)
     assert left_out_error(fit) < 1.5 * noise
+
+
+def test_refits_go_on_until_they_have_converged(measured, monkeypatch):
+    """Refits that stop early stay near the values that the held-out samples had helped to find, and err too little."""
+    coupon = hf.Dataset.of(hf.datasets.load("steel_resspylab/example_1", folder=measured))[0]
+    fit = hf.fit("steel-02", coupon.window(None, round(0.6 * len(coupon))), starts=1)
+    found = left_out_error(fit)
+    monkeypatch.setattr("hystfit.fitting.left_out._STEPS", 1000)
+    assert found == pytest.approx(left_out_error(fit), rel=0.01)
