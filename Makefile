@@ -40,7 +40,7 @@ fit: setup  ## fit a bundled record and print the report
 test: lint  ## all checks, in the quick form
 	$(MAKE) tests
 	@rm -f build/experiments/*.log
-	$(MAKE) --keep-going --output-sync -j 2 $(EXPERIMENTS:%=experiment-%) $(NOTEBOOKS:%=notebook-%) types package smoke
+	$(MAKE) --keep-going --output-sync -j 2 types $(EXPERIMENTS:%=experiment-%) $(NOTEBOOKS:%=notebook-%) package smoke
 
 quick: lint  ## while working: lint, types and tests of the files changed since BASE (main where it is an ancestor, else HEAD)
 	$(BIN)/python -m tests.touched $(BASE)
