@@ -351,8 +351,10 @@ class ComparisonRun:
         residuals, weights = result.problem.residuals(result.x), np.asarray(result.problem.objective.batch.weight)
         # What is never held out, such as the largest of the cycles, is not in the errors of the others.
         asked = [weight[: fold.size] * (fold >= 0) for weight, fold in zip(weights, held, strict=True)]
+        if not (total := sum(float(w.sum()) for w in asked)):  # too few samples to leave any out
+            return None
         squares = sum(float(w @ row[: w.size] ** 2) for w, row in zip(asked, residuals, strict=True))
-        error = 100 * np.sqrt(squares / sum(w.sum() for w in asked)) / self._span
+        error = 100 * np.sqrt(squares / total) / self._span
         if error <= self.equal * best:
             return None
         note = (
