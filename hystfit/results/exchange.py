@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
@@ -100,9 +101,7 @@ def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if hasattr(arviz, "psislw"):  # before version 1
         smoothed, shapes = arviz.psislw(log_weights)
     else:
-        from arviz_stats.base import array_stats
-
-        smoothed, shapes = array_stats.psislw(log_weights)
+        smoothed, shapes = importlib.import_module("arviz_stats.base").array_stats.psislw(log_weights)
     weights = np.exp(smoothed - np.max(smoothed, axis=-1, keepdims=True))
     return weights / weights.sum(axis=-1, keepdims=True), np.atleast_1d(np.asarray(shapes))
 
