@@ -71,9 +71,8 @@ class ComparisonRun:
         self.fits: dict[str, FitResult] = {}
         self.solved: dict[str, Solved] = {}
         self.errors: list[Exception] = []
-        self.lowered: list[
-            float
-        ] = []  # final cross-validation errors over those of first fits, of models with elements
+        # Final cross-validation errors over those of first fits, of models with elements.
+        self.lowered: list[float] = []
 
     def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
         """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.

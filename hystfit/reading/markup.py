@@ -16,9 +16,8 @@ from hystfit.reading.text_file import TextFile
 
 _HTML = re.compile(r"<!doctype html|<html|<t(?:able|r|body)\b", re.IGNORECASE)
 _FEWEST = 4  # elements that are rows, and numbers in the text of an element that is a column
-_OF_VALUES = frozenset(
-    {"value", "val", "v", "data", "number", "double", "float"}
-)  # elements named by the one around them
+# Elements named by the one around them.
+_OF_VALUES = frozenset({"value", "val", "v", "data", "number", "double", "float"})
 
 
 def read_markup(text: TextFile) -> Table | None:

@@ -67,7 +67,7 @@ class ForcDiagram:
         from scipy.interpolate import RegularGridInterpolator
 
         low, high = interaction - coercivity, interaction + coercivity
-        rising = self.coercivity.size == 0 or not np.isfinite(self.density[-1, 0])
+        rising = not np.isfinite(self.density[-1, 0])  # no data before the reversal field
         points = np.stack([low, high] if rising else [high, low], axis=-1)
         return RegularGridInterpolator((self.reversal, self.field), self.density, bounds_error=False)(points)
 
