@@ -51,7 +51,11 @@ class SampleOptions:
     correct: Words = None
 
     def sample(self) -> Sample:
-        """The sample in SI units."""
+        """The sample in SI units.
+
+        Raises:
+            DataError: a property is no positive number.
+        """
         from hystfit.errors import DataError
         from hystfit.results.magnetic_sample import Sample
 

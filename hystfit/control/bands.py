@@ -42,7 +42,11 @@ class InverseBands:
         return f"InverseBands({self.u.shape[0]} draws of {self.u.shape[1]} samples, median sd of u {spread:.3g}; given {self.given!r})"
 
     def band(self, of: str = "u", level: float = 0.9) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(lower, median, upper) of "u" or "error", pointwise, each (T,)."""
+        """(lower, median, upper) of "u" or "error", pointwise, each (T,).
+
+        Raises:
+            ParameterError: another name, or a level outside (0, 1).
+        """
         if of not in ("u", "error") or not 0 < level < 1:
             raise ParameterError(f'a band is of "u" or "error" with 0 < level < 1, got {of!r} and {level}')
         edges = np.quantile(getattr(self, of), [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)

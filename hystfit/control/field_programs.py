@@ -46,7 +46,12 @@ class Material:
 
     @classmethod
     def of(cls, result: FitResult) -> Material:
-        """The material of a fit."""
+        """The material of a fit.
+
+        Raises:
+            ModelError: the input is no field in A/m, Oe or T, the output no flux density, polarization or magnetization, or the model
+                depends on time.
+        """
         first = result.data[0]
         powers = lambda unit: getattr(parse_unit(unit), "powers", None)
         field, output = parse_unit(first.u_unit), parse_unit(first.y_unit)

@@ -21,7 +21,11 @@ _FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample|\[\w+\])(?:\^(?P<power>-?\d+(?
 
 
 def exponents(unit: str) -> dict[str, float]:
-    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y"."""
+    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y".
+
+    Raises:
+        ParameterError: the expression is not of that form.
+    """
     powers: dict[str, float] = {}
     for sign, part in _parts(unit):
         match = _FACTOR.match(part)
@@ -261,6 +265,9 @@ def conversion(source: str, target: str) -> float | None:
     Args:
         source: unit of the values.
         target: desired unit.
+
+    Raises:
+        DataError: they are units of different quantities.
     """
     if source == target:
         return 1.0

@@ -71,6 +71,8 @@ def assemble(
     choice = choose(table, time, input, output, [*others, *dividers])
     if divider is None and (divider := restart_divider(table, choice)) is not None:
         choice = choose(table, time, input, output, [*others, *dividers, divider])
+        text = f"the time starts again where column {table.names[divider]!r} changes: each of its values is a record"
+        notes.append(Note(Code.CURVES, text))
     if choice.untimed:
         table = dataclasses.replace(table, interval=None)
     _check_problems(table, [choice.time, choice.input, choice.output])

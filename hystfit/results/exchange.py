@@ -26,6 +26,9 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
     Args:
         result: a fit.
         path: of the file.
+
+    Raises:
+        DataError: the folder does not exist, or cannot be written.
     """
     import scipy.io
 

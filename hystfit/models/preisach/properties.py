@@ -22,7 +22,11 @@ _ALIKE = 0.01  # difference of two inputs, as a fraction of their range, up to w
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
-    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,)."""
+    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,).
+
+    Raises:
+        DataError: fewer than two extrema, or one sample per run.
+    """
     if len(extrema) < 2 or points < 1:
         raise DataError(f"a signal needs two extrema and one sample per run, got {len(extrema)} and {points}")
     runs = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(extrema)]
