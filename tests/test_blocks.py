@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tracemalloc
 from typing import Any
 
@@ -10,9 +11,10 @@ import pytest
 
 import hystfit as hf
 from hystfit.fitting.convex import LinearSystem, fit_ridge
-from hystfit.fitting.covariance import uncertainty
+from hystfit.fitting.covariance import _spectrum, uncertainty
+from hystfit.fitting.error_ratios import RANK
 from hystfit.fitting.fit_setup import solve
-from hystfit.fitting.near_bounds import centered, centered_lengths
+from hystfit.fitting.near_bounds import Information, centered, centered_lengths
 from hystfit.inference import blocks, objective
 from hystfit.inference import problem as inference_problem
 from hystfit.inference.linearization import Linearization
@@ -130,6 +132,39 @@ def test_lengths_of_centered_columns_need_no_whole_matrix(small: int) -> None:
     linear = Linearization.of(np.ones(1000), columns, np.ones(1000, bool))
     expected = np.linalg.norm(centered(columns, offsets)[0], axis=0)
     np.testing.assert_allclose(centered_lengths(linear, offsets), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [hf.Preisach, hf.SignedPreisach])
+def test_errors_from_the_normal_equations_are_those_from_the_samples(kind: type[hf.Preisach]) -> None:
+    """Two records with offsets of their own, one with weights of which some are zero."""
+    u = hf.signals.random_reversals(duration=60, rate=20, speed=1.0, seed=2)[1]
+    y = np.tanh(2 * u) + np.cumsum(np.clip(np.diff(u, prepend=0), -0.1, 0.1)) / 5
+    y += 0.01 * np.random.default_rng(0).normal(size=u.size)
+    first = hf.Record(u[:600], y[:600], name="first")
+    second = hf.Record(u[600:], y[600:] + 0.3, name="second", weight=np.arange(600) % 3)
+    problem = hf.Problem(kind.of(12).start([first, second]), hf.Dataset((first, second)))
+    estimate = solve(problem, "preisach", 1, 0)
+    assert estimate.linearized is not None
+    fast, slow = (uncertainty(problem, e) for e in (estimate, dataclasses.replace(estimate, linearized=None)))
+    assert (fast.rank, fast.determined.tolist()) == (slow.rank, slow.determined.tolist())
+    np.testing.assert_allclose(fast.joint, slow.joint, rtol=1e-6, atol=1e-9 * np.nanmax(slow.joint))
+    np.testing.assert_allclose(estimate.linearized.gradient(), problem.linearization(estimate.x).gradient(), atol=1e-9)
+
+
+def test_the_spectrum_of_many_columns_is_that_of_their_singular_values() -> None:
+    rows = np.random.default_rng(0).normal(size=(300, 100)) * np.geomspace(1e-3, 1e3, 100)
+    rows[:, 1] = 2 * rows[:, 0]
+    information = Information(rows, 4.0, np.zeros(100))
+    values, root, back = _spectrum(information, np.ones(100, bool), np.zeros(100, bool))
+    expected = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
+    np.testing.assert_allclose(values[:-1], expected[:-1], rtol=1e-9)
+    assert values[-1] < RANK * values[0]
+    known = (back @ root)[:, values > RANK * values[0]]
+    others = np.delete(
+        rows, 1, axis=1
+    )  # twice the first column: a third parameter leaves the errors of all but these two
+    expected = 4.0 * np.linalg.inv(others.T @ others)
+    np.testing.assert_allclose((known @ known.T)[2:, 2:], expected[1:, 1:], rtol=1e-6, atol=1e-12)
 
 
 def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:

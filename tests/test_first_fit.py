@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 from scipy.stats import qmc
 
 import hystfit as hf
@@ -78,6 +79,18 @@ def test_a_first_look_at_a_model_that_does_not_converge_is_short_and_about_as_go
     whole, look = (estimator.estimate(problem, start) for estimator in (LeastSquares(), LeastSquares().quick()))
     assert look.evaluations < 0.75 * whole.evaluations
     assert whole.cost * (1 - 1e-6) < look.cost < 1.01 * whole.cost
+
+
+def test_the_error_of_a_first_look_is_that_of_all_samples():
+    """It is fitted to fewer, of which those of the steady period before the record do not count."""
+    u = np.sin(2 * np.pi * np.arange(9000) / 3000)
+    y = np.asarray(hf.simulate(hf.BoucWen(), u)[0])[3000:]
+    record = hf.Record(u[3000:], y + 0.02 * np.random.default_rng(0).normal(size=6000))
+    problem, points = started_problem(make_model("bouc-wen"), Dataset((record,)))
+    assert len(problem.data[0]) > len(record)
+    start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
+    look = LeastSquares().quick().estimate(problem, start)
+    assert look.cost == pytest.approx(0.5 * np.sum(problem.misfit(look.x) ** 2), rel=0.2)
 
 
 def test_the_hypercube_is_that_of_scipy():

@@ -70,6 +70,7 @@ class ComparisonRun:
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self.solved: dict[str, Solved] = {}
+        self.correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
         self.errors: list[Exception] = []
         # Final cross-validation errors over those of first fits, of models with elements.
         self.lowered: list[float] = []
@@ -167,7 +168,7 @@ class ComparisonRun:
         """Ratio of errors on held-out samples up to which models are not told apart."""
         best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
         samples = sum(int(record.used.sum()) for record in self.data)
-        return equal_errors(samples, 1 if best is None else _correlation(self.fits[best.asked]))
+        return equal_errors(samples, 1 if best is None else self.correlated[best.asked])
 
     def _skip(self, names: Sequence[str], reason: str) -> None:
         note = "not tried: {} (hystfit compare --models {} tries it)"
@@ -247,6 +248,7 @@ class ComparisonRun:
                 self.errors.append(one.failure)
             if one.result is not None and one.solved is not None:
                 self.fits[one.name], self.solved[one.name] = one.result, one.solved
+                self.correlated[one.name] = _correlation(one.result)
                 if one.first is not None and one.first.model is not None and one.result.left_out is not None:
                     self.lowered.append(one.result.left_out / one.first.error)
             shown.done(one.name)
@@ -270,7 +272,9 @@ class ComparisonRun:
         model = make_model(given)
         # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
         sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
-        if not sized:
+        if not sized and (alike := self._alike(model)) is not None:
+            given = type(model).of(**alike.model.settings())
+        elif not sized:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
         one.solved = solve_model(given, self.data, self.options)
@@ -306,6 +310,10 @@ class ComparisonRun:
             self._validate(one, progress)
             return
         model = make_model(one.name)
+        alike = self._alike(model)
+        if alike is not None and alike.left_out is not None:
+            one.first = First(alike.left_out, len(alike.free_names))
+            return
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
@@ -319,6 +327,11 @@ class ComparisonRun:
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size)
+
+    def _alike(self, model: AbstractHysteresis) -> FitResult | None:
+        """The fit of another model with the same elements, whose bounds alone differ: one size serves both."""
+        kinds = ((fit, type(fit.model)) for fit in self.fits.values() if model.choices(list(self.data)))
+        return next((fit for fit, kind in kinds if isinstance(model, kind) and type(model) is not kind), None)
 
     def _best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose."""
@@ -346,7 +359,8 @@ class ComparisonRun:
         best, solved = self._best(), one.solved
         if best is None or solved is None:
             return None
-        result, held = solved.unjudged, self._held.folds
+        result = solved.unjudged
+        held = result.problem.held_out.folds  # those of the samples before a record, which a steady period begins, too
         residuals, weights = result.problem.residuals(result.x), np.asarray(result.problem.objective.batch.weight)
         # What is never held out, such as the largest of the cycles, is not in the errors of the others.
         asked = [weight[: fold.size] * (fold >= 0) for weight, fold in zip(weights, held, strict=True)]

@@ -161,7 +161,7 @@ def _factor(
     Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
     """
     offsets = problem.space.offsets
-    if x.size <= FEW or not at_bound.any():
+    if x.size <= FEW or not at_bound.any() or linear.root is not None:
         factor = linear.triangle()
         return factor, _acting(problem, x, np.linalg.norm(centered(factor, offsets)[0], axis=0))
     acts = _acting(problem, x, centered_lengths(linear, offsets))
@@ -240,8 +240,12 @@ def _spectrum(
     rows, back = centered(rows, offsets)
     size = np.linalg.norm(rows, axis=0)
     size[size == 0] = 1.0
-    _, values, vectors = np.linalg.svd(rows / size, full_matrices=True)
-    values = np.pad(values, (0, len(vectors) - values.size))
+    if size.size > FEW:  # a third of the time, and values as small as `RANK` of the largest are still told from zero
+        squares, columns = np.linalg.eigh((rows / size).T @ (rows / size))
+        values, vectors = np.sqrt(np.maximum(squares[::-1], 0.0)), columns[:, ::-1].T
+    else:
+        _, values, vectors = np.linalg.svd(rows / size, full_matrices=True)
+        values = np.pad(values, (0, len(vectors) - values.size))
     root = np.sqrt(information.variance) * vectors.T / np.maximum(values, RANK * values[0]) / size[:, None]
     return values, root, back
 

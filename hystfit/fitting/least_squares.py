@@ -73,6 +73,8 @@ class LeastSquares(AbstractEstimator):
         number = int(np.argmin(costs))
         z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
         if self.brief:
+            total, thinned = (float(of.batch.weight.sum()) for of in (problem.objective, objective))
+            cost *= total / thinned
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
             exact = () if short is not None else (_STEPS, EXACT)

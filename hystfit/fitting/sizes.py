@@ -38,7 +38,7 @@ class SizeSearch:
     """
 
     def __init__(self, data: Dataset, spacing: int = 1, progress: Callable[[str], object] = lambda _: None):
-        self._data, self._progress = thinned(data, _SAMPLES), progress
+        self._data, self._progress = thinned(data, _SAMPLES, least=0), progress
         # The spacing is that of samples, of which fewer are left.
         self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
         self._scores: dict[str, float] = {}
@@ -78,9 +78,7 @@ class SizeSearch:
             self._progress(name)
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
-                self._scores[name] = left_out_score(
-                    problem, problem.space.vector(problem.model), _COARSE, refitted=False
-                )
+                self._scores[name] = left_out_score(problem, problem.space.vector(problem.model), _COARSE)
             except (HystfitError, np.linalg.LinAlgError):
                 self._scores[name] = float("inf")
         return self._scores[name]

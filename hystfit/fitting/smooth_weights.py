@@ -13,7 +13,7 @@ from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth, left_out_error
 from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -72,7 +72,20 @@ class SmoothWeights(AbstractEstimator):
         left_out = None if fit.error is None else fit.error * now.system.size
         effective = fit.effective + others.size
         costs = np.array([cost])
-        return Estimate(x, cost, converged, message, evaluations, costs, penalty, notes, left_out, effective=effective)
+        linearized = None if others.size else problem.linearization(x, now.gram(x, size))
+        return Estimate(
+            x,
+            cost,
+            converged,
+            message,
+            evaluations,
+            costs,
+            penalty,
+            notes,
+            left_out,
+            effective=effective,
+            linearized=linearized,
+        )
 
     def _search(
         self, problem: Problem, split: Callable[[np.ndarray], Split], first: Split, z: np.ndarray, others: np.ndarray
@@ -94,14 +107,10 @@ class SmoothWeights(AbstractEstimator):
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
-def left_out_score(
-    problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS, *, refitted: bool = True
-) -> float:
+def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
     """Root mean square error on the held-out groups that choose the smoothness, output units.
 
-    The weights in x are solved for; `smoothness` has two or more strengths; `refitted` as for `fit_smooth`.
+    The weights in x are solved for; `smoothness` has two or more strengths.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
-    error = fit_smooth(now.system, smoothness, fixed=now.fixed, refitted=refitted).error
-    assert error is not None
-    return error * now.system.size
+    return left_out_error(now.system, smoothness, now.fixed) * now.system.size

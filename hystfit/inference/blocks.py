@@ -72,6 +72,17 @@ def triangle(blocks: Iterable[Float[np.ndarray, "_ p"]], size: int) -> Float[np.
     return factor
 
 
+def gram_root(gram: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """R with R'R = gram, for a normal matrix of any rank.
+
+    Singular values of columns of unit length are known to 1e-8 of the largest one.
+    """
+    size = np.sqrt(np.diag(gram))
+    size[size == 0] = 1.0
+    values, vectors = np.linalg.eigh(gram / size / size[:, None])
+    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
+
+
 def beside(
     rows: Float[np.ndarray, "n p"], last: Float[np.ndarray, " n"], order: np.ndarray
 ) -> Iterator[Float[np.ndarray, "m p1"]]:

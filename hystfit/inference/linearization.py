@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from hystfit.inference.blocks import beside, chosen, parts, triangle
+from hystfit.inference.blocks import beside, chosen, gram_root, parts, triangle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Linearization:
         size: p.
         blocks: begins a pass over the derivatives of the samples that count: arrays of p columns whose rows follow one another.
         joint: R of [derivatives, misfit] = Q R, where it is known already; None elsewhere.
+        gram: normal matrix of [derivatives, misfit], the same way.
     """
 
     misfit: Float[np.ndarray, " n"]
@@ -28,6 +30,7 @@ class Linearization:
     size: int
     blocks: Callable[[], Iterator[np.ndarray]]
     joint: Float[np.ndarray, "p1 p1"] | None = None
+    gram: Float[np.ndarray, "p1 p1"] | None = None
 
     @classmethod
     def of(
@@ -36,6 +39,11 @@ class Linearization:
         """From the misfit of all samples and its derivatives; `used` says which samples count."""
         rows = chosen(jacobian, used)
         return cls(misfit, used, jacobian.shape[1], lambda: (rows[part] for part in parts(*rows.shape)))
+
+    @functools.cached_property
+    def root(self) -> Float[np.ndarray, "p1 p1"] | None:
+        """A square root of the normal matrix of [derivatives, misfit], where either is known already."""
+        return gram_root(self.gram) if self.gram is not None else self.joint
 
     def columns(self, which: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "m k"]:
         """Derivatives of the samples that count with respect to some parameters, in memory of their own."""
@@ -47,8 +55,8 @@ class Linearization:
 
     def factor(self, order: np.ndarray) -> Float[np.ndarray, "p1 p1"]:
         """R of [derivatives in an order of the parameters, misfit] = Q R."""
-        if self.joint is not None:
-            return np.asarray(np.linalg.qr(self.joint[:, [*order, self.size]], mode="r"))
+        if self.root is not None:
+            return np.asarray(np.linalg.qr(self.root[:, [*order, self.size]], mode="r"))
         misfit, row = chosen(self.misfit, self.used), 0
 
         def rows() -> Iterator[np.ndarray]:
@@ -61,8 +69,8 @@ class Linearization:
 
     def triangle(self, which: Bool[np.ndarray, " p"] | None = None) -> Float[np.ndarray, "k k"]:
         """R of the derivatives Q R with respect to some parameters, or all."""
-        if self.joint is not None:
-            columns = self.joint[:, :-1] if which is None else self.joint[:, :-1][:, which]
+        if self.root is not None:
+            columns = self.root[:, :-1] if which is None else self.root[:, :-1][:, which]
             return np.asarray(np.linalg.qr(columns, mode="r"))
         if which is None or which.all():
             return triangle(self.blocks(), self.size)
@@ -70,8 +78,8 @@ class Linearization:
 
     def gradient(self) -> Float[np.ndarray, " p"]:
         """Derivatives of half the sum of squares."""
-        if self.joint is not None:
-            return self.joint[:, :-1].T @ self.joint[:, -1]
+        if self.root is not None:
+            return self.root[:, :-1].T @ self.root[:, -1]
         out, misfit, row = np.zeros(self.size), self.misfit[self.used], 0
         for rows in self.blocks():
             out += misfit[row : row + len(rows)] @ rows

@@ -300,10 +300,11 @@ class Problem:
         """`misfit` and its derivatives with respect to physical x."""
         return misfit_of(self.objective, *self.linearize(x))
 
-    def linearization(self, x: Any) -> Linearization:
+    def linearization(self, x: Any, gram: Float[np.ndarray, "p1 p1"] | None = None) -> Linearization:
         """`misfit` and its derivatives with respect to physical x.
 
-        Those of long records, and those by design matrices, are never in memory all at once.
+        Those of long records, and those by design matrices, are never in memory all at once. `gram` is their normal matrix, where it
+        is known.
         """
         if not self._has_design and in_stretches(self.objective):
             return linearization_by_stretches(self.objective, np.asarray(x, float))
@@ -318,7 +319,7 @@ class Problem:
                 on = used[number, part]
                 yield chosen(rows, on) * slope[number, part][on, None]
 
-        return Linearization(misfit, used.reshape(-1), len(self.space), blocks)
+        return Linearization(misfit, used.reshape(-1), len(self.space), blocks, gram=gram)
 
     # -- likelihoods ---------------------------------------------------------------------------------------------------
 

@@ -59,6 +59,24 @@ class Split:
         fixed[place[place >= 0]] = np.nan
         return cls(system, place, record, fixed)
 
+    def gram(self, x: np.ndarray, unit: float) -> Float[np.ndarray, "p1 p1"]:
+        """Normal matrix of [derivatives of the misfit, misfit], where all free parameters are weights: no pass over the samples is needed.
+
+        Args:
+            x: free parameters, shape (p,).
+            unit: of the misfit, output units.
+        """
+        system, weights = self.system, self.fixed.copy()
+        weights[self.place] = x
+        total = system.grams.sum(axis=0)
+        misfit = np.append(weights - system.origin * system.size, -system.size)
+        products = total @ misfit
+        gram = np.empty((x.size + 1, x.size + 1))
+        gram[:-1, :-1] = total.take(self.place, 0).take(self.place, 1)
+        gram[-1, :-1] = gram[:-1, -1] = products[self.place]
+        gram[-1, -1] = max(float(misfit @ products), 0.0)
+        return gram / unit**2
+
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
     """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
