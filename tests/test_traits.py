@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -33,15 +36,59 @@ def noisy(y: np.ndarray) -> np.ndarray:
     return y + 0.005 * np.ptp(y) * np.random.default_rng(0).normal(size=y.size)
 
 
-def test_a_loop_that_scales_with_its_peak_is_degrading_and_peak_oriented() -> None:
+def scaling(u: np.ndarray) -> np.ndarray:
     """Stops of u over its largest value so far, in a plain loop."""
-    t, u = growing()
     peak, plays, y = 0.0, np.zeros(3), []
     for now in u:
         peak = max(peak, abs(now), 1e-3)
         plays = np.clip(plays, now / peak - [0.1, 0.3, 0.6], now / peak + [0.1, 0.3, 0.6])
         y.append(peak**0.5 * np.sum(now / peak - plays))
-    assert named(hf.Record(u=u, y=noisy(np.array(y)), t=t)) == {"degrading", "peak-oriented"}
+    return np.array(y)
+
+
+def test_a_loop_that_scales_with_its_peak_is_degrading_and_peak_oriented() -> None:
+    t, u = growing()
+    assert named(hf.Record(u=u, y=noisy(scaling(u)), t=t)) == {"degrading", "peak-oriented"}
+
+
+def slipping(u: np.ndarray, slip: float) -> np.ndarray:
+    """A joint: stiff springs within limits, of which the upper one is friction over a part `slip` of the last peak, then a line to it."""
+    force, peak, forces = 0.0, 1e-3, []
+    backbone = lambda at: at**0.5
+
+    def upper(now: float, peak: float) -> float:
+        closed = slip * peak
+        rise = max(0.0, (now - closed) / (peak - closed))
+        return float(backbone(now) if now >= peak else 0.15 * backbone(peak) + 0.85 * backbone(peak) * rise)
+
+    for before, now in itertools.pairwise([0.0, *u]):
+        force = float(np.clip(force + 20 * (now - before), -upper(-now, peak), upper(now, peak)))
+        peak = max(peak, abs(now))
+        forces.append(force)
+    return np.array(forces)
+
+
+def test_a_joint_that_slips_to_its_last_peak_is_pinched() -> None:
+    """Without a gap the same joint aims at the peak along straight lines."""
+    t, u = growing()
+    assert named(hf.Record(u=u, y=noisy(slipping(u, 0.6)), t=t)) == {"degrading", "peak-oriented", "pinched"}
+    assert "pinched" not in named(hf.Record(u=u, y=noisy(slipping(u, -1.0)), t=t))
+
+
+def test_a_spring_that_hardens_beside_loops_that_scale_is_not_pinched() -> None:
+    t, u = growing()
+    found = named(hf.Record(u=u, y=noisy(scaling(u) + 2 * u**3), t=t))
+    assert "degrading" in found
+    assert "pinched" not in found
+
+
+def test_a_measured_wall_and_a_fastener_are_pinched_and_a_steel_damper_is_not(measured: Path) -> None:
+    assert "pinched" in named(hf.read(measured / "struct_slotboom/trial2.csv"))
+    test = json.loads((measured / "wild/fastener_c33g12_1.json").read_text(encoding="utf-8"))["test"]
+    u, y = np.array(test["displacement"]), np.array(test["force"])
+    last = int(np.flatnonzero(np.abs(y) >= 0.8 * np.abs(y).max())[-1]) + 1
+    assert "pinched" in named(hf.Record(u=u[:last], y=y[:last]))
+    assert "pinched" not in named(hf.read(measured / "struct_slotboom/xyTestData.csv"))
 
 
 def test_plain_stops_have_no_trait() -> None:

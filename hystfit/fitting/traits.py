@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from hystfit.fitting.candidates import candidates
 from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.screening import Screened
+from hystfit.fitting.slip import without_slip
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -60,10 +61,9 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
         return ()
     percent = lambda value: float(100 * value / baselines.span)
     found = [Trait(kind, name, percent(error), rival, percent(other))]
-    if kind == "degrading" and (still := _unscaled(name, short)) is not None and error * equal_errors(branches) < still:
-        found.append(
-            Trait("peak-oriented", name, percent(error), f"{name} over the largest input of the record", percent(still))
-        )
+    for term, words, without in _counterparts(name, short) if kind == "degrading" else ():
+        if error * equal_errors(branches) < without:
+            found.append(Trait(term, name, percent(error), f"{name} {words}", percent(without)))
     return tuple(found)
 
 
@@ -96,12 +96,14 @@ def _scored(name: str, short: Dataset) -> list[tuple[float, str, str | None]]:
         return []
 
 
-def _unscaled(name: str, short: Dataset) -> float | None:
-    """Error of self-similar stops whose loops scale with the largest input of all from the start; None of another model."""
+def _counterparts(name: str, short: Dataset) -> Iterator[tuple[str, str, float]]:
+    """Traits of self-similar stops, the same model without the term for each, in words, and its error; none of another model."""
     model = make_model(name).start(list(short))
-    if not isinstance(model, SelfSimilarStops):
-        return None
-    return _error(dataclasses.replace(model, floor=max(float(np.max(np.abs(record.u))) for record in short)), short)
+    if isinstance(model, SelfSimilarStops):
+        largest = max(float(np.max(np.abs(record.u))) for record in short)
+        unscaled = _error(dataclasses.replace(model, floor=largest), short)
+        yield "peak-oriented", "over the largest input of the record", unscaled
+        yield "pinched", "with branches that only soften", fit_ridge(without_slip(Problem(model, short))).score
 
 
 def _error(model: AbstractHysteresis, data: Dataset) -> float:

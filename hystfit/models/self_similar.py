@@ -23,7 +23,7 @@ from hystfit.params.param import element_places, param
 from hystfit.quality.needs import Needs
 
 _THRESHOLDS = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the stops, as fractions of the largest input so far
-_POWERS = (1, 3, 5)  # of the backbone: odd
+POWERS = (1, 3, 5)  # of the backbone: odd
 _RENEWED = 8  # exponent of the growth of the peak with which the path of the fading part is forgotten
 _FLOOR = 0.02  # largest input from which the loop scales, as a fraction of that of the records
 _APART = 1.05  # least ratio of neighboring peaks
@@ -91,10 +91,10 @@ class SelfSimilarStops(AbstractHysteresis):
             return
         count, stops = self.peaks.shape[-1], self.r.shape[-1]
         shapes = self.w.shape[-2:], self.c.shape[-2:]
-        if shapes != ((count, stops), (count, len(_POWERS))):
-            raise ModelError(f"w and c must have shapes {(count, stops)} and {(count, len(_POWERS))}, got {shapes}")
-        if self.fading.shape[-1] not in (0, stops + len(_POWERS)):
-            raise ModelError(f"fading must have no weight or {stops + len(_POWERS)}, got {self.fading.shape[-1]}")
+        if shapes != ((count, stops), (count, len(POWERS))):
+            raise ModelError(f"w and c must have shapes {(count, stops)} and {(count, len(POWERS))}, got {shapes}")
+        if self.fading.shape[-1] not in (0, stops + len(POWERS)):
+            raise ModelError(f"fading must have no weight or {stops + len(POWERS)}, got {self.fading.shape[-1]}")
 
     @classmethod
     def of(cls, peaks: int = 4, *, fading: bool = True) -> SelfSimilarStops:
@@ -109,7 +109,7 @@ class SelfSimilarStops(AbstractHysteresis):
         """
         if peaks < 1:
             raise ModelError(f"at least one peak is needed, got {peaks}")
-        stops, powers = len(_THRESHOLDS), len(_POWERS)
+        stops, powers = len(_THRESHOLDS), len(POWERS)
         return cls(
             w=np.full((peaks, stops), 0.1),
             c=np.tile(np.eye(powers)[0], (peaks, 1)),
@@ -131,7 +131,7 @@ class SelfSimilarStops(AbstractHysteresis):
         """One sample: the peak, the plays at the new v, and the weights at that peak."""
         new = self._moved(state, u0, u1)
         peak, v = new[-2], u1 / new[-2]
-        elements = jnp.concatenate([v - new[:-2], v ** jnp.asarray(_POWERS)])
+        elements = jnp.concatenate([v - new[:-2], v ** jnp.asarray(POWERS)])
         weights = self._hats(peak) @ jnp.concatenate([self.w, self.c], axis=1)
         if self.fading.size:
             weights = weights + peak / self.peaks[-1] * jnp.exp(-new[-1] / self.decay) * self.fading
@@ -161,7 +161,7 @@ class SelfSimilarStops(AbstractHysteresis):
         peak = np.maximum.accumulate(np.maximum(np.abs(u), float(self.floor)))
         v = u / peak
         stops = v[:, None] - play_columns(v, np.asarray(self.r), 0.0)
-        powers = v[:, None] ** np.asarray(_POWERS)
+        powers = v[:, None] ** np.asarray(POWERS)
         knots, at = np.log(np.asarray(self.peaks)), np.log(peak)
         part = np.clip((at[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
         hats = np.pad(part, ((0, 0), (1, 0)), constant_values=1.0) - np.pad(part, ((0, 0), (0, 1)))
@@ -200,7 +200,7 @@ class SelfSimilarStops(AbstractHysteresis):
             peaks = np.geomspace(0.1 * largest, largest, count)
         out = output_range(records)
         w = np.full(self.w.shape, 0.02 * out.half)
-        c = np.tile(0.5 * out.half * np.eye(len(_POWERS))[0], (count, 1))
+        c = np.tile(0.5 * out.half * np.eye(len(POWERS))[0], (count, 1))
         fading = np.zeros(self.fading.shape)
         return dataclasses.replace(self, w=w, c=c, fading=fading, peaks=peaks, floor=floor, offset=out.center)
 

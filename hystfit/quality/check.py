@@ -39,7 +39,7 @@ class Trait:
     """What the loops show, because a model with a term for it errs less on held-out samples than every model without.
 
     Attributes:
-        name: "degrading", "peak-oriented", "viscoelastic" or "rate-dependent".
+        name: "degrading", "peak-oriented", "pinched", "viscoelastic" or "rate-dependent".
         model: with the term.
         error_percent: its error on held-out samples, percent of the range.
         other, other_percent: the best model without, and its error.
