@@ -33,7 +33,7 @@ def sweep(seconds: float = 2.0) -> np.ndarray:
 def plain(model: hf.Damper, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """The definition, sample by sample."""
     start = (u[0] - float(model.center)) / float(model.half)
-    p, q, w, out = [start] * len(_STROKES), [0.0] * len(_LAGS), 0.0, []
+    p, q, w, out = [start - float(model.strain) * r for r in _STROKES], [0.0] * len(_LAGS), 0.0, []
     for k, now in enumerate(u):
         if k and dt[k] > 0:  # the exact answer of tau w' + w = v to a constant v over the interval
             v = (now - u[k - 1]) / dt[k] / float(model.speed)
@@ -56,7 +56,7 @@ def test_a_damper_follows_its_definition() -> None:
     u, dt = sweep(1.0), np.random.default_rng(1).uniform(0.5, 1.5, int(RATE)) / RATE
     dt[[0, 50]] = 0.0
     u[50] = u[49]
-    model = random_damper(0, center=0.3, offset=0.2)
+    model = random_damper(0, center=0.3, offset=0.2, strain=0.7)
     expected = plain(model, u, dt)
     np.testing.assert_allclose(np.asarray(hf.simulate(model, u, dt)[0]), expected, atol=1e-10)
     np.testing.assert_allclose(model.free_run(u, dt), expected, atol=1e-10)
@@ -102,8 +102,17 @@ def test_a_damper_needs_time_and_has_no_inverse() -> None:
         hf.Damper(friction=np.ones(3))
 
 
+@pytest.mark.parametrize("strain", [-1.0, 0.0, 1.0])
+def test_the_movement_before_the_record_is_found(strain: float) -> None:
+    """Stops that slip at the first sample, in either direction, or carry no force."""
+    model, u = random_damper(4, strain=strain), sweep(1.5)
+    clean = np.asarray(hf.simulate(model, u, 1 / RATE)[0])
+    y = clean + np.random.default_rng(5).normal(0, 0.005 * np.ptp(clean), u.size)
+    assert float(hf.Damper().start([hf.Record(u=u, y=y, t=np.arange(u.size) / RATE)]).strain) == strain
+
+
 def test_a_magnetorheological_damper_is_predicted(measured: Path) -> None:
-    """Fitted on the first 6 s, predicted from 6 to 15 s: a third better than plays with forces of the rate."""
+    """Fitted on the first 6 s, predicted from 6 to 15 s; without the strain at rest the error is 2.05 %."""
     record = hf.datasets.load("mr_labcontrol/4.1")
     fit = hf.fit("damper", record.window(None, 6.0))
-    assert fit.metrics(record.window(6.0, 15.0)).nrmse_percent < 2.5
+    assert fit.metrics(record.window(6.0, 15.0)).nrmse_percent < 2.0

@@ -136,6 +136,12 @@ MUTATIONS = (
     Mutation("stops that do not scale with the peak", "peak-oriented stiffness loss and slip", _plain_stops, run.walls),
     Mutation("stops that do not scale with the peak, fastener", "the same", _plain_stops, run.fastener),
     Mutation("no force of the velocity", "viscous and yield forces", _no_flow, run.dampers),
+    Mutation(
+        "stops without force at the start",
+        "movement before the record",
+        _changed(hf.Damper, strain=lambda m: 0 * m.strain),
+        run.dampers,
+    ),
     Mutation("no pinching", "slip", _held("bouc-wen-baber-noori", zs=0.1), laws.damage),
     Mutation("two relaxation times", "relaxation between the rates", _one_relaxation, laws.viscoelasticity),
     Mutation("the inverse of static plays", "thresholds that grow with the rate", _inverse_at_rest, laws.rate),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -15,6 +16,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
+from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
@@ -23,11 +25,18 @@ from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
 
 # Of stops of the displacement and of the velocity, over half the stroke and the speed; and of the bends of saturating forces.
-_STROKES = tuple(np.geomspace(0.005, 1.2, 16))
+_STROKES = tuple(np.geomspace(0.002, 1.2, 16))
 _LAGS = tuple(np.geomspace(0.005, 0.9, 12))
 _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
-_DELAY = 3.0  # sampling intervals: time constant of the velocity from which a fit starts
+_STRAINS = (
+    0.0,
+    -1.0,
+    1.0,
+)  # of the stops of x at the start: free of force, or slipping, as after a movement in either direction
+_ROUNDING = 1e-10  # of the mean of a normal matrix's diagonal, added to it: weights may be collinear
+_DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
+_LONGEST = 2**13  # samples of a record by which strain and time constant of the start are chosen
 
 
 class Damper(AbstractHysteresis):
@@ -43,7 +52,8 @@ class Damper(AbstractHysteresis):
     g_0 falls from 1 to 0 over the stroke and g_1 rises.
     Saturating forces are the yield force of a magnetorheological damper, stops of x friction and the elasticity before it slips. Stops of
     w are forces that differ between rising and falling speed: the compressibility of the fluid and the inertia of a valve. `viscous`,
-    `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve.
+    `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve. A
+    damper that was moved before the record rests with its stops strained: p_j = x - strain r_j at the first sample.
     """
 
     no_inverse: ClassVar[str] = (
@@ -70,6 +80,13 @@ class Damper(AbstractHysteresis):
     lagging: Float[Array, " lags"] = element_weights((0.05,) * len(_LAGS), doc="weights of the stops of w")
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the force")
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="lag of the velocity")
+    strain: Scalar = param(
+        0.0,
+        bounds=(-1.0, 1.0),
+        per_record=True,
+        fixed=True,
+        doc="strain of the stops of x at the first sample, over their half widths",
+    )
     center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the stroke")
     speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="velocity where w = 1")
@@ -91,7 +108,7 @@ class Damper(AbstractHysteresis):
     def init(self, u0: Scalar) -> State:
         """State at rest on u0: the plays of x and of w, and w, shape (29,)."""
         x = (u0 - self.center) / self.half
-        return jnp.concatenate([jnp.full(len(_STROKES), 1.0) * x, jnp.zeros(len(_LAGS) + 1) * u0])
+        return jnp.concatenate([x - self.strain * jnp.asarray(_STROKES), jnp.zeros(len(_LAGS) + 1) * u0])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the velocity, the plays, and the sum of all forces."""
@@ -116,7 +133,7 @@ class Damper(AbstractHysteresis):
         """Columns of all weights at once."""
         u, dt = np.asarray(u, dtype=float), np.asarray(dt, dtype=float)
         x, w = (u - float(self.center)) / float(self.half), self._velocity(u, dt)[:, None]
-        one, size, bends = x[:, None], np.abs(w), np.tanh(w / np.asarray(_BENDS))
+        strokes, one, size, bends = np.asarray(_STROKES), x[:, None], np.abs(w), np.tanh(w / np.asarray(_BENDS))
         part = np.clip(0.5 * (1.0 + one), 0.0, 1.0)
         columns = {
             "spring": one ** np.asarray(_SPRING),
@@ -124,7 +141,7 @@ class Damper(AbstractHysteresis):
             "bent": np.hstack([w * size, w**3, w**2]),
             "coupling": np.hstack([one * size, one * w, one**2 * w, one**2 * size]),
             "saturating": np.hstack([(1.0 - part) * bends, part * bends]),
-            "friction": one - play_columns(x, np.asarray(_STROKES), x[0]),
+            "friction": one - play_columns(x, strokes, x[0] - float(self.strain) * strokes),
             "lagging": w - play_columns(w[:, 0], np.asarray(_LAGS), 0.0),
             "offset": np.ones((u.size, 1)),
         }
@@ -140,11 +157,29 @@ class Damper(AbstractHysteresis):
         return w
 
     def start(self, records: Sequence[Record]) -> Damper:
-        """Stroke and speed from the records, and a lag of a few samples; the weights follow from a linear solve."""
+        """Stroke and speed of the records, and the best of a few strains and lags; the weights follow from a linear solve."""
         place, out, interval = input_range(records), output_range(records), sampling_interval(records)
-        largest = speed(records, LARGE)
-        ranges = {"center": place.center, "half": place.half, "speed": largest, "tau": _DELAY * interval}
-        return dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
+        ranges = {"center": place.center, "half": place.half, "speed": speed(records, LARGE)}
+        model = dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
+        heads = [record.segment(0, min(len(record), _LONGEST)) for record in records]
+        starts = itertools.product(_STRAINS, interval * np.array(_DELAYS))
+        tried = [dataclasses.replace(model, strain=strain, tau=tau) for strain, tau in starts]
+        return min(tried, key=lambda one: one._misfit(heads))
+
+    def _misfit(self, records: Sequence[Record]) -> float:
+        """Least sum of squared errors that the weights reach, with an offset for each record."""
+        rows, bounded = [], np.zeros(0, dtype=bool)
+        for record in records:
+            blocks = self.design_matrix(record.u, record.dt).blocks
+            bounded = np.concatenate([np.full(block.columns.shape[1], block.info.bounds[0] == 0) for block in blocks])
+            part = np.hstack([*(block.columns for block in blocks), record.y[:, None]])[record.used]
+            rows.append(part - part.mean(axis=0))
+        centered = np.concatenate(rows)
+        gram = centered.T @ centered
+        A, b = gram[:-1, :-1], gram[:-1, -1]
+        A[np.diag_indices_from(A)] += _ROUNDING * np.trace(A) / b.size
+        w, _ = solve_nonnegative(A, b, bounded)
+        return float(gram[-1, -1] - 2 * b @ w + w @ A @ w)
 
     def c_part(self) -> CPart:
         """The same step in C."""

@@ -32,9 +32,13 @@ def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
 
 
 def play_columns(
-    e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float
+    e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float | Float[np.ndarray, " plays"]
 ) -> Float[np.ndarray, "T plays"]:
-    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last)."""
+    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last).
+
+    Args:
+        rest: where the plays are before the first sample.
+    """
     out = np.empty((e.size, r.size))
     out[0] = np.maximum(e[0] - r, np.minimum(e[0] + r, rest))
     for first, last in branches(e):

@@ -3,7 +3,7 @@ static void @f@_init(double *s, double u0)
 {
     int j;
     for (j = 0; j < @M@_STROKES_SIZE + @M@_LAGS_SIZE + 1; j++)
-        s[j] = j < @M@_STROKES_SIZE ? (u0 - @M@_CENTER) / @M@_HALF : 0;
+        s[j] = j < @M@_STROKES_SIZE ? (u0 - @M@_CENTER) / @M@_HALF - @M@_STRAIN * @f@_strokes[j] : 0;
 }
 
 static double @f@_follow(double play, double at, double r)
