@@ -282,6 +282,13 @@ def test_a_disturbed_stretch_is_named_and_the_robust_loss_restores_the_parameter
     if shape == "shift":
         assert end - start >= count - 4
     robust = hf.fit("bouc-wen", made(disturbed), starts=2, loss="huber")
+    proposals = lambda result: [note.option for note in result.notes if "loss='huber'" in note.text]
+    assert set(proposals(plain)) == {("loss", "huber")}
+    assert not proposals(robust)
+    assert any(
+        "--loss=huber" in command
+        for command in next_commands(dataclasses.replace(plain, status=Status.ROUGH), Wording())
+    )
     for row in robust.parameters:
         if row.stderr:
             assert abs(row.value - TRUTH[row.name]) < 3 * row.stderr

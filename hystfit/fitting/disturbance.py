@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +11,8 @@ from hystfit.data.dataset import Dataset
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK
+
+ROBUST_LOSS = ("loss", "huber")  # option of a fit in which few large errors count less
 
 _SHORT = 0.03  # of the samples of a record
 _LARGER = 5.0  # times the rms error of the other samples
@@ -39,11 +42,12 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
         number = np.flatnonzero(record.used)[[min(first, stretch[0]), max(last, stretch[-1])]]
         remedy = "mark them as missing" + ("" if robust else ", or use a robust loss (loss='huber')")
-        return warn(
+        note = warn(
             Code.SPIKES,
             f"most of the squared error of {record.name!r} lies in samples {number[0]} to {number[1]} of {len(record)}, where the error "
             f"is {ratio:.2g} times that of the others: if the sensor was disturbed there, {remedy}",
         )
+        return note if robust else dataclasses.replace(note, option=ROBUST_LOSS)
     return None
 
 

@@ -15,6 +15,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty
+from hystfit.fitting.disturbance import ROBUST_LOSS
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
@@ -133,7 +134,7 @@ def judge(fit_setup: FitSetup, estimate: Estimate, options: FitOptions, watch: S
     else:
         estimate, errors, noise_estimate, description = _with_noise(problem, estimate, noise)
         notes.append(description)
-    notes += _mismatches(errors, noise, problem.scales.y)
+    notes += _mismatches(errors, noise, problem)
     return _make_result(fit_setup, estimate, errors, options.seed, watch, noise=noise_estimate, notes=notes)
 
 
@@ -161,17 +162,27 @@ def _with_noise(
     return changed, uncertainty(problem, changed, root=refined.root), noise_estimate, description
 
 
-def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], size: float) -> list[Note]:
-    """Findings about the residuals that errors of this kind do not allow for; `size` is that of the output."""
-    if errors.sigma < _ROUNDING * size:
+def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: Problem) -> list[Note]:
+    """Findings about the residuals that errors of this kind do not allow for."""
+    if errors.sigma < _ROUNDING * problem.scales.y:
         return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
     diagnosis = diagnose(errors.residuals)
     if noise == "auto":
-        return [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
+        found = [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
+        return [_outweighed(note) if problem.objective.loss == "linear" else note for note in found]
     return [
         dataclasses.replace(note, text=f"noise={noise!r} was chosen, but {note.text}")
         for note in diagnosis.objections(NOISES.find(noise))  # type: ignore[arg-type]
     ]
+
+
+def _outweighed(note: Note) -> Note:
+    """A finding with the loss under which large errors count less, where it asks for that."""
+    if note.code is not Code.HEAVY_TAILS:
+        return note
+    return dataclasses.replace(
+        note, text=f"{note.text}; with a robust loss (loss='huber') they count less", option=ROBUST_LOSS
+    )
 
 
 def _make_result(

@@ -123,7 +123,7 @@ class Note:
         code: what it is about.
         text: one sentence.
         severity: how much it matters.
-        option: of `hystfit.read`, or the window of a fit, which the note proposes: its name and value. It is not saved.
+        option: of `hystfit.read` or of a fit, which the note proposes: its name and value. It is not saved.
     """
 
     code: Code

@@ -26,7 +26,8 @@ from hystfit.results.user_code import checksums
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
 _TURN = 0.02  # of the input's range: what counts as a turning point
-_ENDS = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE, Code.MODEL_MISMATCH)  # notes that may propose a window
+# Notes that may propose another fit: of a window, or with a robust loss.
+_REMEDIED = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE, Code.MODEL_MISMATCH, Code.SPIKES, Code.HEAVY_TAILS)
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 
@@ -167,9 +168,7 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
     improve = (
-        []
-        if result.usable
-        else [*_without_ends(result, wording, loop), _joined("hystfit compare", loop, wording.split)]
+        [] if result.usable else [*_changed_fit(result, wording, loop), _joined("hystfit compare", loop, wording.split)]
     )
     if not result.usable and result.status is not Status.ROUGH:
         return [*improve, f"hystfit check {loop}"]
@@ -183,12 +182,16 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     return [*improve, *keep, *commands]
 
 
-def _without_ends(result: FitResult, wording: Wording, loop: str) -> list[str]:
-    """The command that leaves out the half cycle at an end of the record which the model does not follow, where notes propose it."""
-    ends = [note.option[1] for note in result.notes if note.code in _ENDS and note.option is not None]
-    if not ends or "--window" in wording.split:
-        return []
-    return [_joined("hystfit fit", loop, wording.split, f"--window={ends[0]}")]
+def _changed_fit(result: FitResult, wording: Wording, loop: str) -> list[str]:
+    """The command of another fit that notes propose: without a half cycle at an end or, where none is wrong, with a robust loss."""
+    for code in _REMEDIED:
+        for name, value in (note.option for note in result.notes if note.code is code and note.option is not None):
+            return (
+                []
+                if f"--{name}" in wording.split
+                else [_joined("hystfit fit", loop, wording.split, f"--{name}={value}")]
+            )
+    return []
 
 
 def _joined(*words: str) -> str:
