@@ -10,13 +10,17 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.errors import DataError
+from hystfit.errors import DataError, ParameterError
 from hystfit.models.preisach.forc import density_of, fit_forc
 from hystfit.models.preisach.forc_diagram import forc_diagram
 from hystfit.models.preisach.forc_numbers import forc_numbers
+from hystfit.outcome import Status
 from hystfit.quality.reversal_corrections import corrected_curves
 from hystfit.quality.reversal_curves import reversal_curves
 from hystfit.results.forc_loop import forc_loop
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.forc_density import sampled_density
+from hystfit.sampling.posterior import Posterior
 
 COERCIVITY, SPREAD = 0.35, 0.1
 
@@ -207,6 +211,39 @@ def test_the_verb_writes_picture_density_distribution_and_page(curves, tmp_path,
     )
     page = (out / "report.html").read_text()
     assert page.count("data:image/svg+xml;base64,") == 3
+
+
+def test_a_sampled_density_has_credible_errors_and_a_picture_beside_the_regression(curves, tmp_path, monkeypatch):
+    """Draws made by hand: the mean and scatter of each cell by a plain loop, and errors of what is read off the diagram."""
+    few = hf.Dataset(tuple(curves)[::5])
+    fit = hf.fit("preisach-forc:n=6", few)
+    scatter = 0.1 * np.random.default_rng(1).standard_normal((2, 40, fit.x.size))
+    draws = np.maximum(fit.x + scatter, 0.0)
+    names, units = tuple(fit.free_names), ("emu",) * fit.x.size
+    stats, convergence = {}, Convergence.of(draws)
+    posterior = Posterior(
+        fit, "weights", "iid", names, units, draws, np.zeros((2, 40)), stats, convergence, Status.OK, (), {}, 0.0, 0, {}
+    )
+    diagram = sampled_density(posterior, 80)
+    cell = list(zip(*np.tril_indices(6), strict=True)).index((3, 1))  # alpha in the fourth interval, beta in the second
+    at, width = names.index(f"w[{cell}]"), np.diff(np.asarray(fit.model.levels))
+    area = width[3] * width[1]
+    assert diagram.density[1, 3] == pytest.approx(draws[..., at].mean() / area)
+    assert diagram.stderr[1, 3] == pytest.approx(draws[..., at].std(ddof=1) / area)
+
+    monkeypatch.setattr("hystfit.fitting.fit.fit", lambda *given: fit)
+    monkeypatch.setattr("hystfit.sampling.sample.sample", lambda result: posterior)
+    write(tmp_path / "forc.csv", few)
+    out = tmp_path / "out"
+    assert run(["forc", str(tmp_path / "forc.csv"), "--by", "curve", "--density", "sampled", "--out", str(out)]) == 0
+    assert (out / "report.html").read_text().count("data:image/svg+xml;base64,") == 4
+    total = json.loads((out / "result.json").read_text())["numbers"]["total"]
+    weights = [k for k, name in enumerate(names) if name.startswith("w[")]
+    assert total["stderr"] == pytest.approx(draws[..., weights].sum(axis=-1).std(ddof=1))
+    u = np.sin(np.arange(80) / 5)
+    other = dataclasses.replace(posterior, result=hf.fit("linear", hf.Record(u=u, y=2 * u)))
+    with pytest.raises(ParameterError, match="no density"):
+        sampled_density(other)
 
 
 def test_a_file_without_reversal_curves_is_refused(tmp_path, capsys):

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
 from hystfit.cli.write import finish, named, progress, write_csv
-from hystfit.outcome import Column, Status, Table
+from hystfit.outcome import Column, Note, Status, Table
 from hystfit.outcome.table import rounded
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from hystfit.data.dataset import Dataset
     from hystfit.models.preisach.forc_diagram import ForcDiagram
     from hystfit.models.preisach.forc_numbers import ForcNumbers
     from hystfit.quality.reversal_curves import ReversalFamily
     from hystfit.results.forc_loop import ForcLoop
 
 _SHOWN = 40  # curves in the picture at most
+_CELLS = (
+    24  # along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes
+)
+_HOW = {
+    "regression": "local regression",
+    "fitted": "fitted Preisach density",
+    "sampled": "posterior of a Preisach density",
+}
 _REPEATS = 24  # draws of the noise: their standard deviation has an error of 15 %
 
 
 def forc(
     *loops: Loop,
     smoothing: int = 3,
-    density: Literal["regression", "fitted"] = "regression",
+    density: Literal["regression", "fitted", "sampled"] = "regression",
     reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
 ) -> int:
@@ -39,10 +49,10 @@ def forc(
 
     Args:
         smoothing: the factor SF of the regression: second-degree polynomials over (2 SF + 1) x (2 SF + 1) points.
-        density: by local regression on the curves, or fitted: a Preisach density whose smoothness is chosen by curves left out.
+        density: by local regression on the curves; fitted: a Preisach density whose smoothness is chosen by curves left out; or sampled: the
+            posterior of such a density, which gives every number a credible error and takes minutes. A picture (compared.png) then
+            shows it beside the regression.
     """
-    from hystfit.models.preisach.forc import density_of, fit_forc
-    from hystfit.models.preisach.forc_diagram import forc_diagram
     from hystfit.models.preisach.forc_numbers import forc_numbers
     from hystfit.quality.reversal_corrections import corrected_curves
     from hystfit.quality.reversal_curves import reversal_curves
@@ -55,17 +65,15 @@ def forc(
     data, corrections = corrected_curves(data)
     family = reversal_curves(data)
     with progress("computing the density"):
-        if density == "fitted":
-            diagram = density_of(fit_forc(data, nonnegative=False).model, rising=family.rising)
-        else:
-            diagram = forc_diagram(data, smoothing, repeats=_REPEATS)
+        diagrams, status, found = _density(data, density, smoothing, rising=family.rising)
+    diagram = diagrams[_HOW[density]]
     numbers, loop = forc_numbers(diagram), forc_loop(family)
     units = {symbol: data.units[symbol] for symbol in ("u", "y")}
-    how = f"local regression, smoothing factor {smoothing}" if density == "regression" else "fitted Preisach density"
-    notes = [*map(str, corrections), *family.notes]
+    how = _HOW[density] + (f", smoothing factor {smoothing}" if density == "regression" else "")
+    notes = [*map(str, corrections), *family.notes, *map(str, found)]
     content = {
         "schema": "hystfit.forc/2",
-        "status": str(Status.OK),
+        "status": str(status),
         "curves": len(family.curves),
         "density": density,
         "smoothing": smoothing if density == "regression" else None,
@@ -83,6 +91,8 @@ def forc(
         from hystfit.cli.pages import forc_page
 
         figures = _figures(diagram, numbers, loop, family, units)
+        if len(diagrams) > 1:
+            figures["compared"] = _compared(diagrams, units)
         _write_density(folder, diagram, numbers, units)
         page = forc_page(
             family.words(), how, tables, numbers, units["u"], notes, figures, command_words(loops, reading)
@@ -91,7 +101,37 @@ def forc(
         for name, figure in figures.items():
             figure.savefig(folder / f"{name}.png", dpi=120)
 
-    return finish(text, content, output, save)
+    return finish(text, content, output, save, status=status)
+
+
+def _density(
+    data: Dataset, density: str, smoothing: int, *, rising: bool
+) -> tuple[dict[str, ForcDiagram], Status, tuple[Note, ...]]:
+    """Diagrams by how they were found, the status of a posterior and its notes."""
+    from hystfit.models.preisach.forc import density_of, fit_forc
+    from hystfit.models.preisach.forc_diagram import forc_diagram
+
+    if density == "fitted":
+        return {_HOW[density]: density_of(fit_forc(data, nonnegative=False).model, rising=rising)}, Status.OK, ()
+    local = {_HOW["regression"]: forc_diagram(data, smoothing, repeats=_REPEATS)}
+    if density == "regression":
+        return local, Status.OK, ()
+    from hystfit.fitting.fit import fit
+    from hystfit.sampling.forc_density import sampled_density
+    from hystfit.sampling.sample import sample
+
+    posterior = sample(fit(f"preisach-forc:n={_CELLS}", data))
+    return local | {_HOW[density]: sampled_density(posterior, rising=rising)}, posterior.status, posterior.notes
+
+
+def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
+    """Densities found in different ways on one picture."""
+    from hystfit.cli.figures import sheet
+    from hystfit.results.forc_plots import plot_compared
+
+    figure = sheet(5.6 * len(diagrams), 8.4)
+    plot_compared(diagrams, figure, units=units)
+    return figure
 
 
 def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:

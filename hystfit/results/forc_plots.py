@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.models.preisach.forc_diagram import ForcDiagram
-from hystfit.models.preisach.forc_numbers import ForcNumbers
+from hystfit.models.preisach.forc_numbers import ForcNumbers, forc_numbers
 from hystfit.params.units import axis_label
 from hystfit.results.colors import MODEL, SECOND
 from hystfit.results.preisach_plots import axes_or_new, contours, per_area
@@ -82,11 +82,41 @@ def plot_profiles(
     return axes
 
 
-def _draw(ax: Any, numbers: ForcNumbers, name: str, color: str) -> None:
+def plot_compared(
+    diagrams: Mapping[str, ForcDiagram], figure: Any, *, units: Mapping[str, str] | None = None
+) -> tuple[list[Any], Any]:
+    """Diagrams found in different ways beside each other, over their coercivity distributions with two standard errors.
+
+    Args:
+        diagrams: by how they were found; at most two.
+        figure: an empty matplotlib figure.
+        units: of the input "u" and the output "y".
+
+    Returns:
+        The axes of the diagrams, and those of the distributions.
+    """
+    u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
+    grid = figure.add_gridspec(2, len(diagrams))
+    panels, below = [figure.add_subplot(grid[0, k]) for k in range(len(diagrams))], figure.add_subplot(grid[1, :])
+    for ax, (name, diagram), color in zip(panels, diagrams.items(), (SECOND, MODEL), strict=False):
+        plot_forc_diagram(diagram, ax, units=units)
+        ax.set_title(name)
+        _draw(below, forc_numbers(diagram), "coercivity", color, name)
+    for ax in panels[1:]:  # one frame, so that the pictures can be laid over each other
+        ax.set(xlim=panels[0].get_xlim(), ylim=panels[0].get_ylim())
+    below.axhline(0.0, color="black", lw=0.7)
+    below.set(
+        xlabel=axis_label("coercivity", u), ylabel=axis_label("integral", _per_unit(y, u)), xlim=panels[0].get_xlim()
+    )
+    below.legend(frameon=False)
+    return panels, below
+
+
+def _draw(ax: Any, numbers: ForcNumbers, name: str, color: str, label: str = "") -> None:
     one = numbers.profiles[name]
     known = np.isfinite(one.values)
     x, values = one.x[known], one.values[known]
-    ax.plot(x, values, color=color, lw=1.2, label=name)
+    ax.plot(x, values, color=color, lw=1.2, label=label or name)
     if one.stderr is not None:
         band = 2 * one.stderr[known]
         ax.fill_between(x, values - band, values + band, color=color, alpha=0.25, lw=0)
