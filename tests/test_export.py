@@ -15,6 +15,8 @@ import pytest
 import hystfit as hf
 from hystfit.control import InverseStep, export_c
 from hystfit.errors import ModelError
+from hystfit.models.jiles_atherton_field import JilesAthertonField
+from hystfit.models.rate import Excess
 
 GCC = shutil.which("gcc") or shutil.which("cc")
 FLAGS = ["-Wall", "-Wextra", "-Werror", "-std=c99", "-pedantic", "-O2"]
@@ -174,6 +176,21 @@ def test_c_of_a_magnetization_equals_python(tmp_path: Path, variant: dict) -> No
     assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
 
 
+@pytest.mark.parametrize("losses", [False, True])
+def test_c_of_a_field_equals_python(tmp_path: Path, sanitizers: None, losses: bool) -> None:
+    """The field over the flux density; with the losses of eddy currents and domain walls beside another curve."""
+    shape = {"Ms": 1.3, "a": 0.2, "coupling": 0.6, "k": 0.15, "c": 0.3, "slope": 0.5, "offset": 0.1}
+    model = JilesAthertonField(**shape)
+    if losses:
+        law = JilesAthertonField(**shape, curve="tanh", q=[1.5])
+        model = hf.Sum(law, hf.Viscous(c=0.002), Excess(g=0.3, e=0.5))
+    program, u = build(model, tmp_path, flags=SANITIZED, limits=(-2.0, 2.0)), path(-1.6, 1.6)
+    expected = np.asarray(hf.simulate(model, u, 0.002)[0])
+    assert np.abs(run(program, "f", float(u[0]), u, 0.002)[:, 0] - expected).max() <= 1e-11 * np.ptp(expected)
+    if not losses:
+        np.testing.assert_allclose(run(program, "i", float(u[0]), expected, 0.002)[:, 1], expected, atol=1e-6)
+
+
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 QUICK = ("bouc_wen_asymmetric", "duhem_explicit", "lag_plays_creep_rate", "preisach_creep")
 
@@ -254,7 +271,7 @@ def test_an_oscillator_is_exported_forward_only(between: str, n: float, tmp_path
 
 DAMPER = {"spring": (0.5, 0.1, -0.2, 0.1), "bent": (0.1, 0.02, -0.1), "coupling": (0.1, -0.2, 0.3, 0.1)}
 OF_VELOCITY = [
-    hf.Damper(**DAMPER, tau=0.004, half=1.1, speed=9.0, center=0.2, offset=0.3),
+    hf.Damper(**DAMPER, tau=0.004, half=1.1, speed=9.0, center=0.2, strain=-0.6, offset=0.3),
     hf.LuGre(sigma0=20.0, sigma1=0.05, vs=3.0, k=0.2, offset=0.1),
     hf.MaxwellSlip(vs=3.0, half=1.1, speed=9.0, center=0.2, offset=0.1),
 ]

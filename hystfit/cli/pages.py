@@ -66,7 +66,7 @@ def forc_page(
         "forc": f"FORC diagram ({how}); red: positive, blue: negative; contour lines of the smoothed density",
         "profiles": "Coercivity distribution (the density integrated over the interaction), and profiles through the peak",
         "curves": "Reversal curves, and the major loop that they contain",
-        "compared": "Densities by local regression and as the posterior of a Preisach density; coercivity distributions with two standard errors",
+        "compared": "Densities by local regression and as the posterior of a model; coercivity distributions with two standard errors",
     }
     shown = [Picture(figures[name], caption) for name, caption in captions.items() if name in figures]
     sections = [("Plots", [shown]), *((f"Numbers {of}", [table]) for of, table in tables.items())]

@@ -49,8 +49,8 @@ def forc(
 
     Args:
         smoothing: the factor SF of the regression: second-degree polynomials over (2 SF + 1) x (2 SF + 1) points.
-        density: by local regression on the curves; fitted: a Preisach density whose smoothness is chosen by curves left out; or sampled: the
-            posterior of such a density, which gives every number a credible error and takes minutes. A picture (compared.png) then
+        density: by local regression on the curves; fitted: a Preisach density whose smoothness is chosen by curves left out; or sampled:
+            the posterior of such a density, which gives every number a credible error and takes minutes. A picture (compared.png) then
             shows it beside the regression.
     """
     from hystfit.models.preisach.forc_numbers import forc_numbers

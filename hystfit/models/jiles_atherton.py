@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -218,10 +218,7 @@ class JilesAtherton(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """The same search in C."""
-        second = self.p.size > 0
-        values = {"tanh": self.curve == "tanh", "q": self.q[0] if self.q.size else 0.0, "double": second}
-        values |= {"p": self.p[0] if second else 1.0, "r": self.r[0] if second else 1.0}
-        return CPart.of(self, "jiles_atherton", mean_field=self.mean_field, first_curve=FIRST_CURVE, **values)
+        return search_in_c(self, self, (1.0, -self.mean_field), (self.slope, 0.0, self.Ms))
 
 
 class JilesAthertonStep(AbstractStepInverse):
@@ -238,6 +235,24 @@ class JilesAthertonStep(AbstractStepInverse):
         miss = lambda field: ja.slope * field + (ja.Ms - ja.slope * ja.mean_field) * total(field) + ja.offset - target
         root = solve_rising(miss, state[0], *ja.span(state, low, high))
         return Root(root.x - ja.mean_field * total(root.x), root.rising)
+
+
+def search_in_c(
+    model: Any, law: JilesAtherton, to_input: tuple[Scalar | float, ...], to_output: tuple[Scalar | float, ...]
+) -> CPart:
+    """C code that searches for the effective field at each input.
+
+    Args:
+        model: what is exported.
+        law: how it magnetizes.
+        to_input: factors of the effective field and of M / Ms in the input; the first is positive.
+        to_output: factors of the input, the effective field and M / Ms in the output.
+    """
+    second = law.p.size > 0
+    values = {"tanh": law.curve == "tanh", "q": law.q[0] if law.q.size else 0.0, "double": second}
+    values |= {"p": law.p[0] if second else 1.0, "r": law.r[0] if second else 1.0, "first_curve": FIRST_CURVE}
+    values |= dict(zip(("rise", "lift", "of_input", "of_field", "of_total"), (*to_input, *to_output), strict=True))
+    return CPart.of(model, "jiles_atherton", **values)
 
 
 def on_first_curve(moved: Callable[[State, Scalar, Scalar], State], u0: Scalar) -> State:

@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bracketed import solve_rising
-from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve
+from hystfit.models.c_code import CPart
+from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve, search_in_c
 from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
@@ -110,6 +111,12 @@ class JilesAthertonField(AbstractHysteresis):
             law = dataclasses.replace(law, slope=self.slope)
         found = law.start([_exchanged(record) for record in records])
         return dataclasses.replace(self, **{name: getattr(found, name) for name in _SHARED})
+
+    def c_part(self) -> CPart:
+        """The same search in C."""
+        law = self.magnet
+        rest = self.Ms - self.slope * law.mean_field
+        return search_in_c(self, law, (self.slope, rest), (0.0, 1.0, -law.mean_field))
 
 
 def _exchanged(record: Record) -> Record:

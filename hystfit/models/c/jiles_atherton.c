@@ -1,4 +1,4 @@
-/* Jiles-Atherton. State: effective field He = H + alpha M, and irreversible magnetization over Ms. */
+/* Jiles-Atherton, driven by the field or by the flux density. State: effective field He = H + alpha M, and irreversible magnetization over Ms. */
 static double @f@_langevin(double x)
 {
     const double square = x * x;
@@ -52,23 +52,31 @@ static double @f@_total(const double *s, double sign, double field)
     return @M@_C * @f@_anhysteretic(field) + (1 - @M@_C) * @f@_irreversible(s, sign, field);
 }
 
-/* The new effective field, where He - alpha M is the input: regula falsi with halving, in a bracket that cannot lose the root. */
+/* The input at an effective field, less u: rising. */
+static double @f@_miss(const double *s, double sign, double field, double u)
+{
+    return @M@_RISE * field + @M@_LIFT * @f@_total(s, sign, field) - u;
+}
+
+/* The new effective field: regula falsi with halving, in a bracket that cannot lose the root. */
 static double @f@_field(const double *s, double sign, double u)
 {
-    double low = fmin(u - @M@_MEAN_FIELD, s[0]), high = fmax(u + @M@_MEAN_FIELD, s[0]);
-    double below = low - @M@_MEAN_FIELD * @f@_total(s, sign, low) - u, above = high - @M@_MEAN_FIELD * @f@_total(s, sign, high) - u;
-    if (sign > 0)
-        low = s[0], below = s[0] - @M@_MEAN_FIELD * @f@_total(s, sign, s[0]) - u;
-    else if (sign < 0)
-        high = s[0], above = s[0] - @M@_MEAN_FIELD * @f@_total(s, sign, s[0]) - u;
-    else
+    double low = fmin((u - fabs(@M@_LIFT)) / @M@_RISE, s[0]), high = fmax((u + fabs(@M@_LIFT)) / @M@_RISE, s[0]);
+    double below, above;
+    if (sign == 0)
         return s[0];
+    if (sign > 0)
+        low = s[0];
+    else
+        high = s[0];
+    below = @f@_miss(s, sign, low, u);
+    above = @f@_miss(s, sign, high, u);
     for (int i = 0; i < 200 && high - low > 4e-16 * fmax(fabs(low), fabs(high)); i++) {
         double middle = i % 3 == 2 || !(above > below) ? 0.5 * (low + high) : low - below * (high - low) / (above - below);
         double miss;
         if (!(middle > low && middle < high))
             middle = 0.5 * (low + high);
-        miss = middle - @M@_MEAN_FIELD * @f@_total(s, sign, middle) - u;
+        miss = @f@_miss(s, sign, middle, u);
         if (miss == 0)
             return middle;
         if (miss < 0)
@@ -95,12 +103,13 @@ static void @f@_init(double *s, double u0)
 
 static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 {
-    double moved[2];
+    double moved[2], total;
     (void)dt;
     @f@_move(s, u0, u1, moved);
+    total = @M@_C * @f@_anhysteretic(moved[0]) + (1 - @M@_C) * moved[1];
     if (next) {
         next[0] = moved[0];
         next[1] = moved[1];
     }
-    return @M@_OFFSET + @M@_SLOPE * u1 + @M@_MS * (@M@_C * @f@_anhysteretic(moved[0]) + (1 - @M@_C) * moved[1]);
+    return @M@_OFFSET + @M@_OF_INPUT * u1 + @M@_OF_FIELD * moved[0] + @M@_OF_TOTAL * total;
 }
