@@ -60,6 +60,15 @@ def test_standard_errors_are_the_scatter_of_noisy_repeats():
         assert 0.6 < stated / scatter < 1.6, name
 
 
+def test_the_error_of_the_loss_of_several_cycles_is_their_scatter():
+    """Cycles share no noise but that of the branches between them."""
+    force = {"u_unit": "mm", "y_unit": "kN", "u_name": "x", "y_name": "F", "delay": -0.4}
+    repeats = [values_of(ellipse(0.05, seed, cycles=10, count=1001, **force)) for seed in range(60)]
+    for name in ("loop_area", "secant_stiffness", "equivalent_damping_percent"):
+        scatter = np.std([found[name].value for found in repeats])
+        assert 0.6 < np.median([found[name].stderr for found in repeats]) / scatter < 1.6
+
+
 def test_several_cycles_are_averaged():
     one, many = values_of(ellipse(0.02, count=401)), values_of(ellipse(0.02, cycles=16, count=401 * 16))
     assert many["loop_area"].count > 10 * one["loop_area"].count

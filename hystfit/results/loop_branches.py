@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import reversals
 
 TURN = 0.05  # of the input's range: smallest reversal that ends a branch
@@ -30,6 +32,9 @@ class Branch:
     def rises(self) -> bool:
         """Whether the input ends above where it began."""
         return bool(self.u[-1] > self.u[0])
+
+
+Pair = tuple[Branch, Branch]
 
 
 def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
@@ -69,15 +74,41 @@ def area(one: Branch, other: Branch) -> float:
     return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
 
 
-def area_error(sigma: float | None, u: np.ndarray) -> float | None:
-    """Standard error of the area of a loop over inputs u by white noise."""
-    return None if sigma is None else sigma * float(np.sqrt(np.sum(np.gradient(u) ** 2)))
+def area_error(pair: Pair, sigma: float | None, correlated: float = 0.0) -> float | None:
+    """Standard error of the area of a loop by noise.
+
+    Args:
+        pair: its branches.
+        sigma: standard deviation of the noise; None where unknown.
+        correlated: over which stretch of the input the noise is correlated; 0 for white noise.
+    """
+    if sigma is None:
+        return None
+    steps = np.abs(np.gradient(np.append(pair[0].u, pair[1].u)))
+    together = max(1.0, 2.0 * correlated / max(float(np.median(steps)), 1e-300) - 1.0)  # sum of the autocorrelation
+    return sigma * float(np.sqrt(together * np.sum(steps**2)))
 
 
-def is_open(areas: np.ndarray, sigma: float | None, u: np.ndarray) -> bool:
+def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) -> tuple[float, float | None, int]:
+    """Median area of closed loops, its standard error and their number.
+
+    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter.
+
+    Args:
+        pairs: branches of each loop, in the order of time.
+        sigma, correlated: see `area_error`.
+    """
+    areas = [abs(area(*pair)) for pair in pairs]
+    separate = combined(
+        [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
+    )
+    return float(np.median(areas)), separate[1] if separate else None, len(areas)
+
+
+def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
-    error = area_error(sigma, u) or 0.0
-    return bool(abs(np.median(areas)) > _OPEN * error / np.sqrt(areas.size))
+    error = area_error(pairs[0], sigma) or 0.0
+    return bool(abs(np.median([area(*pair) for pair in pairs])) > _OPEN * error / np.sqrt(len(pairs)))
 
 
 def crossing(
@@ -121,14 +152,17 @@ def combined(found: list[tuple[float, float | None] | None]) -> tuple[float, flo
     return float(np.median(values)), max(both, default=None), values.size
 
 
-def asymmetry(branches: list[Branch]) -> float | None:
-    """Standard deviation of the output by which a loop is no reflection of itself in its center; None without both branches.
+def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
+    """How far a loop is no reflection of itself in its center; None without both branches.
 
     Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
     not show.
 
     Args:
         branches: of the largest loops.
+
+    Returns:
+        The standard deviation of an output, and the stretch of the input over which it is correlated.
     """
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
@@ -141,4 +175,4 @@ def asymmetry(branches: list[Branch]) -> float | None:
     one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)
     columns = np.column_stack([np.ones(_GRID), np.gradient(0.5 * (one + other), grid) * most])
     left = one - other - columns @ np.linalg.lstsq(columns, one - other, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2) / 2))
+    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (_GRID - 1)

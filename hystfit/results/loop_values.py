@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,13 +21,13 @@ from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
     ENDS,
     Branch,
-    area,
-    area_error,
+    Pair,
     closes,
     combined,
     crossing,
     is_open,
     large_branches,
+    loss,
     turns_of,
 )
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
@@ -145,14 +145,14 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
     branches = large_branches(u, y, turns)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    if not pairs or not is_open(np.array([area(*pair) for pair in pairs]), sigma, u):
+    if not pairs or not is_open(pairs, sigma):
         return (), (), ()
-    closed = np.array([area(*pair) for pair in pairs if closes(*pair, y)])
-    found = [*_levels(branches, sigma, kind, record), *(_loss(closed, sigma, u, record) if closed.size else ())]
+    closed = [pair for pair in pairs if closes(*pair, y)]
+    found = [*_levels(branches, sigma, kind, record), *(_loss(closed, sigma, record) if closed else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, sigma, kind, record), branches))
-    return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=bool(closed.size))
+    return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=bool(closed))
 
 
 def _with_data_sheet(
@@ -236,22 +236,19 @@ def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[Lo
 def _stiffness(branches: list[Branch], sigma: float | None, units: tuple[str, str]) -> Iterator[LoopValue]:
     """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
     width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    found = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), None) for b in branches])
+    each = None if sigma is None else sigma * float(np.sqrt(2)) / width
+    found = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in branches])
     if found is None:
         return
-    error = None if sigma is None else sigma * float(np.sqrt(2)) / width
-    yield LoopValue(
-        "secant_stiffness",
-        "secant stiffness",
-        found[0],
-        error or found[1],
-        f"{units[1]}/{units[0]}".strip("/"),
-        found[2],
-    )
-    losses = [abs(area(*pair)) for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    if losses and found[0] > 0:
-        ratio = 100 * 2 * float(np.median(losses)) / (np.pi * found[0] * width**2)
-        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, None, "%", len(losses))
+    unit = f"{units[1]}/{units[0]}".strip("/")
+    yield LoopValue("secant_stiffness", "secant stiffness", found[0], found[1], unit, found[2])
+    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
+    if pairs and found[0] > 0:
+        size, uncertain, count = loss(pairs, sigma)
+        ratio, stiffness = 100 * 2 * size / (np.pi * found[0] * width**2), found[1]
+        known = uncertain is not None and stiffness is not None and size > 0
+        damping = ratio * float(np.hypot(uncertain / size, stiffness / found[0])) if known else None  # type: ignore[operator]
+        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
 
 
 def _both(
@@ -269,15 +266,13 @@ def _both(
             yield LoopValue(f"{name}_{which}", f"{label}, {which} branch", one[0], one[1], unit, one[2])
 
 
-def _loss(areas: np.ndarray, sigma: float | None, u: np.ndarray, record: Record) -> Iterator[LoopValue]:
+def _loss(closed: Sequence[Pair], sigma: float | None, record: Record) -> Iterator[LoopValue]:
     """Loss per cycle, in energy where the units tell it."""
-    size, each = np.abs(areas), area_error(sigma, u)
-    found = combined([(float(value), each) for value in size])
-    if found is None:
-        return
+    value, error, count = loss(closed, sigma)
     unit, factor = loop_energy(record.u_unit, record.y_unit)
-    error = None if found[1] is None else factor * found[1]
-    yield LoopValue("loop_area", "loss per cycle", factor * found[0], error, unit, found[2])
+    yield LoopValue(
+        "loop_area", "loss per cycle", factor * value, None if error is None else factor * error, unit, count
+    )
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | None) -> tuple[LoopValue, ...]:

@@ -116,7 +116,17 @@ class MagneticLoop:
     @property
     def sigma(self) -> float | None:
         """Standard deviation of one output [T]: of its white noise, or of the asymmetry of the loop where that is larger."""
-        return max((one for one in (self.noise, asymmetry(list(self.branches))) if one is not None), default=None)
+        return self._scatter[0]
+
+    @property
+    def correlated(self) -> float:
+        """Over which stretch of the field that scatter is correlated [A/m]; 0 where it is white noise."""
+        return self._scatter[1]
+
+    @property
+    def _scatter(self) -> tuple[float | None, float]:
+        found = asymmetry(list(self.branches))
+        return found if found is not None and found[0] > (self.noise or 0.0) else (self.noise, 0.0)
 
     def _drift(self, apply: bool) -> MagneticLoop:
         """The gap at the tip of the first closed cycle, removed in proportion to the number of samples."""

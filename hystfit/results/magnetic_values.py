@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from hystfit.params.units import MU0
-from hystfit.results.loop_branches import Branch, area, area_error, closes, crossing
+from hystfit.results.loop_branches import Branch, closes, crossing, loss
 from hystfit.results.magnetic_loop import MagneticLoop
 from hystfit.results.measured_value import LoopValue
 
@@ -209,11 +209,12 @@ def _mean(name: str, label: str, found: list[tuple[bool, Found]], unit: tuple[st
 
 def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
     """Loss per cycle and volume, of loops that were measured as moments."""
-    pairs = [pair for pair in itertools.pairwise(loop.branches) if pair[0].rises != pair[1].rises]
-    areas = [abs(area(*pair)) for pair in pairs if closes(*pair, loop.j)]
-    if areas:
-        error = area_error(loop.sigma, loop.h)
-        yield LoopValue("W", "hysteresis loss per cycle", float(np.median(areas)), error, "J/m3", len(areas))
+    pairs = [
+        pair for pair in itertools.pairwise(loop.branches) if pair[0].rises != pair[1].rises and closes(*pair, loop.j)
+    ]
+    if pairs:
+        value, error, count = loss(pairs, loop.sigma, loop.correlated)
+        yield LoopValue("W", "hysteresis loss per cycle", value, error, "J/m3", count)
 
 
 def _saturation(loop: MagneticLoop, falling: list[Branch], output_unit: str) -> Iterator[LoopValue]:
