@@ -113,6 +113,7 @@ class Code(enum.StrEnum):
     TOO_FEW_SAMPLES = "too-few-samples"
     MINOR_LOOPS = "minor-loops"
     REVERSAL_CURVES = "reversal-curves"
+    CONDITIONS = "conditions"
 
 
 @dataclasses.dataclass(frozen=True)

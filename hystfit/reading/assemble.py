@@ -17,6 +17,7 @@ from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.column_names import column_unit
 from hystfit.reading.columns import Choice, choose, find
+from hystfit.reading.conditions import changed_conditions
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Part, Table
@@ -318,7 +319,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
             sha256=table.sha256,
             metadata={**_constants(table, choice), **table.metadata, **part.metadata},
             stated=part.stated,
-            notes=tuple(notes),
+            notes=(*notes, *changed_conditions(table, (choice.time, choice.input, choice.output), choice.output)),
         )
     except DataError as error:
         raise DataError(f"{table.source}: {error}") from error

@@ -57,7 +57,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
-_HEATED, _COLD = (
+HEATED, _COLD = (
     10.0,
     -5.0,
 )  # degrees over which a temperature must vary to be an input, and its points where it does not
@@ -153,7 +153,7 @@ class _Evidence:
         points += _PARTIAL * self._is_partial[i]
         if kinds[i] != kinds[o] and self._is_measured[i]:
             points += _OVERTAKEN
-        if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < _HEATED:
+        if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
         if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
