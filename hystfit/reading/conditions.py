@@ -35,6 +35,6 @@ def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) 
         if table.units[k] and table.units[k] == table.units[output] and own.any() and not (own & present).any():
             yield warn(
                 Code.CONDITIONS,
-                f"{int(own.sum())} rows hold {table.names[k]!r} in place of {table.names[output]!r}: they were measured in another mode, and "
+                f"{int(own.sum())} rows hold {table.names[k]!r} in place of {table.names[output]!r}: they are of another mode, and "
                 f"count as samples without output (output={table.names[k]!r} reads them alone)",
             )
