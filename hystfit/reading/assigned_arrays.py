@@ -1,4 +1,4 @@
-"""Arrays in the source text of programs, "V = [0.1 0.2; ...];" of MATLAB, Python or C, and lists of YAML below their names."""
+"""Arrays in the source text of programs, "V = [0.1 0.2; ...];" of MATLAB, Python or C, and lists of YAML behind or below their names."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text_file import TextFile
 
 _NUMBER = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)"
-# name = [, name = np.array([, name[600] = {, name <- c(: up to the first number.
+# name = [, name = np.array([, name[600] = {, name <- c(, name: [: up to the first number.
 _START = re.compile(
-    rf"([A-Za-z_][\w.]*)(?:\s*\[\d*\])*\s*(?:<-|=)\s*(?:[A-Za-z_][\w.]*\s*)?([\[({{][\[({{\s]*)(?={_NUMBER}[\s,;\])}}])",
+    rf"([A-Za-z_][\w.]*)(?:\s*\[\d*\])*\s*(?:<-|=|:)\s*(?:[A-Za-z_][\w.]*\s*)?([\[({{][\[({{\s]*)(?={_NUMBER}[\s,;\])}}])",
     re.IGNORECASE,
 )
 _LISTED = re.compile(

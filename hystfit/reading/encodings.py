@@ -15,7 +15,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 
 _MAGIC = {
-    b"PK\x03\x04": "a zip archive (unpack it) or a damaged Excel file (save it again as .xlsx)",
+    b"PK\x03\x04": "a damaged zip archive or Excel file (copy it again, or save it again as .xlsx)",
     b"\x89HDF": "an HDF5 file (read it with hystfit.read)",
     b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
     b"MATLAB": "a MATLAB file (read it with hystfit.read)",
@@ -24,6 +24,13 @@ _MAGIC = {
     b"%PDF": "a PDF document (export the numbers as CSV)",
     b"\x89PNG": "a picture (export the numbers as CSV)",
     b"PAR1": "a Parquet file (read it with hystfit.read)",
+    b"7z\xbc\xaf": "a 7-Zip archive (unpack it)",
+    b"Rar!": "a RAR archive (unpack it)",
+    b"CPYA": "an Origin project (export the worksheet as ASCII)",
+    b"CPYUA": "an Origin project (export the worksheet as ASCII)",
+    b"MDF  ": "an MDF file of CANape, INCA or others (export it as CSV)",
+    b"SQLite format 3": "an SQLite database (export the table as CSV)",
+    b"ARROW1": "a Feather file (save it as Parquet or CSV)",
 }
 
 # Words of column names and headers, by the encoding of files in that language.

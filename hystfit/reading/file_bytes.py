@@ -14,10 +14,11 @@ from typing import Any
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading import archive
 
 _LARGEST = 4 * 2**30  # bytes of a file
 _PACKED = {b"\x1f\x8b": "gzip", b"\xfd7zXZ\x00": "xz", b"BZh": "bzip2"}
-_PACKED_SUFFIXES = frozenset({".gz", ".xz", ".bz2", ".lzma"})
+_PACKED_SUFFIXES = frozenset({".gz", ".xz", ".bz2", ".lzma", ".zip"})
 _LZMA_ALONE = b"\x5d\x00\x00"
 
 
@@ -56,7 +57,7 @@ def inner_name(path: str | Path) -> Path:
 
 
 def load(path: str | Path) -> FileBytes:
-    """The content of a regular file, unpacked where it is gzip, bzip2 or xz."""
+    """The content of a regular file, unpacked where it is gzip, bzip2, xz, or a zip archive of one file."""
     path = Path(path)
     try:
         status = os.stat(path)
@@ -83,10 +84,11 @@ def load(path: str | Path) -> FileBytes:
     kind = next((kind for magic, kind in _PACKED.items() if raw.startswith(magic)), "")
     if not kind and path.suffix.lower() == ".lzma" and raw.startswith(_LZMA_ALONE):
         kind = "lzma"
-    if not kind:
+    member = archive.member_of(raw, str(path), allowed(len(raw))) if raw.startswith(archive.MAGIC) else None
+    if not kind and member is None:
         return FileBytes(raw, digest, str(path))
-    content = _unpacked(raw, kind, str(path))
-    note = Note(Code.FILE_FORMAT, f"unpacked from {kind}: {len(content)} bytes")
+    name, content = member or ("", _unpacked(raw, kind, str(path)))
+    note = Note(Code.FILE_FORMAT, f"unpacked from {kind or f'zip, {name!r}'}: {len(content)} bytes")
     return FileBytes(content, digest, str(path), (note,))
 
 

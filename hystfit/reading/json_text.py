@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -106,18 +106,26 @@ def _of_rows(rows: list[list[Any]]) -> dict[str, list[Any]]:
 def _parts(value: Any) -> list[tuple[dict[str, np.ndarray], str, dict[str, Any]]]:
     """Arrays, name and scalars of each record; one record unless items of a list, or of a mapping, have arrays of the same names."""
     items = [("", item) for item in value] if isinstance(value, list) else []
+    listed = []
     if isinstance(value, Mapping):
         items = [(key, item) for key, item in value.items() if isinstance(item, Mapping)]
-        listed = [
-            item for item in value.values() if isinstance(item, list) and any(isinstance(one, Mapping) for one in item)
+        lists = [
+            one for one in value.values() if isinstance(one, list) and any(isinstance(row, Mapping) for row in one)
         ]
-        items = [("", one) for item in listed for one in item] if len(listed) == 1 and not items else items
-    leaves = [(name, *_leaves(item)) for name, item in items if isinstance(item, Mapping)]
-    leaves = [one for one in leaves if len(one[1]) > 1]
-    if len(leaves) > 1 and len({tuple(sorted(arrays)) for _, arrays, _ in leaves}) == 1:
+        listed = [("", row) for row in lists[0]] if len(lists) == 1 else []
+    leaves, fewest = _records(items), 2
+    if not leaves:
+        leaves, fewest = _records(listed), 1  # a list of one record is a record
+    if len(leaves) >= fewest and len({tuple(sorted(arrays)) for _, arrays, _ in leaves}) == 1:
         return [(arrays, name, scalars) for name, arrays, scalars in leaves]
     arrays, scalars = _leaves(value if isinstance(value, Mapping) else dict(enumerate(value)) if value else {})
     return [(arrays, "", scalars)] if arrays else []
+
+
+def _records(items: Iterable[tuple[str, Any]]) -> list[tuple[str, dict[str, np.ndarray], dict[str, Any]]]:
+    """Name, arrays and scalars of the items that have at least two arrays."""
+    leaves = [(name, *_leaves(item)) for name, item in items if isinstance(item, Mapping)]
+    return [one for one in leaves if len(one[1]) > 1]
 
 
 def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -48,8 +48,9 @@ def read(
 
     Args:
         path: text of any layout, JSON, NumPy, MATLAB, Excel, HDF5 or Parquet, recognized by the content whatever the name, also packed as
-            .gz .bz2 .xz; or several of them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one record with its
-            input in the first file and its output in the second. Or a data frame (pandas, polars, a dictionary of columns).
+            .gz .bz2 .xz, or alone in a .zip; or several of them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one
+            record with its input in the first file and its output in the second. Or a data frame (pandas, polars, a dictionary
+            of columns).
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
             `time=False` reads without time.
         sigma: column with the standard deviation of the output of each sample, from which the weights follow.

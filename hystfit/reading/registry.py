@@ -37,6 +37,7 @@ from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
+from hystfit.reading.unit_cells import read_unit_cells
 from hystfit.reading.workbook import read_workbook
 
 _HDF = b"\x89HDF"
@@ -130,6 +131,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_tables,
     read_transposed,
     read_drawn_table,
+    read_unit_cells,
     plain_text,
 )
 

@@ -123,6 +123,9 @@ def _pieces(text: TextFile) -> list[_Piece]:
         first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
         above = found[-1].stop if found else 0
         header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first], dialect)
+        width = lambda line: len(split(text.lines[line].rstrip("\t ;,"), dialect.delimiter))
+        if found and _is_remark(header, found[-1].header) and width(first) == width(found[-1].first):
+            header = ()
         if header or not found:
             found.append(_Piece(above, first, stop, count, header))
         else:
@@ -139,13 +142,22 @@ def _header(above: Sequence[str], row: str, dialect: Dialect) -> tuple[str, ...]
     return tuple(line.strip() for line in [line for line in above if line.strip()][-used:]) if used else ()
 
 
+def _is_remark(header: Sequence[str], before: Sequence[str]) -> bool:
+    """Whether lines between rows are words about them, as no word is a quantity, unlike those of the header before."""
+    return bool(header and before) and not _quantities(header[0]) and bool(_quantities(before[0]))
+
+
+def _quantities(header: str) -> set[str]:
+    """Physical quantities of the names in a line."""
+    return {*map(column_quantity, re.split(r"[\t,;|]|\s+", header))} - {""}
+
+
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
     """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
     if max((piece.rows for piece in pieces), default=0) < _FEWEST or len(pieces) < 2:
         return False
     if len({piece.header for piece in pieces}) > 1:
-        names = {name for piece in pieces for name in re.split(r"[\t,;|]|\s+", piece.header[0])}
-        return any(map(column_quantity, names))  # else they are remarks of as many words as there are columns
+        return any(_quantities(piece.header[0]) for piece in pieces)  # else they are remarks
     between = [line for piece in pieces[1:] for line in text.lines[piece.above : piece.first] if line.strip()]
     if len(between) == sum(len(piece.header) for piece in pieces[1:]):
         return False

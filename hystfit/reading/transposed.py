@@ -3,12 +3,14 @@
 import re
 
 from hystfit.reading.cells import is_missing
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _MOST_LINES = 50  # lines that name a quantity; the samples stand beside each other
 _FEWEST_SAMPLES = 20  # numbers after the name, as many as a loop needs
+_FEWEST_KNOWN = 5  # the same after the name of a physical quantity
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -24,7 +26,7 @@ def read_transposed(text: TextFile) -> Table | None:
         headed = any(
             len(row) in width and row not in quantities for row in rows
         )  # rows of an ordinary table below their names
-        if len(quantities) > 1 and len(width) == 1 and not headed:
+        if len(width) == 1 and 1 < len(quantities) < min(width) and not headed:
             return plain_text(text.of("\n".join(delimiter.join(column) for column in zip(*quantities, strict=True))))
     return None
 
@@ -34,4 +36,5 @@ def _is_quantity(row: list[str]) -> bool:
     name, *cells = row
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
     complete = all(is_missing(cell) or _NUMBER.fullmatch(cell) for cell in cells)
-    return not is_missing(name) and not _NUMBER.fullmatch(name) and numbers >= _FEWEST_SAMPLES and complete
+    fewest = _FEWEST_KNOWN if column_quantity(name) else _FEWEST_SAMPLES
+    return not is_missing(name) and not _NUMBER.fullmatch(name) and numbers >= fewest and complete

@@ -7,6 +7,7 @@ from . import (  # noqa: F401 - they register their kinds
     ferroelectrics,
     frames,
     groups,
+    logs,
     magnetometers,
     micromag,
     nameless,

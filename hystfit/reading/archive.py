@@ -1,0 +1,65 @@
+"""Zip archives that hold one measured file, as people send them."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import PurePosixPath
+
+from hystfit.errors import DataError
+
+MAGIC = b"PK\x03\x04"
+# Members by which an archive is a document of its own: Excel, NumPy, and those that are no measurement.
+_WORKBOOK, _ARRAYS = "xl/workbook.xml", ".npy"
+_DOCUMENTS = {
+    "word/document.xml": "a Word document (export the numbers as CSV)",
+    "ppt/presentation.xml": "a presentation (export the numbers as CSV)",
+    "xl/workbook.bin": "a binary Excel file (save it as .xlsx)",
+    "content.xml": "an OpenDocument file (save a spreadsheet as .xlsx)",
+}
+_BESIDE = frozenset({".md", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".tif", ".tiff", ".svg", ".docx", ".pptx"})
+_NOTES = ("readme", "license", "licence")  # what names of texts about the data begin with
+_SHOWN = 6  # names in a message
+
+
+def member_of(raw: bytes, source: str, most: int) -> tuple[str, bytes] | None:
+    """Name and content of the only file in an archive that may be a measurement; None for Excel, NumPy and damaged archives.
+
+    Args:
+        most: bytes that it may have.
+
+    Raises:
+        DataError: there are several of them, or none, or the archive is a document or has a password.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            members = {one.filename: one for one in archive.infolist() if not one.is_dir()}
+            if any(name == _WORKBOOK or name.endswith(_ARRAYS) for name in members):
+                return None
+            if kind := next((what for name, what in _DOCUMENTS.items() if name in members), ""):
+                raise DataError(f"{source} is not text but {kind}")
+            name = _only(list(members), source)
+            if members[name].file_size > most:
+                raise DataError(
+                    f"{source} unpacks to more than {most / 2**20:.0f} MiB, many times its size, and is not read; "
+                    "unpack it yourself if it is a measurement"
+                )
+            if members[name].flag_bits & 1:
+                raise DataError(f"{source} is a zip archive with a password; unpack it and read {name!r}")
+            return name, archive.read(name)
+    except DataError:
+        raise
+    except Exception:  # zipfile raises several kinds on damaged archives; the readers of these files say so
+        return None
+
+
+def _only(names: list[str], source: str) -> str:
+    """The only member that is no picture, document or file of the system."""
+    visible = [name for name in names if not any(part.startswith((".", "__")) for part in PurePosixPath(name).parts)]
+    data = [name for name in visible if PurePosixPath(name).suffix.lower() not in _BESIDE]
+    data = [name for name in data if not PurePosixPath(name).name.lower().startswith(_NOTES)] or data
+    if len(data) == 1:
+        return data[0]
+    listed = ", ".join(map(repr, data[:_SHOWN])) + (", ..." if len(data) > _SHOWN else "")
+    found = f"{len(data)} files ({listed})" if data else "no file that may hold a measurement"
+    raise DataError(f"{source} is a zip archive with {found}; unpack it and name the files to read")

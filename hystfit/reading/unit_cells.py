@@ -1,0 +1,67 @@
+"""Tables whose cells hold their unit, "1.25 mT": the numbers in the unit of the first row, and the units as a row of the header."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+
+from hystfit.errors import DataError
+from hystfit.params.units import conversion
+from hystfit.reading.cells import clean
+from hystfit.reading.dialect import split
+from hystfit.reading.header import is_unit
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text import plain_text
+from hystfit.reading.text_file import TextFile
+
+_CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?([^\W\d_][\w/^²³·*-]*|°[CF]|%)")
+_ROW = re.compile(r"[\s\"']*[+-]?[.,]?\d")
+_MARKS = (";", "\t", "|", ",", None)  # between cells, the first one of which there are several
+_FEWEST = 4  # rows
+_MISSING = "nan"
+
+
+def read_unit_cells(text: TextFile) -> Table | None:
+    """A table with a unit in every row of some columns; None for others. A cell in another unit of the quantity is converted."""
+    rows = [k for k, line in enumerate(text.head) if _ROW.match(line)]
+    if len(rows) < _FEWEST:
+        return None
+    sample = text.head[rows[-1]]
+    mark = text.opening.delimiter or next(mark for mark in _MARKS if mark is None or mark in sample)
+    units = _units(split(sample, mark))
+    first = next((k for k in rows if _units(split(text.head[k], mark))), 0)
+    units = _units(split(text.head[first], mark)) if any(units) else []
+    if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(_FEWEST, len(rows) // 2):
+        return None
+    join = (mark or " ").join
+    lines = list(text.lines)
+    for k in range(first, len(lines)):
+        if _ROW.match(lines[k]):
+            lines[k] = join(_numbers(split(lines[k], mark), units))
+    lines.insert(first, join(unit or "-" for unit in units))
+    table = plain_text(text.of("\n".join(lines)))
+    return dataclasses.replace(table, line=table.line - 1)
+
+
+def _units(row: Sequence[str]) -> list[str]:
+    """The unit of each cell of a row, "" of one without; none at all where no cell has one."""
+    found = [match[2] if (match := _CELL.fullmatch(clean(cell))) else "" for cell in row]
+    return found if any(found) and all(is_unit(unit) for unit in found if unit) else []
+
+
+def _numbers(row: Sequence[str], units: Sequence[str]) -> list[str]:
+    """The cells of a row without their units, in those of the first row; missing where a cell cannot be converted."""
+    numbers = [*row]
+    for k, unit in enumerate(units[: len(row)]):
+        match = _CELL.fullmatch(clean(row[k])) if unit else None
+        if match is None or match[2] == unit:
+            numbers[k] = match[1] if match else row[k]
+            continue
+        try:
+            factor = conversion(match[2], unit)
+        except DataError:
+            factor = None
+        number = _MISSING if factor is None else repr(factor * float(match[1].replace(",", ".")))
+        numbers[k] = number.replace(".", ",") if "," in match[1] else number
+    return numbers

@@ -1,0 +1,75 @@
+"""Tables as loggers and mail programs leave them: units in cells, remarks between rows, archives, few samples beside each other."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+
+import numpy as np
+
+from .documents import measured
+from .drawing import Draw
+from .physics import major_loop, saturating
+from .registry import kind
+from .truth import Layout, loops
+from .writing import Column, Dialect, loop, packed, rows, spelled, table, titles
+
+
+@kind("units in every cell")
+def unit_cells(draw: Draw) -> Layout:
+    t, u, y = measured(draw, draw.whole(60, 400))
+    columns = [c for c in ([t, u, y] if draw.chance(0.5) else [u, y]) if c.unit]
+    dialect = Dialect(*draw.pick((",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ",")), style="none")
+    blank = draw.pick(" ", "")
+    names, *numbers = titles(columns, dialect) + rows(columns, dialect)
+    mark = dialect.delimiter
+    with_units = [
+        mark.join(f"{cell}{blank}{c.unit}" for cell, c in zip(line.split(mark), columns, strict=True))
+        for line in numbers
+    ]
+    above = draw.pick([], ["Logger 3", "Operator: abc"])
+    lines = [*above, names, *with_units]
+    return Layout("", {draw.pick("log.csv", "log.txt"): packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("remarks between rows")
+def remarks(draw: Draw) -> Layout:
+    t, u, y = measured(draw, draw.whole(100, 600))
+    mark = draw.pick(",", ";", "\t")
+    lines = table(draw, [t, u, y], Dialect(mark, style=draw.pick("parentheses", "brackets")))
+    lead = draw.pick("# ", "% ", "// ", "")
+    words = ["pause", "operator pause", "resumed at noon", "resumed at 12:30", "level changed by hand", "range x10"]
+    for place in sorted(draw.rng.choice(np.arange(10, len(lines)), draw.whole(1, 4), replace=False))[::-1]:
+        lines.insert(int(place), lead + draw.pick(*words))
+    return Layout("", {"loop.csv": packed(draw, lines)}, loops(loop(u, y, t)))
+
+
+@kind("archive of one file")
+def archive(draw: Draw) -> Layout:
+    t, u, y = measured(draw, draw.whole(100, 400))
+    content = packed(
+        draw,
+        table(draw, [t, u, y], Dialect(draw.pick(",", ";", "\t"), style=draw.pick("parentheses", "brackets", "row"))),
+    )
+    stream = io.BytesIO()
+    beside = draw.pick(
+        [], [("__MACOSX/._loop.csv", b"\0\1\2")], [("readme.txt", b"a loop")], [("setup.png", b"\x89PNG")]
+    )
+    with zipfile.ZipFile(stream, "w", draw.pick(zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)) as file:
+        for name, one in draw.shuffled([(draw.pick("loop.csv", "data/loop.txt"), content), *beside]):
+            file.writestr(name, one)
+    return Layout("", {draw.pick("loop.zip", "run 3.zip"): stream.getvalue()}, loops(loop(u, y, t)))
+
+
+@kind("few samples beside each other")
+def few(draw: Draw) -> Layout:
+    n = 2 * draw.whole(6, 12)
+    field = draw.size(100, 5000) * major_loop(n)
+    h = Column(draw.pick("H", "Field", "Magnetic field"), field, draw.pick("A/m", "Oe"), ".5g")
+    b = Column(draw.pick("B", "J"), 1.2 * saturating(draw, field / field.max(), begin=1), "T", ".4f")
+    mark = draw.pick(",", ";", "\t")
+    dialect = Dialect(mark, style=draw.pick("brackets", "parentheses"))
+    columns = spelled(draw, draw.pick([h, b], [b, h]), dialect)
+    names = titles(columns, dialect)[0].split(mark)
+    lines = [mark.join([name, *column.cells]) for name, column in zip(names, columns, strict=True)]
+    return Layout("", {draw.pick("loop.csv", "sheet.txt"): packed(draw, lines)}, loops(loop(h, b)))
