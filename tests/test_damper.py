@@ -116,3 +116,15 @@ def test_a_magnetorheological_damper_is_predicted(measured: Path) -> None:
     record = hf.datasets.load("mr_labcontrol/4.1")
     fit = hf.fit("damper", record.window(None, 6.0))
     assert fit.metrics(record.window(6.0, 15.0)).nrmse_percent < 2.0
+
+
+    assert fit.metrics(record.window(6.0, 15.0)).nrmse_percent < 2.5
+
+
+def test_a_damper_without_lag_follows_the_velocity() -> None:
+    model, u = random_damper(3, tau=0.0), sweep()
+    dt = np.full(u.size, 1 / RATE)
+    dt[0] = 0.0
+    with np.errstate(all="raise"):
+        found = model.free_run(u, dt)
+    np.testing.assert_allclose(found, plain(dataclasses.replace(model, tau=1e-12), u, dt), rtol=1e-9, atol=1e-9)

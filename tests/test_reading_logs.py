@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hystfit.data import Record
+from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.outcome import Severity
 from hystfit.reading import read
 
 U = np.round(80 * np.sin(np.linspace(0, 4 * np.pi, 60)), 3)
@@ -96,3 +97,69 @@ def test_lists_of_yaml_behind_their_names(tmp_path: Path) -> None:
 def test_json_list_of_one_record(tmp_path: Path) -> None:
     content = {"data": [{"name": "trace", "V_V": U.tolist(), "x_um": Y.tolist()}], "layout": {"title": {"text": "a"}}}
     is_loop(one(tmp_path, json.dumps(content), "a.json"))
+
+
+HALF = np.linspace(0, 100, 50)
+UP = np.round(0.04 * HALF + np.sin(HALF / 32), 6)
+DOWN = np.round(UP + 0.5 * np.sin(np.pi * HALF / 100), 6)
+PAIRS = [("trace", "retrace"), ("Ex", "Rt"), ("auf", "ab"), ("Hin", "Rück"), ("montée", "descente"), ("加载", "卸载")]
+
+
+@pytest.mark.parametrize("words", [*PAIRS, ("↑", "↓"), ("north", "south")])
+def test_branches_under_the_names_of_other_languages(words: tuple[str, str], tmp_path: Path) -> None:
+    rows = [f"{u},{a},{b}" for u, a, b in zip(HALF, UP, DOWN, strict=True)]
+    record = one(tmp_path, "\n".join([f"Weg,Kraft {words[0]},Kraft {words[1]}", *rows]))
+    np.testing.assert_allclose(record.u, np.append(HALF, HALF[::-1]))
+    np.testing.assert_allclose(record.y, np.append(UP, DOWN[::-1]))
+    asked = any(note.severity is Severity.WARNING and "--output" in note.text for note in record.notes)
+    assert asked == (words not in PAIRS)
+
+
+def test_sensors_that_end_apart_are_no_branches(tmp_path: Path) -> None:
+    rows = [f"{u},{a},{1.3 * a}" for u, a in zip(HALF, UP, strict=True)]
+    record = one(tmp_path, "\n".join(["Weg,Kraft north,Kraft south", *rows]))
+    np.testing.assert_allclose(record.y, UP)
+
+
+@pytest.mark.parametrize(
+    "names", [["M 5 K (emu)", "M 300 K (emu)"], ["5 K", "77 K", "300 K"], ["B at 50 Hz", "B at 400 Hz"]]
+)
+def test_outputs_at_several_conditions_are_records(names: list[str], tmp_path: Path) -> None:
+    rows = [",".join(map(str, [u, *(k * y for k in range(1, len(names) + 1))])) for u, y in zip(U, Y, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join([",".join(["H (Oe)", *names]), *rows]))
+    data = Dataset.of(read(tmp_path / "a.csv"))
+    assert len(data) == len(names)
+    for k, record in enumerate(data, start=1):
+        np.testing.assert_allclose(record.u, U)
+        np.testing.assert_allclose(record.y, k * Y)
+        assert record.name.split()[0] in names[k - 1]
+
+
+def test_columns_of_fixed_width_that_touch(tmp_path: Path) -> None:
+    u, y = 1000 + U, 2000 + Y
+    text = "".join(f"{k / 100:9.3f}{a:8.3f}{b:8.3f}\n" for k, (a, b) in enumerate(zip(u, y, strict=True)))
+    record = one(tmp_path, text, "a.dat")
+    np.testing.assert_allclose(record.u, u, rtol=1e-12)
+    np.testing.assert_allclose(record.y, y, rtol=1e-12)
+    other = "".join(f"{k / 100:9.3f}{a:8.3f}{1e4 * b:9.2f}\n" for k, (a, b) in enumerate(zip(u, U, strict=True)))
+    with pytest.raises(DataError, match=r"rows of numbers cannot be read|only 1 column|an input and an output"):
+        read(_file(tmp_path, other))
+
+
+def _file(folder: Path, text: str) -> Path:
+    (folder / "b.dat").write_text(text)
+    return folder / "b.dat"
+
+
+def test_two_files_of_one_channel_each_ask_for_their_time(tmp_path: Path) -> None:
+    for name, values in (("disp.out", U), ("force.out", Y)):
+        (tmp_path / name).write_text("".join(f"{k / 10:.1f} {v}\n" for k, v in enumerate(values - values[0])))
+    paths = [tmp_path / "disp.out", tmp_path / "force.out"]
+    told = [
+        note.text for record in Dataset.of(read(paths)) for note in record.notes if note.severity is Severity.WARNING
+    ]
+    assert all(f"{paths[0]}+{paths[1]} is one record" in text for text in told if "clockwise" not in text)
+    assert len(told) >= 2
+    record = read(f"{paths[0]}+{paths[1]}")
+    assert isinstance(record, Record)
+    np.testing.assert_allclose(record.y, Y - Y[0])

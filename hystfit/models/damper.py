@@ -149,7 +149,8 @@ class Damper(AbstractHysteresis):
 
     def _velocity(self, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """w at every sample, shape (T,)."""
-        left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):  # without a lag, the velocity is that of the sample
+            left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
         driven = (1.0 - left) * np.diff(u, prepend=u[0]) / np.where(dt > 0, dt, 1.0) / float(self.speed)
         w, last = np.empty(u.size), 0.0
         for k, (kept, added) in enumerate(zip(left.tolist(), driven.tolist(), strict=True)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import csv
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -61,6 +62,7 @@ class Text:
     settled: bool
 
 
+_LAST_DECIMALS = re.compile(r"\.(\d{2,})(?:[eE][+-]\d\d)?\s*$", re.ASCII)
 _TOUCHING = re.compile(r"(\.\d+(?:[eE][+-]?\d+)?)(?=-\d*\.\d)", re.ASCII)
 
 
@@ -72,9 +74,33 @@ def split(line: str, delimiter: str | None) -> list[str]:
 
 
 def apart(lines: Sequence[str]) -> tuple[list[str], int]:
-    """The lines with a blank where a minus sign touches the column before it ("1.2345-2.3456"), and how many have such columns."""
-    separated = [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in lines]
+    """The lines with a blank between columns of fixed width that touch ("1.23-2.34", "1.232.34"), and how many have such columns."""
+    separated = [_TOUCHING.sub(r"\1 ", line) if "-" in line else line for line in _at_decimals(lines)]
     return separated, sum(a != b for a, b in zip(lines, separated, strict=True))
+
+
+def _at_decimals(lines: Sequence[str]) -> Sequence[str]:
+    """The lines with a blank after each number that touches the next one, where all numbers of a line have as many decimals as its last.
+
+    The lines as they are where such a place would part a number of another line: the columns have different decimals.
+    """
+    places = {k: found for k, line in enumerate(lines) if line.count(".") > 1 and (found := _ends(line))}
+    everywhere = {place for found in places.values() for place in found}
+    parts = lambda line, place: line[place - 1 : place].isdigit() and line[place : place + 1].isdigit()
+    for k, line in enumerate(lines):
+        if "." in line and any(parts(line, place) for place in everywhere.difference(places.get(k, ()))):
+            return lines
+    cut = lambda line, found: " ".join(line[a:b] for a, b in itertools.pairwise([0, *found, len(line)]))
+    return [cut(line, places[k]) if k in places else line for k, line in enumerate(lines)]
+
+
+def _ends(line: str) -> list[int]:
+    """Where numbers end that touch the next one."""
+    last = _LAST_DECIMALS.search(line)
+    if last is None:
+        return []
+    number = re.compile(rf"\.\d{{{len(last[1])}}}(?:[eE][+-]\d\d)?(?=\d+\.)")
+    return [match.end() for match in number.finditer(line)]
 
 
 def _quality(pattern: str) -> float:

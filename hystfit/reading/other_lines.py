@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_unit, listed_names, read_header, split_unit, stated_units
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
+_TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _BETWEEN = 3  # lines between the names and the numbers
 _WORDS = {
     "header": "repeated header",
@@ -189,7 +191,9 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
     ragged, index, unread = set(block.ragged), block.index, 0
     groups: dict[str, list[int]] = {key: [] for key in _WORDS}
     outside = np.ones(len(text.lines), dtype=bool)
-    outside[: index[0]] = outside[index] = False
+    outside[index] = False
+    touching = {k for k in np.flatnonzero(outside).tolist() if _TOUCHING.fullmatch(text.lines[k])}
+    outside[: index[0]] = False
     for k in np.flatnonzero(outside).tolist():
         line = text.lines[k]
         if not line.strip(" \t,;|"):
@@ -202,5 +206,6 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
         else:
             mostly, kinds = _mostly_numbers(row, text)
             groups["cells" if k in ragged and mostly else "text"].append(k)
-            unread += int((mostly or (k not in ragged and cells.NUMBER in kinds)) and k < index[-1])
-    return groups, unread
+            begun = cells.NUMBER in (kinds[:1] if k in ragged else kinds)
+            unread += int((mostly or begun) and k < index[-1] and k not in touching)
+    return groups, unread + len(touching)

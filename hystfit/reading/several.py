@@ -14,7 +14,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
 from hystfit.reading.charge_throughput import cycled
 from hystfit.reading.columns import Choice, choose, find
@@ -23,6 +23,7 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.side_by_side import stacked_files
 
 PAIR = "+"
+_EVEN = 0.01  # part of a sampling interval by which the rounding of a clock varies it
 
 
 def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
@@ -70,6 +71,13 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     if len(parts) == 1:
         return parts[0][1] if cycle == halves else cycle[0]
     parts = list(zip([path for path, _ in parts], cycle, strict=True)) if len(halves) == len(parts) else parts
+    if len(parts) == len(cycle) == 2 and _share_a_clock(*cycle):
+        one, other = (str(path) for path, _ in parts)
+        text = (
+            f"the files have the same first column, which rises in even steps: if it is a time, {one}{PAIR}{other} is one record, "
+            "with the input in the first file and the output in the second"
+        )
+        parts = [(path, record.noted(Code.COLUMN_CHOICE, text, Severity.WARNING)) for path, record in parts]
     labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
     names = [record.name for _, record in labeled]
     stems = [Path(path).stem for path, _ in labeled]
@@ -85,6 +93,13 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     return Dataset(
         tuple(records), name=", ".join(shown) if len(shown) < 4 else f"{shown[0]} and {len(shown) - 1} more files"
     )
+
+
+def _share_a_clock(one: Record, other: Record) -> bool:
+    """Whether two records without a time have the same input, which rises in even steps."""
+    steps = np.diff(one.u)
+    even = steps.size > 1 and steps.min() > 0 and bool(np.ptp(steps) <= _EVEN * np.median(steps))
+    return even and one.t is None and other.t is None and not one.u_unit and np.array_equal(one.u, other.u)
 
 
 def pair_table(

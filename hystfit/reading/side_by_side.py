@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.outcome import Code, Note
+from hystfit.params.units import quantity
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import is_unit, split_unit
@@ -17,6 +18,9 @@ from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
 _WORD = re.compile(r"[^\W_]+")
+_CONDITION = re.compile(
+    r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
+)  # a value and its unit behind a name
 _FEWEST_ROWS = 4
 
 
@@ -25,15 +29,17 @@ def stacked(table: Table) -> Table | None:
 
     Names may have words of their group (M_300K, H_300K). No other column of numbers stands beside them, apart from one that numbers the
     rows: channels of one experiment, which share a time, are no loops of their own. Groups of columns follow each other, or the columns of
-    a matrix of inputs precede those of a matrix of outputs (H1, H2, B1, B2). Columns may end at different rows. Words above the names, one
-    over each group, name the records.
+    a matrix of inputs precede those of a matrix of outputs (H1, H2, B1, B2), or outputs at several conditions follow one input (H, 5 K,
+    300 K). Columns may end at different rows. Words above the names, one over each group, name the records.
     """
     there = [k for k in range(len(table.names)) if k in table.labels or np.isfinite(table.columns[k]).any()]
     if there and table.counts(there[0]) and column_quantity(table.names[there[0]]) in ("", "index"):
         there = there[1:]
     count = len(there)
-    if not table.named or count < 4:
+    if not table.named or count < 3:
         return None
+    if (conditions := _of_conditions(table, there)) is not None or count < 4:
+        return conditions
     bases = [_base(table.names[k]) for k in there]
     for size in range(2, count // 2 + 1):
         groups = [there[k : k + size] for k in range(0, count, size)]
@@ -50,6 +56,22 @@ def stacked(table: Table) -> Table | None:
     if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
         return _below_each_other(table, [[there[k], there[k + half]] for k in range(half)])
     return None
+
+
+def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
+    """One input and an output at each of several conditions; None for other tables."""
+    titles = [_condition(table.names[k]) for k in there[1:]]
+    if not all(titles) or len({*titles}) < len(titles) or len({(base, unit) for base, _, unit in titles}) > 1:
+        return None
+    names = [f"{value} {unit}" for _, value, unit in titles]
+    below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)
+    return below and dataclasses.replace(below, names=(below.names[0], titles[0][0] or "output"))
+
+
+def _condition(name: str) -> tuple[str, str, str] | None:
+    """The rest of a name, and the value and unit of a condition that it states ("M 5K", "280 K", "B at 50 Hz"); None without one."""
+    match = _CONDITION.fullmatch(split_unit(name)[0] if name.endswith((")", "]")) else name)
+    return (match[1], match[2], match[3]) if match and quantity(match[3]) else None
 
 
 def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:

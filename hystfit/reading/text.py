@@ -67,7 +67,7 @@ def _block_of(file: TextFile) -> tuple[Text, Block, list[Note]]:
             lines, touching = apart(lines)
             dialect = sniff(lines, source, delimiter, decimal) if touching else dialect
         if touching:
-            words = f"columns that touch are separated before the minus sign: {touching} lines"
+            words = f"columns that touch are separated: {touching} lines"
             notes.append(Note(Code.FILE_FORMAT, words))
         text = dataclasses.replace(text, lines=lines, dialect=dialect)
         block = careful_block(text, [split(line, dialect.delimiter) for line in lines])
@@ -216,7 +216,11 @@ def _doubtful_first_row(
         return [warn(Code.FILE_FORMAT, words)]
     top, *below = [split(text.lines[k], text.dialect.delimiter) for k in block.index[:50]]
     decimals = lambda row: sum(text.dialect.decimal in cell for cell in row)
-    if decimals(top) == 0 and all(decimals(row) >= len(numbers) - 1 and decimals(row) > 0 for row in below):
+    if (
+        any(first)
+        and decimals(top) == 0
+        and all(decimals(row) >= len(numbers) - 1 and decimals(row) > 0 for row in below)
+    ):
         words = "the first row holds whole numbers and the others decimals; it was read as data: delete it if it is a header"
         return [warn(Code.FILE_FORMAT, words)]
     return []

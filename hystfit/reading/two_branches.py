@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
@@ -20,7 +21,10 @@ _NEAR = 0.1  # of the ranges, within which the branches of a loop meet at both e
 _OPEN = 0.02  # of the range of the outputs, by which numbered branches have to differ somewhere
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
-_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zµ]+|\d+")
+_TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
+_UNSPACED = re.compile(
+    "|".join(word for word in sorted(RISING | FALLING) if not word.isascii() and ord(word[0]) > 0x3000)
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,16 +41,26 @@ def unfolded(table: Table) -> Table | None:
     """Branches side by side (forward and reverse, up and down, 1 and 2) are joined to one loop; None for other tables.
 
     The branches are named by directions (up, down; forward, reverse; loading, unloading) or numbers (1, 2), in any order and beside other
-    columns. Branches that are only numbered have to meet at both ends, as two loops or two sensors do not.
+    columns. Branches that are only numbered have to meet at both ends, as two loops or two sensors do not; so have columns of other names
+    where there is nothing else but the input.
     """
     if not table.named:
         return None
-    pairs = _pairs(table)
+    if (loop := _joined(table, _pairs(table))) is not None:
+        return loop
+    alike = _named_alike(table)
+    if (loop := _joined(table, alike)) is None:
+        return None
+    first, second = (table.names[k] for k in alike[-1].columns)
+    text = f"{first!r} and {second!r} meet at both ends and are read as the branches of a loop; --input and --output read one of them"
+    return loop.noted(warn(Code.CURVES, text))
+
+
+def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
+    """The loop of branches in one or two pairs of columns; None where they are no branches."""
     if len(pairs) == 2 and not set(pairs[0].columns) & set(pairs[1].columns):
         return _of_own_inputs(table, pairs)
-    if len(pairs) == 1:
-        return _of_one_input(table, pairs[0])
-    return None
+    return _of_one_input(table, pairs[0]) if len(pairs) == 1 else None
 
 
 def _pairs(table: Table) -> list[_Pair]:
@@ -69,9 +83,27 @@ def _pairs(table: Table) -> list[_Pair]:
     return found
 
 
+def _named_alike(table: Table) -> list[_Pair]:
+    """Pairs of columns whose names differ in one word without a number, where each column belongs to a pair or is the only other one."""
+    there = [k for k, column in enumerate(table.columns) if k not in table.labels and np.isfinite(column).any()]
+    kinds = {k: column_quantity(table.names[k], table.units[k]) for k in there}
+    there = [k for k in there if kinds[k] not in ("time", "index")]
+    words = {k: split_unit(table.names[k])[0].split() for k in there}
+    found = []
+    for i, j in itertools.combinations(there, 2):
+        if len(words[i]) == len(words[j]) > 1 and (kinds[i], table.units[i]) == (kinds[j], table.units[j]):
+            apart = [(a, b) for a, b in zip(words[i], words[j], strict=True) if a != b]
+            if len(apart) == 1 and not re.search(r"\d", "".join(apart[0])):
+                base = " ".join(word for word in words[i] if word != apart[0][0])
+                found.append(_Pair(base, (i, j), apart[0][0], directed=False))
+    used = [k for pair in found for k in pair.columns]
+    return found if len({*used}) == len(used) and len(there) - len(used) == 2 - len(found) else []
+
+
 def _branch(name: str) -> tuple[str, str]:
     """A name without its unit and the word of a branch, in lower case, and that word; "" without one."""
-    tokens = [token.lower() for token in _TOKEN.findall(split_unit(name)[0])]
+    spaced = _UNSPACED.sub(r" \g<0> ", split_unit(name)[0])
+    tokens = [token.lower() for token in _TOKEN.findall(spaced)]
     numbers = {word for pair in _NUMBERED for word in pair}
     place = next((k for k, token in enumerate(tokens) if token in RISING | FALLING), None)
     if place is None and len(tokens) > 1 and tokens[-1] in numbers:
