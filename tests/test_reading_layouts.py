@@ -135,6 +135,12 @@ def test_an_old_magnetometer_has_its_settings_in_one_line(tmp_path: Path) -> Non
     )
     is_loop(record, 1e4 * FIELD, 3e4 * MOMENT)
     assert (record.u_name, record.u_unit, record.y_unit) == ("Field", "Oe", "")
+    rows = "".join(
+        f"{-300 * k:+.6E},{0.03 - 0.01 * k:+.6E},{-0.01:+.6E}\n" for k in range(40)
+    )  # remanence after each field
+    text = f'"Model 2900 ASCII Data File",7,-1,"TG045"\n\n{rows}"Model 2900 Data File ends"\n'
+    record = one(written(tmp_path, text, "a.irm"))
+    assert (record.u_name, record.u_unit, record.y_name) == ("Field", "Oe", "Moment")
 
 
 def test_ramps_that_a_magnetometer_does_not_measure_part_reversal_curves(tmp_path: Path) -> None:

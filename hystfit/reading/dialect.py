@@ -16,6 +16,9 @@ _MOST = 300_000  # characters of the sample
 _SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
+_NESTED = (
+    0.05  # share of rows with a cell before the first filled column of the others: those of tables that hold this one
+)
 _MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 
@@ -129,7 +132,9 @@ def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: st
         votes = collections.Counter()
         for pattern in fits:
             votes[pattern[position]] += counts[pattern]
-        votes.pop(missing, None)
+        empty = votes.pop(missing, 0)
+        if set(kinds) <= {missing} and votes.total() < _NESTED * empty:
+            votes.clear()
         kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
     total = sum(counts[pattern] for pattern in fits)
     return Dialect(delimiter, decimal, kinds, total * _quality(kinds), total)

@@ -44,8 +44,9 @@ def read_micromag(text: TextFile) -> Table | None:
     if not (old or sections >= _FEWEST_SECTIONS or any(_FIRST_LINE.match(line) for line in text.head[:3])):
         return None
     if old:  # one quoted line with all settings; the field in Oe, the moment in counts of the instrument
-        table = plain_text(text.without([0]), Header(["Field", "Moment"], ["Oe", ""], 1))
-        return dataclasses.replace(table, pair=(0, 1))
+        table = plain_text(text.without([0]))
+        names, units = ("Field", "Moment", *table.names[2:]), ("Oe", "", *table.units[2:])
+        return dataclasses.replace(table, names=names, units=units, named=True, pair=(0, 1))
     rows = [k for k, line in enumerate(text.lines) if _SEGMENT.match(line)]
     rows = [k for k in rows if k < len(rows) + rows[0]]  # those below each other
     first = next((k for k in range(rows[-1] + 1 if rows else 0, len(text.lines)) if _DATA.match(text.lines[k])), 0)

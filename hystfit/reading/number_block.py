@@ -149,8 +149,8 @@ def _parse_columns(
             stamped &= np.array([cells.is_stamp(cells.clean(cell)) for cell in column])
         elif kind != cells.TEXT:
             numbers, kinds = cells.parse(column, dialect.decimal)
-            any_number |= kinds == cells.NUMBER
             if kind == cells.NUMBER:
+                any_number |= kinds == cells.NUMBER
                 text = kinds == cells.TEXT
                 leading = kinds == cells.NUMBER if leading is None else leading
                 spoiled |= text

@@ -103,18 +103,24 @@ def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
 def _apart(text: Text, block: Block) -> int:
     """Line after the names where one or two lines that are no rows of the table stand between them and the numbers; 0 without them.
 
-    They are words without cells ("@@Data"), or rows of numbers of another width.
+    They are words without cells ("@@Data"), rows of numbers of another width, or, where the rows of the table are set in by empty cells,
+    those of the tables in which it is nested.
     """
     dialect, first = text.dialect, int(block.index[0])
+    nested = lambda row: any(
+        kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False)
+    )
+    fits = lambda cell, kind: cells.kind(cell, dialect.decimal) == cells.TEXT or cell == "" and kind == cells.MISSING
     if first > 1 and is_mark(text.lines[first - 1]):
         return first - 1
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
         between = block.rows[place]
-        if len(between) == dialect.width or (len(between) > 1 and not _mostly_numbers(between, text)[0]):
+        other = len(between) < 2 or _mostly_numbers(between, text)[0]
+        if not nested(between) and (len(between) == dialect.width or not other):
             break
         row = [cells.clean(cell) for cell in block.rows[place - 1]]
-        if dialect.delimiter is not None and len(row) == dialect.width > 2:
-            return place if all(cells.kind(cell, dialect.decimal) == cells.TEXT for cell in row) else 0
+        if dialect.delimiter is not None and len(row) == dialect.width > 2 and not nested(row):
+            return place if all(map(fits, row, dialect.kinds)) else 0
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .drawing import Draw
-from .physics import lagging, saturating, sine
+from .physics import lagging, major_loop, saturating, sine
 from .registry import kind
 from .truth import Layout, Loop, Records, loops
 from .writing import Column, Dialect, loop, packed, table
@@ -27,6 +27,19 @@ _LONG = {
     "P": "Polarization",
     "J": "Polarization",
 }
+
+
+_OTHER_WORDS = (
+    ("trace", "retrace"),
+    ("extend", "retract"),
+    ("Ex", "Rt"),
+    ("auf", "ab"),
+    ("Hin", "Rück"),
+    ("Belastung", "Entlastung"),
+    ("montée", "descente"),
+    ("aller", "retour"),
+    ("加载", "卸载"),
+)
 
 
 def _branches(
@@ -81,6 +94,7 @@ def side_by_side(draw: Draw) -> Layout:
         ("ascending", "descending"),
         ("increasing", "decreasing"),
         ("rising", "falling"),
+        *_OTHER_WORDS,
     )
     return _side_by_side(draw, words, draw.pick("{base}_{word}", "{base} {word}", "{word} {base}"), draw.chance(0.5))
 
@@ -96,7 +110,12 @@ def one_input(draw: Draw) -> Layout:
     quantity, n = draw.pick(*_QUANTITIES), draw.whole(60, 250)
     up, down = _branches(draw, n, n, quantity)
     words = draw.pick(
-        ("up", "down"), ("increasing", "decreasing"), ("forward", "backward"), ("loading", "unloading"), ("asc", "desc")
+        ("up", "down"),
+        ("increasing", "decreasing"),
+        ("forward", "backward"),
+        ("loading", "unloading"),
+        ("asc", "desc"),
+        *_OTHER_WORDS,
     )
     y = quantity[2]
     columns = [
@@ -198,3 +217,27 @@ def epstein(draw: Draw) -> Layout:
         {draw.pick("M400_50Hz.csv", "ring core.txt"): packed(draw, above + table(draw, columns, dialect))},
         loops(loop(u, y)),
     )
+
+
+@kind("outputs at several conditions")
+def conditions(draw: Draw) -> Layout:
+    n, count = 2 * draw.whole(60, 200), draw.whole(2, 5)
+    field = draw.size(100, 20000) * major_loop(n)
+    h = Column(draw.pick("H", "Field", "Magnetic Field"), field, draw.pick("Oe", "A/m", "mT"), ".6g")
+    unit, values = draw.pick(
+        ("K", (5, 77, 150, 300, 400)), ("Hz", (10, 50, 100, 400, 1000)), ("°C", (25, 60, 90, 120, 150))
+    )
+    form = draw.pick("M {value} {unit}", "M_{value}{unit}", "M at {value} {unit}", "M({value}{unit})", "{value} {unit}")
+    bare = form.startswith("{value}")
+    outputs = [
+        Column(
+            form.format(value=value, unit=unit),
+            draw.noise(draw.size(0.5, 2) * saturating(draw, field / field.max(), begin=1), 1e-3),
+            "" if bare else "emu",
+            ".5g",
+        )
+        for value in values[:count]
+    ]
+    style = draw.pick("parentheses", "brackets") if not form.endswith(")") else "brackets"
+    lines = table(draw, [h, *outputs], Dialect(draw.pick(",", "\t", ";"), style=style))
+    return Layout("", {draw.pick("loops.csv", "MH.txt"): packed(draw, lines)}, (tuple(loop(h, y) for y in outputs),))

@@ -178,3 +178,25 @@ def biologic(draw: Draw) -> Layout:
     ]
     lines = head + table(draw, columns, Dialect("\t", "," if comma else ".", "none", trailing=True))
     return Layout("", {draw.pick("GCPL_C20.mpt", "cell.mpt.txt"): packed(draw, lines, ("cp1252",))}, loops(loop(q, v)))
+
+
+@kind("Neware report of cycles, steps and records")
+def neware(draw: Draw) -> Layout:
+    """The records of a step are set in below it, and the steps below their cycle."""
+    n, size = draw.whole(40, 150), draw.size(100, 5000)
+    q = np.round(np.linspace(0, size, n), 3)
+    down = np.round(4.1 - 0.7 * q / size - draw.between(0.01, 0.05), 4)
+    up = np.round(3.4 + 0.7 * q / size + draw.between(0.01, 0.05), 4)
+    mark, pad = draw.pick(",", "\t"), draw.chance(0.5)
+    rows = [["Cycle ID", "Cap_Chg(mAh)", "Cap_DChg(mAh)"], ["", "Step ID", "Step Name", "Step Time"]]
+    rows += [["", "", "Record ID", "Time(h:min:s.ms)", "Voltage(V)", "Current(mA)", "Capacity(mAh)"]]
+    rows += [["1", f"{size:.3f}", f"{size:.3f}"]]
+    for step, (name, sign, volts) in enumerate([("CC_DChg", -1, down), ("CC_Chg", 1, up)], start=1):
+        rows += [["", str(step), name, f"{n // 12:02d}:{n % 12 * 5:02d}:00"]]
+        for k, (charge, volt) in enumerate(zip(q, volts, strict=True)):
+            clock = f"{k // 12:02d}:{k % 12 * 5:02d}:00.000"
+            rows += [["", "", str(k + 1 + (step - 1) * n), clock, f"{volt:.4f}", f"{sign * 100.0}", f"{charge:.3f}"]]
+    lines = [mark.join(row + [""] * (7 - len(row) if pad else 0)) for row in rows]
+    passed = np.append(-q, q - size)
+    truth = Loop(passed, np.append(down, up), "mAh", "V")
+    return Layout("", {draw.pick("cell 4.csv", "report.txt"): packed(draw, lines, ("utf-8",))}, loops(truth))
