@@ -163,3 +163,35 @@ def test_two_files_of_one_channel_each_ask_for_their_time(tmp_path: Path) -> Non
     record = read(f"{paths[0]}+{paths[1]}")
     assert isinstance(record, Record)
     np.testing.assert_allclose(record.y, Y - Y[0])
+
+
+@pytest.mark.parametrize("kind", ["held", "jump"])
+def test_curves_with_nothing_between_them(kind: str, tmp_path: Path) -> None:
+    field, noise = np.linspace(0, 5e4, 20), 0.01 * np.sin(np.arange(20))
+    temperatures = [250, 260, 275, 300]
+    header = "Temperature (K),Field (Oe),Moment (emu)" if kind == "held" else "Field (Oe),Moment (emu)"
+    rows = [
+        f"{f'{kelvin + e:.3f},' if kind == 'held' else ''}{u:.6g},{np.tanh(u / (100 * kelvin)):.9f}"
+        for kelvin in temperatures
+        for u, e in zip(field, noise, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]))
+    data = Dataset.of(read(tmp_path / "a.csv"))
+    assert len(data) == 4
+    for record, kelvin in zip(data, temperatures, strict=True):
+        np.testing.assert_allclose(record.y, np.tanh(field / (100 * kelvin)), rtol=1e-5, atol=1e-9)
+    if kind == "held":
+        assert [record.name.split("=")[1] for record in data] == ["250", "260", "275", "300"]
+
+
+@pytest.mark.parametrize("step", [0.5, 0.02])
+def test_a_temperature_that_drifts_parts_no_loop(step: float, tmp_path: Path) -> None:
+    drift = np.round((25 + 0.02 * np.arange(60)) / step) * step
+    rows = [f"{0.01 * k:.2f},{u},{y},{drift[k]:.2f}" for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    is_loop(one(tmp_path, "\n".join(["t (s),V (V),x (um),T (degC)", *rows])))
+
+
+def test_a_sawtooth_in_time_is_one_record(tmp_path: Path) -> None:
+    u = 50 * (np.arange(240) % 60) / 60
+    record = one(tmp_path, "t (s),V (V),x (um)\n" + "".join(f"{k / 100},{a},{a**2:.6f}\n" for k, a in enumerate(u)))
+    np.testing.assert_allclose(record.u, u)

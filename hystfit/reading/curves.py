@@ -15,6 +15,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
+from hystfit.reading.unseparated_curves import curves_at_conditions
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -71,6 +72,8 @@ def split_curves(
             notes.append(Note(Code.CURVES, text))
             return curves, True
         number[1:] = np.cumsum(_restarts(table, choice, notes))
+        if number[-1] == 0 and (found := curves_at_conditions(table, choice, notes)) is not None:
+            return found, True
         if number[-1] == 0:
             _suggest(table, choice, notes)
             return [("", np.arange(table.rows))], False

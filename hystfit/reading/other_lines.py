@@ -110,7 +110,7 @@ def _apart(text: Text, block: Block) -> int:
     nested = lambda row: any(
         kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False)
     )
-    fits = lambda cell, kind: cells.kind(cell, dialect.decimal) == cells.TEXT or cell == "" and kind == cells.MISSING
+    fits = lambda cell, kind: cells.kind(cell, dialect.decimal) == cells.TEXT or (cell == "" and kind == cells.MISSING)
     if first > 1 and is_mark(text.lines[first - 1]):
         return first - 1
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):

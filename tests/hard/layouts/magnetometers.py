@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from .drawing import Draw
@@ -189,3 +191,26 @@ def moke(draw: Draw) -> Layout:
     above = ["MOKE longitudinal", "Sample: Py 20 nm", "Averages: 16"] if draw.chance(0.5) else []
     lines = above + table(draw, columns, Dialect(draw.pick("\t", ",", ";"), style=style))
     return Layout("", {draw.pick("py20.txt", "loop_03.dat", "kerr.csv"): packed(draw, lines)}, loops(loop(h, y)))
+
+
+@kind("curves at held temperatures")
+def held(draw: Draw) -> Layout:
+    """M(H) at several temperatures below each other, loops or magnetization curves, with nothing between them."""
+    n, loops_of = draw.whole(40, 120), draw.chance(0.5)
+    top = draw.size(1000, 70000)
+    held_at = np.cumsum(draw.rng.uniform(3, 40, draw.whole(2, 8))) + draw.pick(2, 250)
+    columns, clock = [], 0.0
+    for kelvin in held_at:
+        drive = major_loop(2 * n) if loops_of else np.linspace(0, 1, n)
+        moment = saturating(draw, drive, begin=1) if loops_of else np.tanh(2 * drive)
+        time = clock + draw.rng.uniform(4, 6, drive.size).cumsum()
+        clock = time[-1] + 600
+        measured = np.clip(kelvin + draw.rng.normal(0, 0.005, drive.size), kelvin - 0.02, kelvin + 0.02)
+        columns.append((time, measured, top * drive, draw.noise((1 - kelvin / 700) * moment, 1e-4)))
+    time, kelvin, field, moment = (np.concatenate(column) for column in zip(*columns, strict=True))
+    h, m = Column("Magnetic Field", field, "Oe", ".5g"), Column("Moment", moment, "emu", ".6e")
+    beside = [Column("Time Stamp", time, "sec", ".2f"), Column("Temperature", kelvin, "K", ".3f")]
+    lines = table(draw, [*beside[draw.pick(0, 1) :], h, m], Dialect(draw.pick(",", "\t"), style="parentheses"))
+    bounds = np.cumsum([0, *(len(column[0]) for column in columns)])
+    truth = tuple(loop(h, m, rows=slice(a, b)) for a, b in itertools.pairwise(bounds))
+    return Layout("", {draw.pick("MvsH.dat", "mce.csv"): packed(draw, lines, ("utf-8",))}, (truth,))

@@ -1,0 +1,90 @@
+"""Curves below each other without anything between them: at temperatures that are held in turn, or each from where the first one began."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.columns import Choice
+from hystfit.reading.header import split_unit
+from hystfit.reading.raw_table import Table
+
+_FEWEST = 8  # rows of a curve
+_MOST = 100  # curves at temperatures of their own
+_SPAN = 0.5  # of the range of the input, which every curve covers
+_HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
+_JUMP = 5.0  # step to the next curve over the median step, of the input and of a time
+_NEAR = 0.05  # of the range of the input, within which every curve begins
+
+Curves = list[tuple[str, np.ndarray]]
+
+
+def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Curves | None:
+    """Label and rows of every curve; None where the rows are of one curve."""
+    u = table.columns[choice.input]
+    if not np.isfinite(u).all() or u.size < 2 * _FEWEST:
+        return None
+    for position, name in enumerate(table.names):
+        if position in (choice.input, choice.output) or column_quantity(name, table.units[position]) != "temperature":
+            continue
+        values = table.columns[position]
+        begins = _steps_of_plateaus(values) if np.isfinite(values).all() else np.empty(0, dtype=int)
+        pieces = np.split(np.arange(u.size), begins)
+        if begins.size and _cover(u, pieces) and _begin_alike(u, begins):
+            title = split_unit(name)[0]
+            notes.append(Note(Code.CURVES, f"{len(pieces)} curves, each at a temperature that is held ({name!r})"))
+            return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
+    begins = _returns(u, None if choice.time is None else table.columns[choice.time])
+    pieces = np.split(np.arange(u.size), begins)
+    if not begins.size or not _cover(u, pieces):
+        return None
+    notes.append(Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back to where the first one began"))
+    return _labeled(pieces, [f"curve={k}" for k in range(len(pieces))])
+
+
+def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
+    """Rows at which a quantity that is held goes to its next value; none for one that varies in another way."""
+    steps = np.abs(np.diff(values))
+    largest = np.argsort(-steps, kind="stable")
+    for count in range(min(_MOST - 1, values.size // _FEWEST), 0, -1):
+        begins = np.sort(largest[:count]) + 1
+        drifts = [float(np.ptp(piece)) for piece in np.split(values, begins)]
+        changes = [np.inf, *steps[begins - 1], np.inf]
+        if all(drift <= _HELD * min(pair) for drift, pair in zip(drifts, itertools.pairwise(changes), strict=True)):
+            return begins
+    return np.empty(0, dtype=int)
+
+
+def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
+    """Rows at which an input that runs one way jumps back to its first value; none where it jumps elsewhere, or time goes on there."""
+    steps = np.diff(u)
+    usual = np.median(np.abs(steps))
+    begins = np.flatnonzero(np.abs(steps) > np.maximum(_JUMP * usual, _SPAN * np.ptp(u))) + 1
+    if not begins.size or not _begin_alike(u, begins):
+        return np.empty(0, dtype=int)
+    if clock is not None and not (np.diff(clock)[begins - 1] > _JUMP * np.median(np.diff(clock))).all():
+        return np.empty(0, dtype=int)
+    ways = {bool(piece[-1] > piece[0]) for piece in np.split(u, begins)}
+    return begins if len(ways) == 1 else np.empty(0, dtype=int)
+
+
+def _begin_alike(u: np.ndarray, begins: np.ndarray) -> bool:
+    return bool((np.abs(u[begins] - u[0]) <= _NEAR * np.ptp(u)).all())
+
+
+def _cover(u: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
+    return all(piece.size >= _FEWEST and np.ptp(u[piece]) >= _SPAN * np.ptp(u) for piece in pieces)
+
+
+def _labeled(pieces: Sequence[np.ndarray], labels: Sequence[str]) -> Curves:
+    """Curves with labels that differ."""
+    seen: dict[str, int] = {}
+    curves = []
+    for piece, label in zip(pieces, labels, strict=True):
+        seen[label] = seen.get(label, 0) + 1
+        curves.append((label if seen[label] == 1 else f"{label} ({seen[label]})", piece))
+    return curves
