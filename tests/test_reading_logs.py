@@ -195,3 +195,17 @@ def test_a_sawtooth_in_time_is_one_record(tmp_path: Path) -> None:
     u = 50 * (np.arange(240) % 60) / 60
     record = one(tmp_path, "t (s),V (V),x (um)\n" + "".join(f"{k / 100},{a},{a**2:.6f}\n" for k, a in enumerate(u)))
     np.testing.assert_allclose(record.u, u)
+
+
+def test_json_cycles_that_go_on_are_one_record(tmp_path: Path) -> None:
+    cycles = [
+        {"number": k, "V_V": U[a:b].tolist(), "x_um": Y[a:b].tolist()} for k, (a, b) in enumerate([(0, 20), (20, 60)])
+    ]
+    is_loop(one(tmp_path, json.dumps({"specimen": "W1", "cycles": cycles}), "a.json"))
+    (tmp_path / "b.json").write_text(json.dumps({"specimens": cycles}))
+    assert len(Dataset.of(read(tmp_path / "b.json"))) == 2
+    (tmp_path / "c.json").write_text(json.dumps({"cycles": [cycles[0], cycles[0]]}))
+    assert len(Dataset.of(read(tmp_path / "c.json"))) == 2
+    named = [{**cycle, "name": f"loop {k}"} for k, cycle in enumerate(cycles)]
+    (tmp_path / "d.json").write_text(json.dumps({"loops": named}))
+    assert [record.name for record in Dataset.of(read(tmp_path / "d.json"))] == ["loop 0", "loop 1"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
@@ -13,6 +14,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.array_table import table_of_arrays
+from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.header import split_unit
@@ -27,6 +29,8 @@ _OF_VALUES = frozenset(
 )  # names of the numbers of a column that has a name of its own
 _LONGEST = 200  # characters of a text that is kept
 _DEEPEST = 30
+_STEPS = frozenset("cycle cycles step steps segment segments branch branches half halves".split())
+_NEAR = 0.05  # part of the range within which a cycle begins where the one before ended
 
 
 def read_json(text: TextFile) -> Table | None:
@@ -103,23 +107,44 @@ def _of_rows(rows: list[list[Any]]) -> dict[str, list[Any]]:
     return dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
 
 
-def _parts(value: Any) -> list[tuple[dict[str, np.ndarray], str, dict[str, Any]]]:
+_Record = tuple[dict[str, np.ndarray], str, dict[str, Any]]  # arrays, name and scalars
+
+
+def _parts(value: Any) -> list[_Record]:
     """Arrays, name and scalars of each record; one record unless items of a list, or of a mapping, have arrays of the same names."""
     items = [("", item) for item in value] if isinstance(value, list) else []
-    listed = []
+    listed, lists = [], {}
     if isinstance(value, Mapping):
         items = [(key, item) for key, item in value.items() if isinstance(item, Mapping)]
-        lists = [
-            one for one in value.values() if isinstance(one, list) and any(isinstance(row, Mapping) for row in one)
-        ]
-        listed = [("", row) for row in lists[0]] if len(lists) == 1 else []
+        holds_records = lambda one: isinstance(one, list) and any(isinstance(row, Mapping) for row in one)
+        lists = {key: one for key, one in value.items() if holds_records(one)}
+        listed = [("", row) for rows in lists.values() for row in rows] if len(lists) == 1 else []
     leaves, fewest = _records(items), 2
     if not leaves:
         leaves, fewest = _records(listed), 1  # a list of one record is a record
     if len(leaves) >= fewest and len({tuple(sorted(arrays)) for _, arrays, _ in leaves}) == 1:
-        return [(arrays, name, scalars) for name, arrays, scalars in leaves]
+        return _joined([(arrays, name, scalars) for name, arrays, scalars in leaves], " ".join(map(str, lists)))
     arrays, scalars = _leaves(value if isinstance(value, Mapping) else dict(enumerate(value)) if value else {})
     return [(arrays, "", scalars)] if arrays else []
+
+
+def _joined(parts: list[_Record], title: str) -> list[_Record]:
+    """The cycles or steps of one experiment as one record, where each goes on from where the one before ended; others as they are.
+
+    Args:
+        title: name of the list that holds them.
+    """
+    told = all(_STEPS & words_of(" ".join([title, name, *map(str, scalars)])) for _, name, scalars in parts)
+    names = list(parts[0][0])
+    if len(parts) < 2 or not told or any(array.ndim > 1 for arrays, _, _ in parts for array in arrays.values()):
+        return parts
+    whole = {name: np.concatenate([arrays[name] for arrays, _, _ in parts]) for name in names}
+    for name in names:
+        steps = max(float(np.abs(np.diff(arrays[name])).max()) for arrays, _, _ in parts)
+        gaps = [abs(after[name][0] - before[name][-1]) for (before, *_), (after, *_) in itertools.pairwise(parts)]
+        if not max(gaps) <= max(_NEAR * float(np.ptp(whole[name])), 2 * steps):
+            return parts
+    return [(whole, "", {})]
 
 
 def _records(items: Iterable[tuple[str, Any]]) -> list[tuple[str, dict[str, np.ndarray], dict[str, Any]]]:
