@@ -204,7 +204,8 @@ def test_json_cycles_that_go_on_are_one_record(tmp_path: Path) -> None:
     is_loop(one(tmp_path, json.dumps({"specimen": "W1", "cycles": cycles}), "a.json"))
     (tmp_path / "b.json").write_text(json.dumps({"specimens": cycles}))
     assert len(Dataset.of(read(tmp_path / "b.json"))) == 2
-    (tmp_path / "c.json").write_text(json.dumps({"cycles": [cycles[0], cycles[0]]}))
+    apart = [cycles[0], {"number": 1, "V_V": U[30:].tolist(), "x_um": Y[30:].tolist()}]
+    (tmp_path / "c.json").write_text(json.dumps({"cycles": apart}))
     assert len(Dataset.of(read(tmp_path / "c.json"))) == 2
     named = [{**cycle, "name": f"loop {k}"} for k, cycle in enumerate(cycles)]
     (tmp_path / "d.json").write_text(json.dumps({"loops": named}))
