@@ -210,3 +210,47 @@ def test_json_cycles_that_go_on_are_one_record(tmp_path: Path) -> None:
     named = [{**cycle, "name": f"loop {k}"} for k, cycle in enumerate(cycles)]
     (tmp_path / "d.json").write_text(json.dumps({"loops": named}))
     assert [record.name for record in Dataset.of(read(tmp_path / "d.json"))] == ["loop 0", "loop 1"]
+
+
+def _book(**sheets: list[list[object]]) -> bytes:
+    openpyxl = pytest.importorskip("openpyxl")
+    book, stream = openpyxl.Workbook(), io.BytesIO()
+    book.remove(book.active)
+    for title, rows in sheets.items():
+        page = book.create_sheet(title)
+        for row in rows:
+            page.append(row)
+    book.save(stream)
+    return stream.getvalue()
+
+
+def test_the_sheet_of_the_loop_is_read_behind_a_summary(tmp_path: Path) -> None:
+    summary = [["Parameter", "Value", "Error"], ["Hc", 120.5, 1.5], ["Mr", 0.3, 0.1], ["Ms", 0.9, 0.2]]
+    rows = [["V (V)", "x (um)"], *map(list, zip(U.tolist(), Y.tolist(), strict=True))]
+    is_loop(one(tmp_path, _book(Summary=summary, Data=rows), "a.xlsx"))
+
+
+def test_numbers_as_text_and_rows_on_their_side_in_a_sheet(tmp_path: Path) -> None:
+    text = [[str(value).replace(".", ",") for value in pair] for pair in zip(U, Y, strict=True)]
+    is_loop(one(tmp_path, _book(a=[["V (V)", "x (um)"], *text]), "a.xlsx"))
+    is_loop(one(tmp_path, _book(a=[["V (V)", *U.tolist()], ["x (um)", *Y.tolist()]]), "b.xlsx"))
+
+
+def test_formulas_without_values_name_the_remedy(tmp_path: Path) -> None:
+    rows = [["V (V)", "x (um)"], *([f"=A1*{u}", y] for u, y in zip(U.tolist(), Y.tolist(), strict=True))]
+    with pytest.raises(DataError, match="formulas without their values"):
+        one(tmp_path, _book(a=rows), "a.xlsx")
+
+
+def test_rows_in_brackets(tmp_path: Path) -> None:
+    pairs = list(zip(U.tolist(), Y.tolist(), strict=True))
+    texts = [
+        "\n".join(f"({u}, {y})" for u, y in pairs),
+        "[[" + "]\n [".join(f"{u: .4e} {y: .4e}" for u, y in pairs) + "]]",
+        "{" + ", ".join(f"{{{u}, {y}}}" for u, y in pairs) + "}",
+        "{" + ",\n".join(f"{{{u}, {1e3 * y:.5f}*^-3}}" for u, y in pairs) + "}",
+    ]
+    for text in texts:
+        record = one(tmp_path, text, "a.txt")
+        np.testing.assert_allclose(record.u, U, rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(record.y, Y, rtol=1e-4, atol=1e-9)

@@ -16,6 +16,7 @@ from hystfit.reading.adjusted import with_adjusted
 from hystfit.reading.array_files import hdf5_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
+from hystfit.reading.bracketed import read_bracketed
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
@@ -112,7 +113,7 @@ FORMATS = (
     ),
     Format(
         (".xlsx", ".xlsm"),
-        'Excel sheets, the first with rows of numbers and those with the same columns, unless `--sheet` names one; needs the extra "files"',
+        'Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"',
         _is_workbook,
         read_workbook,
     ),
@@ -120,6 +121,7 @@ FORMATS = (
 
 # Each gives None for text of another layout; the last one reads any.
 TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
+    read_bracketed,
     read_json,
     read_markup,
     read_micromag,

@@ -1,6 +1,7 @@
 """Tables on their side: a line for each quantity, which begins with its name."""
 
 import re
+from collections.abc import Sequence
 
 from hystfit.reading.cells import is_missing
 from hystfit.reading.column_names import column_quantity
@@ -21,14 +22,21 @@ def read_transposed(text: TextFile) -> Table | None:
         return None
     for delimiter in (text.opening.delimiter,) if text.opening.delimiter else (";", "\t", ","):
         rows = [[cell.strip() for cell in line.rstrip(f"\r{delimiter}").split(delimiter)] for line in lines]
-        quantities = [row for row in rows if _is_quantity(row)]
-        width = {len(row) for row in quantities}
-        headed = any(
-            len(row) in width and row not in quantities for row in rows
-        )  # rows of an ordinary table below their names
-        if len(width) == 1 and 1 < len(quantities) < min(width) and not headed:
-            return plain_text(text.of("\n".join(delimiter.join(column) for column in zip(*quantities, strict=True))))
+        if (columns := turned(rows)) is not None:
+            return plain_text(text.of("\n".join(map(delimiter.join, columns))))
     return None
+
+
+def turned(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
+    """The rows of a table on its side, from its lines; None for other tables."""
+    quantities = [row for row in rows if _is_quantity(row)]
+    width = {len(row) for row in quantities}
+    headed = any(
+        len(row) in width and row not in quantities for row in rows
+    )  # rows of an ordinary table below their names
+    if len(width) != 1 or not 1 < len(quantities) < min(width) or headed:
+        return None
+    return list(zip(*quantities, strict=True))
 
 
 def _is_quantity(row: list[str]) -> bool:

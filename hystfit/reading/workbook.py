@@ -7,8 +7,10 @@ import datetime
 import io
 import warnings
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.outcome import Code, Note
@@ -21,14 +23,16 @@ from hystfit.reading.number_block import careful_block
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
+from hystfit.reading.transposed import turned
 
 _MOST_CELLS = 4_000_000
 _SAMPLE = 2000  # rows of a sheet that show its dialect
 _NAMED = 6  # other sheets named in a note
+_SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summarizes others
 
 
 def read_workbook(file: FileBytes, opening: Opening) -> Table:
-    """Excel sheets, the first with rows of numbers and those with the same columns, unless `--sheet` names one; needs the extra "files"."""
+    """Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"."""
     source, sheet = file.source, opening.sheet
     openpyxl = optional("openpyxl", "files", "reading Excel files")
     try:
@@ -53,26 +57,44 @@ def read_workbook(file: FileBytes, opening: Opening) -> Table:
         sheet = titles[sheet]
     if sheet is not None and sheet not in pages:
         raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
-    for number, title in enumerate(titles) if sheet is None else [(len(titles), sheet)]:
-        if (table := _table(file, pages[title])) is None:
-            continue
-        alike = {title: table}
-        for other in titles[number + 1 :]:
-            more = _table(file, pages[other])
-            distinct = table.named and len({*table.names}) == len(table.names)
-            if more is not None and distinct and (more.names, more.units) == (table.names, table.units):
-                alike[other] = more
-        if len(alike) > 1:
-            return _records(alike)
-        return table.noted(*file.notes, _sheet_note(title, pages, source, chosen=sheet is not None))
-    searched = ", ".join(map(repr, titles if sheet is None else [sheet]))
-    raise DataError(f"{source}: no rows of numbers in {searched}; name another sheet=")
+    tables = {title: _table(file, pages[title]) for title in (titles if sheet is None else [sheet])}
+    there = {title: table for title, table in tables.items() if table is not None}
+    pairs = {title: table for title, table in there.items() if _holds_pair(table)}
+    if not there:
+        raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, tables))}; name another sheet=")
+    if not pairs and _holds_formulas(openpyxl, file.raw):
+        raise DataError(
+            f"{source} has formulas without their values, as programs write them; open it in Excel or LibreOffice and save it there"
+        )
+    most = max((table.rows for table in pairs.values()), default=0)
+    title = next((title for title, table in pairs.items() if table.rows >= _SUMMARY * most), next(iter(there)))
+    table = there[title]
+    distinct = table.named and len({*table.names}) == len(table.names)
+    same = lambda other: distinct and (other.names, other.units) == (table.names, table.units)
+    alike = {name: one for name, one in there.items() if name == title or same(one)}
+    if len(alike) > 1:
+        return _records(alike)
+    return table.noted(*file.notes, _sheet_note(title, titles, pairs, chosen=sheet is not None))
+
+
+def _holds_pair(table: Table) -> bool:
+    """Whether at least two columns of numbers change."""
+    numbers = [column for k, column in enumerate(table.columns) if k not in table.labels]
+    return sum(np.unique(column[np.isfinite(column)]).size > 1 for column in numbers) > 1
+
+
+def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
+    """Whether the first rows of a sheet have formulas."""
+    book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True)
+    cells_of = lambda page: (cell for row in page.iter_rows(values_only=True, max_row=_SAMPLE) for cell in row)
+    return any(isinstance(cell, str) and cell.startswith("=") for page in book.worksheets for cell in cells_of(page))
 
 
 def _table(file: FileBytes, page: Any) -> Table | None:
     """The columns of a sheet; None where it has no rows of numbers."""
     rows = _cells_of(page, file.source)
-    dialect = dialect_of(rows[:_SAMPLE], "\t", ".")
+    rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
+    dialect = max((dialect_of(rows[:_SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
         return None
     text = Text(["\t".join(row) for row in rows], dialect, file.source, settled=True)
@@ -91,14 +113,9 @@ def _records(tables: Mapping[str, Table]) -> Table:
     return dataclasses.replace(below_each_other([*tables.values()]), parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
-def _sheet_note(title: str, pages: dict[str, Any], source: str, *, chosen: bool) -> Note:
-    """The sheet that is read; unless the user chose it, a warning where others after it hold rows of numbers too."""
-    titles = list(pages)
-    others = []
-    for number, other in enumerate(titles):
-        if not chosen and number > titles.index(title):
-            dialect = dialect_of(_cells_of(pages[other], source, _SAMPLE), "\t", ".")
-            others += [number] if dialect.rows > 1 and dialect.score > 0 else []
+def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:
+    """The sheet that is read; unless the user chose it, a warning where others hold columns of numbers too."""
+    others = [number for number, other in enumerate(titles) if not chosen and other != title and other in pairs]
     listed = ", ".join(map(repr, titles))
     if not others:
         return Note(Code.FILE_FORMAT, f"sheet {title!r} of {listed}")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 
 import numpy as np
+import openpyxl
 
 from .documents import measured
 from .drawing import Draw
@@ -73,3 +75,42 @@ def few(draw: Draw) -> Layout:
     names = titles(columns, dialect)[0].split(mark)
     lines = [mark.join([name, *column.cells]) for name, column in zip(names, columns, strict=True)]
     return Layout("", {draw.pick("loop.csv", "sheet.txt"): packed(draw, lines)}, loops(loop(h, b)))
+
+
+@kind("workbook with a summary")
+def workbook(draw: Draw) -> Layout:
+    t, u, y = measured(draw, draw.whole(100, 300))
+    dialect = Dialect("\t", style=draw.pick("parentheses", "brackets", "row"))
+    columns = spelled(draw, [t, u, y], dialect)
+    book, stream = openpyxl.Workbook(), io.BytesIO()
+    page = book.active
+    page.title = "Results"
+    for row in [["Quantity", "Value", "Error"], *([name, draw.between(0, 9), 0.1] for name in ("Hc", "Mr", "Ms", "k"))]:
+        page.append(row)
+    page = book.create_sheet("Data") if draw.chance(0.7) else book.create_sheet("Data", 0)
+    if draw.chance(0.3):
+        page.append(["Loop of the device"])
+        page.merge_cells("A1:C1")
+    for line in titles(columns, dialect):
+        page.append(line.split("\t"))
+    mark = draw.pick("", "", ".", ",")  # numbers as text
+    for row in zip(*(column.cells for column in columns), strict=True):
+        page.append([cell.replace(".", mark) if mark else float(cell) for cell in row])
+    book.save(stream)
+    return Layout("", {"loop.xlsx": stream.getvalue()}, loops(loop(u, y, t)))
+
+
+@kind("rows in brackets")
+def brackets(draw: Draw) -> Layout:
+    _, u, y = measured(draw, draw.whole(60, 400))
+    u, y = (Column("", column.values, "", ".6e") for column in (u, y))
+    pairs = list(zip(u.cells, y.cells, strict=True))
+    form = draw.pick("python", "numpy", "mathematica")
+    if form == "python":
+        text = "\n".join(f"({a}, {b})" for a, b in pairs)
+    elif form == "numpy":
+        text = "[[" + "]\n [".join(f"{a} {b}" for a, b in pairs) + "]]"
+    else:
+        inner = draw.pick(", ", ",\n ").join(f"{{{a}, {b}}}" for a, b in pairs)
+        text = "{" + re.sub("e([+-])", r"*^\1", inner).replace("^+", "^") + "}"
+    return Layout("", {"out.txt": text.encode()}, loops(loop(u, y)), either_order=True)
