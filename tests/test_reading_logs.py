@@ -254,3 +254,20 @@ def test_rows_in_brackets(tmp_path: Path) -> None:
         record = one(tmp_path, text, "a.txt")
         np.testing.assert_allclose(record.u, U, rtol=1e-4, atol=1e-9)
         np.testing.assert_allclose(record.y, Y, rtol=1e-4, atol=1e-9)
+
+
+HEADERS = {
+    "columns in a comment": "# version 3\n# columns: V x\n# units: V um\n# begin\n",
+    "columns in a line": "Columns = V (V), x (um)\n\nStart of the run\n",
+    "a word before the names": "#fields V_V x_um\n#types double double\n",
+}
+
+
+@pytest.mark.parametrize("kind", HEADERS)
+def test_names_behind_a_word(kind: str, tmp_path: Path) -> None:
+    is_loop(one(tmp_path, HEADERS[kind] + "".join(f"{u} {y}\n" for u, y in zip(U, Y, strict=True)), "a.txt"))
+
+
+def test_errors_and_apostrophes_in_cells(tmp_path: Path) -> None:
+    is_loop(one(tmp_path, "V (V),x (um)\n" + "".join(f"{u}±0.1,{y} ± 0.02\n" for u, y in zip(U, Y, strict=True))))
+    is_loop(one(tmp_path, "V (V),x (um)\n" + "".join(f"'{u},'{y}\n" for u, y in zip(U, Y, strict=True))))

@@ -52,10 +52,12 @@ _LONGER = 10.0  # step from one date to the next over the longest within a date,
 
 
 def clean(cell: str) -> str:
-    """A cell without surrounding blanks and quotes, with an ASCII minus sign."""
+    """A cell without surrounding blanks and quotes, the apostrophe of text in Excel, and the error behind ±, with an ASCII minus sign."""
     cell = cell.strip(" \t\r\f\v\u00a0\ufeff")
     if len(cell) >= 2 and cell[0] == cell[-1] and cell[0] in "\"'":
         cell = cell[1:-1].strip()
+    if cell[:1] == "'" or "±" in cell:
+        cell = cell.removeprefix("'").partition("±")[0].strip() or cell
     return cell.replace("\u2212", "-")
 
 

@@ -60,6 +60,9 @@ _LONGEST_SETTING = 1000  # characters of a line
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
 _LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
+_TITLED = re.compile(
+    r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
+)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -255,6 +258,23 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
                 return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
     attributes = [match["name"].strip("'\"") for line in above if (match := _ATTRIBUTE.fullmatch(line.strip()))]
     return attributes if len(attributes) == width else []
+
+
+def titled_names(above: Sequence[str], width: int) -> tuple[list[str], list[str]]:
+    """Names and units behind words that say so ("# columns: height force", "# units: m N"); none of other lines."""
+    found = {}
+    for line in above:
+        match = _TITLED.fullmatch(line.strip())
+        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)] if match else []
+        if fitting := next((parts for parts in cut if len(parts) == width and all(parts)), None):
+            found[match["word"][0].lower() == "u"] = fitting  # the last of several
+    names = found.get(False, [])
+    if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
+        return [], []
+    units = found.get(True, [""] * width)
+    return names, [
+        unit if is_unit(unit) else split_unit(name, names)[1] for name, unit in zip(names, units, strict=True)
+    ]
 
 
 def read_header(

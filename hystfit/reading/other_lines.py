@@ -12,7 +12,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import is_unit, listed_names, read_header, split_unit, stated_units
+from hystfit.reading.header import is_unit, listed_names, read_header, split_unit, stated_units, titled_names
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
@@ -76,7 +76,10 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
             units.insert(position, "")
     listed = [] if used else listed_names(text.lines[:first], dialect.width)
     place = 0 if used or listed else _apart(text, block)
-    if listed:
+    titled, of_titled = ([], []) if used or listed or place else titled_names(text.lines[:first], dialect.width)
+    if titled:
+        names, units = titled, of_titled
+    elif listed:
         names, units = listed, [split_unit(name, listed)[1] for name in listed]
     elif place:
         names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
@@ -133,6 +136,8 @@ def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
     numbered = [block.rows[k][0].strip(' "') for k in range(first, min(first + 2, len(block.rows))) if block.rows[k]]
     if len(row) == width - 1 and numbered in (["0", "1"], ["1", "2"]):
         return ["", *row], 1
+    if len(row) == width + 1 and re.fullmatch(r"[#%!]+\w*", row[0]):  # a word of the program before the names
+        return row[1:], 1
     if dialect.delimiter is not None and width < len(row) <= width + 2 and not all(map(is_unit, row[1:])):
         return row[:width], 1
     return [""] * width, 0

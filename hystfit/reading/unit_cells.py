@@ -39,6 +39,9 @@ def read_unit_cells(text: TextFile) -> Table | None:
     for k in range(first, len(lines)):
         if _ROW.match(lines[k]):
             lines[k] = join(_numbers(split(lines[k], mark), units))
+    above = [clean(cell) for cell in split(lines[first - 1], mark)] if first else []
+    if len(above) == len(units) and all(is_unit(cell) or not cell for cell in above):  # stated above as well
+        return plain_text(text.of("\n".join(lines)))
     lines.insert(first, join(unit or "-" for unit in units))
     table = plain_text(text.of("\n".join(lines)))
     return dataclasses.replace(table, line=table.line - 1)
