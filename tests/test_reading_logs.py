@@ -271,3 +271,13 @@ def test_names_behind_a_word(kind: str, tmp_path: Path) -> None:
 def test_errors_and_apostrophes_in_cells(tmp_path: Path) -> None:
     is_loop(one(tmp_path, "V (V),x (um)\n" + "".join(f"{u}±0.1,{y} ± 0.02\n" for u, y in zip(U, Y, strict=True))))
     is_loop(one(tmp_path, "V (V),x (um)\n" + "".join(f"'{u},'{y}\n" for u, y in zip(U, Y, strict=True))))
+
+
+def test_a_file_of_one_signal_asks_for_the_other_one(tmp_path: Path) -> None:
+    for name, values in (("u.txt", U), ("y.txt", Y)):
+        (tmp_path / name).write_text("\n".join(map(str, values)))
+    with pytest.raises(DataError, match=r"INPUT_FILE\+.*y\.txt or .*y\.txt\+OUTPUT_FILE reads both"):
+        read(tmp_path / "y.txt")
+    record = read(f"{tmp_path / 'u.txt'}+{tmp_path / 'y.txt'}")
+    assert isinstance(record, Record)
+    np.testing.assert_array_equal(record.y, Y)

@@ -161,10 +161,14 @@ def _guess_pair(
     """Fill `given` with the input and output not named."""
     if len(free) + len(given) < 2:
         beside = " beside the time" if clock is not None else ""
+        remedy = "name them with input= and output=, or check delimiter= and decimal="
+        if len(free) == 1 and not table.labels:  # a file of one signal is half of a pair
+            own = str(table.source)
+            remedy = f"if the other one is in a file of its own, INPUT_FILE+{own} or {own}+OUTPUT_FILE reads both"
         raise DataError(
             f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of "
             f"changing numbers{beside}. "
-            f"The columns are {table.describe()}; name them with input= and output=, or check delimiter= and decimal="
+            f"The columns are {table.describe()}; {remedy}"
         )
     if not table.named:
         free = _without_copies(table, free, given, notes)

@@ -16,7 +16,7 @@ from hystfit.reading.adjusted import with_adjusted
 from hystfit.reading.array_files import hdf5_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
-from hystfit.reading.bracketed import read_bracketed
+from hystfit.reading.bracket_rows import read_bracketed
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
