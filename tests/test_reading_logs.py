@@ -184,6 +184,16 @@ def test_curves_with_nothing_between_them(kind: str, tmp_path: Path) -> None:
         assert [record.name.split("=")[1] for record in data] == ["250", "260", "275", "300"]
 
 
+def test_reversal_curves_with_nothing_between_them(tmp_path: Path) -> None:
+    curves = [np.arange(start, 31.0) + 0.2 * np.sin(np.arange(31 - start)) for start in range(20, -21, -4)]
+    rows = "".join(f"{u:.6g},{np.tanh(u / 9 - curve[0] / 99):.9f}\n" for curve in curves for u in curve)
+    (tmp_path / "a.csv").write_text("Field (mT),Moment (emu)\n" + rows)
+    data = Dataset.of(read(tmp_path / "a.csv"))
+    assert [len(record) for record in data] == [curve.size for curve in curves]
+    for record, curve in zip(data, curves, strict=True):
+        np.testing.assert_allclose(record.u, curve, rtol=1e-4, atol=1e-4)
+
+
 @pytest.mark.parametrize("step", [0.5, 0.02])
 def test_a_temperature_that_drifts_parts_no_loop(step: float, tmp_path: Path) -> None:
     drift = np.round((25 + 0.02 * np.arange(60)) / step) * step

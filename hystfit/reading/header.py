@@ -263,9 +263,8 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
 def titled_names(above: Sequence[str], width: int) -> tuple[list[str], list[str]]:
     """Names and units behind words that say so ("# columns: height force", "# units: m N"); none of other lines."""
     found = {}
-    for line in above:
-        match = _TITLED.fullmatch(line.strip())
-        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)] if match else []
+    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
+        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
         if fitting := next((parts for parts in cut if len(parts) == width and all(parts)), None):
             found[match["word"][0].lower() == "u"] = fitting  # the last of several
     names = found.get(False, [])

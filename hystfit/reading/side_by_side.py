@@ -60,8 +60,9 @@ def stacked(table: Table) -> Table | None:
 
 def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     """One input and an output at each of several conditions; None for other tables."""
-    titles = [_condition(table.names[k]) for k in there[1:]]
-    if not all(titles) or len({*titles}) < len(titles) or len({(base, unit) for base, _, unit in titles}) > 1:
+    titles = [title for k in there[1:] if (title := _condition(table.names[k])) is not None]
+    apart = len({*titles}) == len(titles) == len(there) - 1
+    if not apart or len({(base, unit) for base, _, unit in titles}) > 1:
         return None
     names = [f"{value} {unit}" for _, value, unit in titles]
     below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)

@@ -18,7 +18,8 @@ _MOST = 100  # curves at temperatures of their own
 _SPAN = 0.5  # of the range of the input, which every curve covers
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
 _JUMP = 5.0  # step to the next curve over the median step, of the input and of a time
-_NEAR = 0.05  # of the range of the input, within which every curve begins
+_NOISY = 0.05  # share of the steps that noise turns against the way of the input
+_NEAR = 0.05  # of the range of the input, within which all curves begin or end
 
 Curves = list[tuple[str, np.ndarray]]
 
@@ -39,10 +40,12 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
             notes.append(Note(Code.CURVES, f"{len(pieces)} curves, each at a temperature that is held ({name!r})"))
             return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
     begins = _returns(u, None if choice.time is None else table.columns[choice.time])
-    pieces = np.split(np.arange(u.size), begins)
-    if not begins.size or not _cover(u, pieces):
+    pieces = [piece for piece in np.split(np.arange(u.size), begins) if piece.size > 1]
+    if len(pieces) < 2 or u.size < _FEWEST * len(pieces):
         return None
-    notes.append(Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back to where the first one began"))
+    notes.append(
+        Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back from the end of each to the begin of the next")
+    )
     return _labeled(pieces, [f"curve={k}" for k in range(len(pieces))])
 
 
@@ -60,16 +63,19 @@ def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
 
 
 def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
-    """Rows at which an input that runs one way jumps back to its first value; none where it jumps elsewhere, or time goes on there."""
+    """Rows at which an input that runs one way jumps back; none where curves neither begin nor end alike, or time goes on there."""
     steps = np.diff(u)
-    usual = np.median(np.abs(steps))
-    begins = np.flatnonzero(np.abs(steps) > np.maximum(_JUMP * usual, _SPAN * np.ptp(u))) + 1
-    if not begins.size or not _begin_alike(u, begins):
+    usual = float(np.median(steps))
+    against = np.sign(steps) * np.sign(usual) < 0
+    jumps = against & (np.abs(steps) > _JUMP * abs(usual))
+    begins = np.flatnonzero(jumps) + 1
+    if not begins.size or (against & ~jumps).mean() > _NOISY:
         return np.empty(0, dtype=int)
     if clock is not None and not (np.diff(clock)[begins - 1] > _JUMP * np.median(np.diff(clock))).all():
         return np.empty(0, dtype=int)
-    ways = {bool(piece[-1] > piece[0]) for piece in np.split(u, begins)}
-    return begins if len(ways) == 1 else np.empty(0, dtype=int)
+    ends = np.append(begins - 1, u.size - 1)
+    alike = _begin_alike(u, begins) or (begins.size > 1 and np.ptp(u[ends]) <= _NEAR * np.ptp(u))
+    return begins if alike else np.empty(0, dtype=int)
 
 
 def _begin_alike(u: np.ndarray, begins: np.ndarray) -> bool:
