@@ -291,3 +291,19 @@ def test_a_file_of_one_signal_asks_for_the_other_one(tmp_path: Path) -> None:
     record = read(f"{tmp_path / 'u.txt'}+{tmp_path / 'y.txt'}")
     assert isinstance(record, Record)
     np.testing.assert_array_equal(record.y, Y)
+
+
+@pytest.mark.parametrize("label", ["# Cycle {}", "Cycle,{}"])
+def test_names_above_the_label_of_a_cycle(label: str, tmp_path: Path) -> None:
+    header, *rows = TABLE.splitlines()
+    lines = [header, label.format(1), *rows[:30], label.format(2), *rows[30:]]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    data = Dataset.of(read(tmp_path / "a.csv"))
+    np.testing.assert_array_equal(np.concatenate([record.y for record in data]), Y)
+    assert {(record.u_unit, record.y_unit) for record in data} == {("V", "um")}
+
+
+@pytest.mark.parametrize("way", [("-", "–"), ("0123456789.", "０１２３４５６７８９．")])
+def test_dashes_and_digits_of_full_width(way: tuple[str, str], tmp_path: Path) -> None:
+    header, *rows = TABLE.splitlines()
+    is_loop(one(tmp_path, "\n".join([header, *(row.translate(str.maketrans(*way)) for row in rows)])))

@@ -48,6 +48,10 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
 
 
 _LONGEST = 1000  # characters of a number or stamp
+# Minus signs and dashes, and the digits and marks of full width of Chinese and Japanese text.
+_AS_ASCII = (
+    dict.fromkeys(map(ord, "−–﹣－"), "-") | {0xFF10 + k: str(k) for k in range(10)} | {ord("．"): ".", ord("，"): ","}
+)
 _LONGER = 10.0  # step from one date to the next over the longest within a date, up to which an experiment goes on
 
 
@@ -58,7 +62,7 @@ def clean(cell: str) -> str:
         cell = cell[1:-1].strip()
     if cell[:1] == "'" or "±" in cell:
         cell = cell.removeprefix("'").partition("±")[0].strip() or cell
-    return cell.replace("\u2212", "-")
+    return cell if cell.isascii() else cell.translate(_AS_ASCII)
 
 
 def is_stamp(cell: str) -> bool:

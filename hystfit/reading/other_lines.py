@@ -118,12 +118,19 @@ def _apart(text: Text, block: Block) -> int:
         return first - 1
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
         between = block.rows[place]
-        other = len(between) < 2 or _mostly_numbers(between, text)[0]
-        if not nested(between) and (len(between) == dialect.width or not other):
+        mostly, kinds = _mostly_numbers(between, text)
+        label = is_comment(text.lines[place]) or (kinds[0] == cells.TEXT and cells.NUMBER in kinds)  # "Cycle 1"
+        other = len(between) != dialect.width and (len(between) < 2 or mostly)
+        if not (nested(between) or label or other):
             break
         row = [cells.clean(cell) for cell in block.rows[place - 1]]
-        if dialect.delimiter is not None and len(row) == dialect.width > 2 and not nested(row):
-            return place if all(map(fits, row, dialect.kinds)) else 0
+        named = dialect.width > 2 or any(split_unit(cell)[1] for cell in row)
+        if dialect.delimiter is None or len(row) != dialect.width or not named or any("=" in cell for cell in row):
+            continue
+        if all(map(fits, row, dialect.kinds)):
+            return place
+        if not nested(row):
+            return 0
     return 0
 
 
