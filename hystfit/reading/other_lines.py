@@ -119,7 +119,7 @@ def _apart(text: Text, block: Block) -> int:
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
         between = block.rows[place]
         mostly, kinds = _mostly_numbers(between, text)
-        label = is_comment(text.lines[place]) or (kinds[0] == cells.TEXT and cells.NUMBER in kinds)  # "Cycle 1"
+        label = is_comment(text.lines[place]) or (kinds[:1] == [cells.TEXT] and cells.NUMBER in kinds)  # "Cycle 1"
         other = len(between) != dialect.width and (len(between) < 2 or mostly)
         if not (nested(between) or label or other):
             break
