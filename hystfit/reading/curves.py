@@ -15,9 +15,9 @@ from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
-from hystfit.reading.unseparated_curves import curves_at_conditions
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.unseparated_curves import curves_at_conditions
 
 _MOST_CURVES = 10_000
 _FEWEST_ROWS = 4  # of a curve, on average
