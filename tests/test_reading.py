@@ -664,7 +664,7 @@ def test_a_loop_of_unnamed_columns_that_leads_is_named(tmp_path: Path) -> None:
 
 
 def test_loops_at_several_temperatures_or_in_two_modes_are_named(tmp_path: Path) -> None:
-    """A magnetometer changes its temperature between loops, or its way of extracting the moment."""
+    """A magnetometer changes its temperature between loops or within one, or its way of extracting the moment."""
     x = np.linspace(0, 4 * np.pi, 200)
     field, moment, steady = 1e4 * np.cos(x), np.tanh(3 * np.cos(x - 0.3)), 300 + 0.01 * np.sin(9 * x)
     late = x > 2 * np.pi
@@ -674,11 +674,13 @@ def test_loops_at_several_temperatures_or_in_two_modes_are_named(tmp_path: Path)
         two = [f"{value:.6f}" if modes and other else "" for value, other in zip(moment, late, strict=True)]
         rows = zip(temperature, field, one, two, strict=True)
         head = "Temperature (K),Field (Oe),DC Moment Fixed Ctr (emu),DC Moment Free Ctr (emu)\n"
-        record = read(_write(tmp_path, head + "".join(f"{t:.3f},{h:.3f},{a},{b}\n" for t, h, a, b in rows)))
-        return [note.text for note in record.notes if note.code is Code.CONDITIONS]  # type: ignore[union-attr]
+        data = Dataset.of(read(_write(tmp_path, head + "".join(f"{t:.3f},{h:.3f},{a},{b}\n" for t, h, a, b in rows))))
+        told = [note.text for record in data for note in record.notes if note.code is Code.CONDITIONS]
+        return told or [record.name for record in data if len(data) > 1]
 
     assert not named(steady, modes=False)
-    (text,) = named(np.where(late, steady - 250, steady), modes=False)
+    assert named(np.where(late, steady - 250, steady), modes=False) == ["Temperature=300", "Temperature=50"]
+    (text,) = named(np.linspace(50, 300, 200), modes=False)
     assert "to 300 K within" in text
     (text,) = named(steady, modes=True)
     assert text.startswith("100 rows hold 'DC Moment ")
