@@ -36,7 +36,6 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import checked, prepare
-from hystfit.sampling.shares import from_shares, to_shares
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
 
@@ -125,19 +124,6 @@ def test_coordinates_of_weights_are_linear_above_their_bound_and_exponential_nex
 
 
 CORRELATED = np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [1.8, 0.3, 0.5]]) @ np.diag([1.0, 1.0, 0.7])
-
-
-def test_coordinates_of_two_parts_of_a_variance_keep_volumes():
-    z = jnp.asarray([0.7, -3.0, 1.2, 4.0])
-    parts = (1, 2)
-    w = to_shares(z, parts)
-    assert float(w[1]) == pytest.approx(0.5 * np.log(np.exp(-6.0) + np.exp(2.4)))
-    assert float(w[2]) == pytest.approx(4.2)
-    np.testing.assert_allclose(from_shares(w, parts), z, atol=1e-12)
-    steps = 1e-6 * np.eye(4)
-    slope = np.stack([(from_shares(w + e, parts) - from_shares(w - e, parts)) / 2e-6 for e in steps], axis=1)
-    assert np.linalg.slogdet(slope)[1] == pytest.approx(0.0, abs=1e-7)
-    assert from_shares(w, None) is w
 
 
 def test_shear_keeps_straight_ridges_straight_up_to_a_bound():

@@ -15,7 +15,7 @@ from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import to_device
 from hystfit.sampling.bend import Bend
-from hystfit.sampling.shares import from_shares, parts_of_noise, to_shares
+from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
 
 
@@ -27,7 +27,7 @@ class Target(eqx.Module):
         bend: between z and the coordinates v of `hystfit.sampling.bend`.
         center, factor: y = center + factor q.
         shear: between y and v; None where they are the same.
-        parts: positions of the two parts of the noise's variance, see `hystfit.sampling.shares`.
+        noise: coordinates of white and slow noise; None where the noise model has one part.
     """
 
     density: Density
@@ -35,16 +35,16 @@ class Target(eqx.Module):
     center: Float[Array, " d"]
     factor: Float[Array, "d d"]
     shear: Shear | None = None
-    parts: tuple[int, int] | None = eqx.field(static=True, default=None)
+    noise: NoiseCoordinates | None = None
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
         """Centered on z, not whitened."""
         kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
         bend = Bend(jnp.asarray([kind == BOTH for kind in kinds]), jnp.zeros(z.shape) if widths is None else widths)
-        noise = density.noise.tree(jnp.zeros(len(density.noise.kinds)))
-        parts = parts_of_noise(noise, density.p)
-        return cls(density, bend, bend.bent(to_shares(jnp.asarray(z), parts)), jnp.eye(z.shape[0]), parts=parts)
+        noise, z = NoiseCoordinates.of(density), jnp.asarray(z)
+        center = bend.bent(z if noise is None else noise.of_z(z))
+        return cls(density, bend, center, jnp.eye(z.shape[0]), noise=noise)
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q."""
@@ -76,25 +76,33 @@ class Target(eqx.Module):
 
     def _z_of(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """z from v."""
-        return from_shares(self.bend.unbent(v), self.parts)
+        return self._z_of_w(self.bend.unbent(v))
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
         return self.density.physical(self.unwhitened(q))
+
+    def _z_of_w(self, w: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        return w if self.noise is None else self.noise.z_of(w)
+
+    def _log_slope(self, v: Float[Array, " d"]) -> Float[Array, ""]:
+        """log |det dz/dv|."""
+        of_bend = self.bend.log_slope(v)
+        return of_bend if self.noise is None else of_bend + self.noise.log_slope(self.bend.unbent(v))
 
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
         """Log posterior over v.
 
         With `lean`, see `Density.log_density`.
         """
-        return self.density.log_density(self._z_of(v), lean) + self.bend.log_slope(v)
+        return self.density.log_density(self._z_of(v), lean) + self._log_slope(v)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
         w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
-        z, pull = jax.vjp(lambda w: from_shares(w, self.parts), w)
+        z, pull = jax.vjp(self._z_of_w, w)
         total, gradient = self.density.slope(z)
-        change, by_change = jax.value_and_grad(self.bend.log_slope)(v)
+        change, by_change = jax.value_and_grad(self._log_slope)(v)
         return total + change, pull(gradient)[0] * stretch + by_change
 
     def __call__(self, q: Float[Array, " d"]) -> Float[Array, ""]:

@@ -74,7 +74,7 @@ class AbstractNoise(eqx.Module):
         gaussian: whether the innovations are Gaussian.
         by_squares: the density follows from the weighted sum of squares alone; such a model has `of_squares`.
         has_shapes: the noise includes `columns`.
-        parts: names of two standard deviations between which the data may not divide the variance; None where there are none.
+        parts: names of the standard deviations of white and of slow noise and of the correlation time; None without both parts.
         covers: findings about residuals that its likelihood allows for.
     """
 
@@ -82,7 +82,7 @@ class AbstractNoise(eqx.Module):
     gaussian: ClassVar[bool] = True
     by_squares: ClassVar[bool] = False
     has_shapes: ClassVar[bool] = False
-    parts: ClassVar[tuple[str, str] | None] = None
+    parts: ClassVar[tuple[str, str, str] | None] = None
     covers: ClassVar[frozenset[Code]] = frozenset()
 
     @abc.abstractmethod

@@ -16,7 +16,7 @@ class OrnsteinUhlenbeck(AbstractSlow):
     """An Ornstein-Uhlenbeck process with independent noise on top: sensor noise, and drift or model error that changes slowly."""
 
     name: ClassVar[str] = "ou"
-    parts: ClassVar[tuple[str, str] | None] = ("noise_white", "noise_slow")
+    parts: ClassVar[tuple[str, str, str] | None] = ("noise_white", "noise_slow", "noise_time")
     noise_white: Scalar = param(
         1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of independent noise"
     )

@@ -1,0 +1,123 @@
+"""Coordinates of white and slow noise in which the posterior is nearly normal whatever the data say about them.
+
+Slow noise cannot be told from white noise where it is small, or where its correlation time is a fraction of a sample. In the logarithms
+z of both standard deviations and of the time the posterior is then L-shaped: any size while the time is short, any time while the
+size is small, and steep walls beside both arms, which no step size suits. The same holds for white noise below a slow part that
+dominates. With s, w and tau the standard deviations of slow and white noise and the correlation time, the coordinates are
+
+    a    log of the standard deviation of the innovations, which the data determine to one part in the root of twice the number of
+         samples, independently of the shape of the spectrum (Kolmogorov and Szego: its logarithm is the mean of that of the spectrum),
+    c    b + g(b, tau), where b = log(s / w), and g is the distance of the spectrum from that of white noise in standard errors,
+    t    the logarithm of tau as it is.
+
+Where the data say nothing c is b, so that it ranges over the prior; beyond, it grows by one for each standard error.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from hystfit.inference.density import Density
+from hystfit.params.param import leaves_of
+
+_HALVINGS = 60  # of an interval, to all digits
+
+
+class NoiseCoordinates(eqx.Module):
+    """The map between z and coordinates w that have (a, c, t) in the places of the logarithms of (w, s, tau).
+
+    Attributes:
+        places: of the three in z.
+        logs: logarithm of the scale of s less that of w, and that of tau in samples, at z = 0.
+        count: of the samples.
+    """
+
+    places: tuple[int, int, int] = eqx.field(static=True)
+    logs: tuple[Array, Array]
+    count: Float[Array, ""]
+
+    @classmethod
+    def of(cls, density: Density) -> NoiseCoordinates | None:
+        """Those of the noise of a density; None where it has no white and slow parts."""
+        noise = density.noise.tree(jnp.zeros(len(density.noise.kinds)))
+        if noise.parts is None:
+            return None
+        names = [leaf.path[-1] for leaf in leaves_of(noise)]
+        white, slow, time = (names.index(name) for name in noise.parts)
+        log = jnp.log(jnp.asarray(density.noise.scale))
+        places = (density.p + white, density.p + slow, density.p + time)
+        return cls(places, (log[slow] - log[white], log[time]), jnp.asarray(density.setting.count))
+
+    def of_z(self, z: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """w from z."""
+        i, j, k = self.places
+        b, t = z[..., j] - z[..., i] + self.logs[0], z[..., k] + self.logs[1]
+        return z.at[..., i].add(_innovation(b, t)).at[..., j].set(b + _distance(b, t, self.count))
+
+    def z_of(self, w: Float[Array, "... d"]) -> Float[Array, "... d"]:
+        """z from w."""
+        i, j, k = self.places
+        t = w[..., k] + self.logs[1]
+        b = _ratio(w[..., j], t, self.count)
+        white = w[..., i] - _innovation(b, t)
+        return w.at[..., i].set(white).at[..., j].set(white + b - self.logs[0])
+
+    def log_slope(self, w: Float[Array, " d"]) -> Float[Array, ""]:
+        """log |det dz/dw|."""
+        t = w[self.places[2]] + self.logs[1]
+        return -jnp.log1p(_by_ratio(_ratio(w[self.places[1]], t, self.count), t, self.count))
+
+
+def _innovation(b: Array, t: Array) -> Array:
+    """log of the standard deviation of innovations over that of the white noise, after many samples."""
+    ratio, lost = jnp.exp(2 * b), -jnp.expm1(-2 * jnp.exp(-t))
+    bend = lost * (1 - ratio)
+    root = 0.5 * (jnp.abs(bend) + jnp.sqrt(bend**2 + 4 * lost * ratio))
+    return 0.5 * jnp.log1p(jnp.where(bend > 0, lost * ratio / root, root))
+
+
+def _distance(b: Array, t: Array, count: Array) -> Array:
+    """Distance of the spectrum from that of white noise, in standard errors; rises with b.
+
+    Of the first term, the slow part's share f of the variance gives autocorrelations f exp(-k / tau), each known to 1 / sqrt(count);
+    beyond f tau = 1 only frequencies below that at which the slow part meets the white one tell more. The second term is the
+    autocorrelation at one sample that the white part gives to the innovations of the slow one, where that one dominates.
+    """
+    x = 2 * jnp.exp(-t)
+    share, decay, lost = jax.nn.sigmoid(2 * b), jnp.exp(-0.5 * x), -jnp.expm1(-x)
+    root = decay / jnp.sqrt(lost)  # of the sum of exp(-2 k / tau) over the lags k
+    slow = share * root * (1 + 2 * share * root**2) ** -0.75
+    most = 1 + decay**2
+    ratio = 2 * b + jnp.log(lost)  # log of the variance of the slow part's innovations over that of the white one
+    return jnp.sqrt(count) * (slow + share * decay / most * jax.nn.sigmoid(ratio - jnp.log(most)))
+
+
+def _by_ratio(b: Array, t: Array, count: Array) -> Array:
+    """Derivative of `_distance` with respect to b."""
+    return jax.jvp(lambda b: _distance(b, t, count), (b,), (jnp.ones_like(b),))[1]
+
+
+@jax.custom_jvp
+def _ratio(c: Array, t: Array, count: Array) -> Array:
+    """b from c."""
+    low, high = c - _distance(jnp.full_like(c, jnp.inf), t, count), c
+
+    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (ends[0] + ends[1])
+        above = middle + _distance(middle, t, count) > c
+        return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
+
+    return jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))[1]
+
+
+@_ratio.defjvp
+def _ratio_slope(primals: tuple[Array, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    (c, t, count), (dc, dt, _) = primals, tangents
+    b = _ratio(c, t, count)
+    by_time = jax.jvp(lambda t: _distance(b, t, count), (t,), (jnp.ones_like(t),))[1]
+    return b, (dc - by_time * dt) / (1 + _by_ratio(b, t, count))
