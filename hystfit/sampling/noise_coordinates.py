@@ -1,16 +1,16 @@
 """Coordinates of white and slow noise in which the posterior is nearly normal whatever the data say about them.
 
-Slow noise cannot be told from white noise where it is small, or where its correlation time is a fraction of a sample. In the logarithms
-z of both standard deviations and of the time the posterior is then L-shaped: any size while the time is short, any time while the
-size is small, and steep walls beside both arms, which no step size suits. The same holds for white noise below a slow part that
-dominates. With s, w and tau the standard deviations of slow and white noise and the correlation time, the coordinates are
+Slow noise cannot be told from white noise where it is small: in the logarithms z of both standard deviations the posterior then is flat,
+as far as the prior goes, up to a wall that is the steeper the more samples there are, and whose place depends on the correlation time.
+No step size suits both. The same holds for white noise below a slow part that dominates. With s, w and tau the standard deviations
+of slow and white noise and the correlation time in samples, the coordinates are
 
     a    log of the standard deviation of the innovations, which the data determine to one part in the root of twice the number of
-         samples, independently of the shape of the spectrum (Kolmogorov and Szego: its logarithm is the mean of that of the spectrum),
+         samples whatever the shape of the spectrum (Kolmogorov and Szego: its logarithm is the mean of that of the spectrum),
     c    b + g(b, tau), where b = log(s / w), and g is the distance of the spectrum from that of white noise in standard errors,
-    t    the logarithm of tau as it is.
 
-Where the data say nothing c is b, so that it ranges over the prior; beyond, it grows by one for each standard error.
+and that of tau stays. Where the data say nothing c is b, so that it ranges over the prior; beyond, it grows by one with each
+standard error.
 """
 
 from __future__ import annotations
@@ -29,16 +29,18 @@ _HALVINGS = 60  # of an interval, to all digits
 
 
 class NoiseCoordinates(eqx.Module):
-    """The map between z and coordinates w that have (a, c, t) in the places of the logarithms of (w, s, tau).
+    """The map between z and coordinates w that have (a, c) in the places of the logarithms of (w, s).
 
     Attributes:
-        places: of the three in z.
-        logs: logarithm of the scale of s less that of w, and that of tau in samples, at z = 0.
+        places: of w, s and tau in z.
+        ratio: b where both z are 0.
+        time: logarithms of the least tau and of the scale of its excess over that.
         count: of the samples.
     """
 
     places: tuple[int, int, int] = eqx.field(static=True)
-    logs: tuple[Array, Array]
+    ratio: Float[Array, ""]
+    time: tuple[Array, Array]
     count: Float[Array, ""]
 
     @classmethod
@@ -49,28 +51,32 @@ class NoiseCoordinates(eqx.Module):
             return None
         names = [leaf.path[-1] for leaf in leaves_of(noise)]
         white, slow, time = (names.index(name) for name in noise.parts)
-        log = jnp.log(jnp.asarray(density.noise.scale))
+        least, scale = jnp.log(jnp.asarray(density.noise.lower)), jnp.log(jnp.asarray(density.noise.scale))
         places = (density.p + white, density.p + slow, density.p + time)
-        return cls(places, (log[slow] - log[white], log[time]), jnp.asarray(density.setting.count))
+        ends = (least[time], scale[time])
+        return cls(places, scale[slow] - scale[white], ends, jnp.asarray(density.setting.count))
 
     def of_z(self, z: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """w from z."""
-        i, j, k = self.places
-        b, t = z[..., j] - z[..., i] + self.logs[0], z[..., k] + self.logs[1]
+        i, j, _ = self.places
+        b, t = z[..., j] - z[..., i] + self.ratio, self._log_time(z)
         return z.at[..., i].add(_innovation(b, t)).at[..., j].set(b + _distance(b, t, self.count))
 
     def z_of(self, w: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """z from w."""
-        i, j, k = self.places
-        t = w[..., k] + self.logs[1]
+        i, j, _ = self.places
+        t = self._log_time(w)
         b = _ratio(w[..., j], t, self.count)
         white = w[..., i] - _innovation(b, t)
-        return w.at[..., i].set(white).at[..., j].set(white + b - self.logs[0])
+        return w.at[..., i].set(white).at[..., j].set(white + b - self.ratio)
 
     def log_slope(self, w: Float[Array, " d"]) -> Float[Array, ""]:
         """log |det dz/dw|."""
-        t = w[self.places[2]] + self.logs[1]
+        t = self._log_time(w)
         return -jnp.log1p(_by_ratio(_ratio(w[self.places[1]], t, self.count), t, self.count))
+
+    def _log_time(self, z: Float[Array, "... d"]) -> Array:
+        return jnp.logaddexp(self.time[0], z[..., self.places[2]] + self.time[1])
 
 
 def _innovation(b: Array, t: Array) -> Array:

@@ -50,8 +50,8 @@ class Nuts(AbstractSampler):
 
     name: ClassVar[str] = "nuts"
     chains: int = 4
-    draws: int = 1000
-    extend: int = 8
+    draws: int = 500
+    extend: int = 16
     warmup: int = 300
     target_accept: float = 0.9
     max_depth: int = 8

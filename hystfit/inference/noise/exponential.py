@@ -16,6 +16,7 @@ from hystfit.inference.priors import AbstractPrior, LogNormal
 from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
+LEAST_TIME = 1.0  # least correlation time of slow noise beside white noise, samples
 _MISSING = 1e100  # variance of the white part where there is no measurement
 _FASTEST = -700.0  # logarithm of a ratio between neighboring samples whose powers are 0 to all digits
 
@@ -29,7 +30,8 @@ class AbstractSlow(AbstractNoise):
     def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:
         """A correlation time between one sample and a third of the record: slower noise is a constant, which the offset already is."""
         slowest = max(longest / 3, 10.0)
-        return {"noise_time": LogNormal(float(np.sqrt(slowest)), float(np.log(slowest)) / 4)}  # two sd each way
+        spread = float(np.log(slowest)) / 4  # two standard deviations each way
+        return {"noise_time": LogNormal(float(np.sqrt(slowest)), spread, LEAST_TIME if cls.parts else 0.0)}
 
     @property
     @abc.abstractmethod

@@ -7,13 +7,16 @@ from typing import ClassVar
 import numpy as np
 
 from hystfit.inference.noise.base import ResidualScales
-from hystfit.inference.noise.exponential import AbstractSlow
+from hystfit.inference.noise.exponential import LEAST_TIME, AbstractSlow
 from hystfit.models.shapes import Scalar
 from hystfit.params.param import param
 
 
 class OrnsteinUhlenbeck(AbstractSlow):
-    """An Ornstein-Uhlenbeck process with independent noise on top: sensor noise, and drift or model error that changes slowly."""
+    """An Ornstein-Uhlenbeck process with independent noise on top: sensor noise, and drift or model error that changes slowly.
+
+    Its correlation time is at least one sample: faster noise cannot be told from the independent part, and its size could be any.
+    """
 
     name: ClassVar[str] = "ou"
     parts: ClassVar[tuple[str, str, str] | None] = ("noise_white", "noise_slow", "noise_time")
@@ -22,7 +25,7 @@ class OrnsteinUhlenbeck(AbstractSlow):
     )
     noise_slow: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y", scale=0.01, doc="standard deviation of slow noise")
     noise_time: Scalar = param(
-        10.0, bounds=(0.0, np.inf), unit="sample", scale=10.0, doc="correlation time of slow noise"
+        10.0, bounds=(LEAST_TIME, np.inf), unit="sample", scale=10.0, doc="correlation time of slow noise"
     )
 
     @property
