@@ -6,6 +6,7 @@ second of processor time, without burn-in and warm-up, and the probability of a 
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 import time
 from collections.abc import Callable
@@ -22,6 +23,7 @@ import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.setup import Setup, prepare
+from hystfit.sampling.target import Target
 
 WALKERS, SEEDS, TAIL = 64, 10, 0.9  # the tail is rho > 0.9
 
@@ -31,7 +33,7 @@ def peer_density(q, center, factor, u, y, scales, wide, median, spread):
     """Log posterior of one walker up to a constant; slow noise by a Kalman filter."""
     z = center + factor @ q
     (c, mu, tau, rho, offset), slope = peer_parameters(z, scales)
-    white, slow, time = scales[5] * np.exp(z[5]), scales[6] * np.exp(z[6]), scales[7] * np.exp(z[7])
+    white, slow, time = scales[5] * np.exp(z[5]), scales[6] * np.exp(z[6]), 1.0 + scales[7] * np.exp(z[7])
     decay = np.exp(-1.0 / time)
     fresh = slow**2 * (1 - decay**2)
     m, up, down = mu * c, tau * (1 + rho), tau * (1 - rho)
@@ -47,13 +49,22 @@ def peer_density(q, center, factor, u, y, scales, wide, median, spread):
         total += e * e / whole + np.log(whole)
         mean, variance = mean + variance / whole * e, variance * white**2 / whole
     prior = -0.5 * (z[0] ** 2 + z[2] ** 2 + z[5] ** 2 + z[6] ** 2) / 9.0 - 0.5 * (offset / wide) ** 2
-    prior -= 0.5 * ((np.log(time) - np.log(median)) / spread) ** 2
+    prior -= 0.5 * ((np.log(time - 1.0) - np.log(median)) / spread) ** 2
     return prior + slope - 0.5 * total
+
+
+def plain(target: Target) -> Target:
+    """The same density with logarithms of the noise's parameters as coordinates, whitened at the center alike."""
+    assert target.noise is not None
+    slope = jax.jacfwd(lambda w: target.noise.z_of(w))(target.center)
+    return dataclasses.replace(
+        target, noise=None, center=target.noise.z_of(target.center), factor=slope @ target.factor
+    )
 
 
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
     """The peer's log posterior of whitened coordinates, checked against the library's."""
-    target, data = setup.target, setup.problem.data[0]
+    target, data = plain(setup.target), setup.problem.data[0]
     scales = np.concatenate([np.asarray(c.scale) for c in (target.density.objective.coordinates, target.density.noise)])
     arrays = tuple(np.asarray(v) for v in (target.center, target.factor, data.u, data.y, scales))
     priors = target.density.priors
@@ -63,7 +74,7 @@ def peer(setup: Setup) -> Callable[[np.ndarray], float]:
 
 def of_rho(setup: Setup, q: np.ndarray) -> np.ndarray:
     """1 where rho lies in the tail, shape (chains, draws), from draws of shape (chains, draws, d)."""
-    z = np.asarray(setup.target.unwhitened(jnp.asarray(q)))[..., 3]
+    z = np.asarray(plain(setup.target).unwhitened(jnp.asarray(q)))[..., 3]
     return (2 / (1 + np.exp(-z)) - 1 > TAIL).astype(float)
 
 
@@ -90,8 +101,9 @@ def chains(setup: Setup, seed: int, settings: Nuts) -> tuple[np.ndarray, float]:
             parts.append(settings.chunk(target, warm, q, jax.random.fold_in(key, k))["q"])
             q = jnp.asarray(parts[-1][-1])
         busy += time.process_time() - begin
-        # Each chain has coordinates of its own; the target's serve all.
-        drawn.append(target.q_of(adapted(target, warm).v_of(np.concatenate(parts), np), np))
+        # Each chain has coordinates of its own; those of the peer serve all.
+        v = target.noise.z_of(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
+        drawn.append(plain(target).q_of(np.asarray(v), np))
     return np.stack(drawn), busy
 
 
