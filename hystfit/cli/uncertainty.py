@@ -51,8 +51,8 @@ def sample(
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
             take none); --prior replaces single ones.
-        draws: draws per chain of nuts (500, up to 16 times as many until the chains have converged) or weights (450, up to 8 times); per run
-            of nested (2000); largest number of steps of emcee (5000).
+        draws: draws per chain of nuts (500, up to 16 times as many until the chains have converged) or weights (450, up to 8 times); per
+            run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts or weights (4); runs of nested (2).
         warmup: warm-up steps of nuts (300) or weights (50).
         target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.

@@ -25,7 +25,10 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.params.param import leaves_of
 
-_HALVINGS = 60  # of an interval, to all digits
+_HALVINGS, _NEWTONS = (
+    16,
+    4,
+)  # steps of the two searches for b: the second one begins within a hundredth, and ends with all digits
 
 
 class NoiseCoordinates(eqx.Module):
@@ -64,16 +67,22 @@ class NoiseCoordinates(eqx.Module):
 
     def z_of(self, w: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """z from w."""
-        i, j, _ = self.places
+        return self._z_of(w, *self._of_spectrum(w))
+
+    def z_and_slope(self, w: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, ""]]:
+        """z from w, and log |det dz/dw|."""
+        b, t = self._of_spectrum(w)
+        return self._z_of(w, b, t), -jnp.log1p(_by_ratio(b, t, self.count))
+
+    def _of_spectrum(self, w: Float[Array, "... d"]) -> tuple[Array, Array]:
+        """b, and the logarithm of tau."""
         t = self._log_time(w)
-        b = _ratio(w[..., j], t, self.count)
+        return _ratio(w[..., self.places[1]], t, self.count), t
+
+    def _z_of(self, w: Float[Array, "... d"], b: Array, t: Array) -> Float[Array, "... d"]:
+        i, j, _ = self.places
         white = w[..., i] - _innovation(b, t)
         return w.at[..., i].set(white).at[..., j].set(white + b - self.ratio)
-
-    def log_slope(self, w: Float[Array, " d"]) -> Float[Array, ""]:
-        """log |det dz/dw|."""
-        t = self._log_time(w)
-        return -jnp.log1p(_by_ratio(_ratio(w[self.places[1]], t, self.count), t, self.count))
 
     def _log_time(self, z: Float[Array, "... d"]) -> Array:
         return jnp.logaddexp(self.time[0], z[..., self.places[2]] + self.time[1])
@@ -118,7 +127,9 @@ def _ratio(c: Array, t: Array, count: Array) -> Array:
         above = middle + _distance(middle, t, count) > c
         return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
 
-    return jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))[1]
+    improve = lambda _, b: b - (b + _distance(b, t, count) - c) / (1 + _by_ratio(b, t, count))
+    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))
+    return jax.lax.fori_loop(0, _NEWTONS, improve, 0.5 * (low + high))
 
 
 @_ratio.defjvp

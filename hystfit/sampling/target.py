@@ -76,34 +76,32 @@ class Target(eqx.Module):
 
     def _z_of(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """z from v."""
-        return self._z_of_w(self.bend.unbent(v))
+        w = self.bend.unbent(v)
+        return w if self.noise is None else self.noise.z_of(w)
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
         return self.density.physical(self.unwhitened(q))
 
-    def _z_of_w(self, w: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        return w if self.noise is None else self.noise.z_of(w)
-
-    def _log_slope(self, v: Float[Array, " d"]) -> Float[Array, ""]:
-        """log |det dz/dv|."""
-        of_bend = self.bend.log_slope(v)
-        return of_bend if self.noise is None else of_bend + self.noise.log_slope(self.bend.unbent(v))
+    def _z_and_slope(self, w: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, ""]]:
+        """z from v without its bend, and log |det dz/dw|."""
+        return (w, jnp.zeros(())) if self.noise is None else self.noise.z_and_slope(w)
 
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
         """Log posterior over v.
 
         With `lean`, see `Density.log_density`.
         """
-        return self.density.log_density(self._z_of(v), lean) + self._log_slope(v)
+        z, change = self._z_and_slope(self.bend.unbent(v))
+        return self.density.log_density(z, lean) + change + self.bend.log_slope(v)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
         w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
-        z, pull = jax.vjp(self._z_of_w, w)
+        (z, change), pull = jax.vjp(self._z_and_slope, w)
         total, gradient = self.density.slope(z)
-        change, by_change = jax.value_and_grad(self._log_slope)(v)
-        return total + change, pull(gradient)[0] * stretch + by_change
+        bent, by_bend = jax.value_and_grad(self.bend.log_slope)(v)
+        return total + change + bent, pull((gradient, jnp.ones(())))[0] * stretch + by_bend
 
     def __call__(self, q: Float[Array, " d"]) -> Float[Array, ""]:
         """Log posterior over q; its reverse-mode gradient is that of `slope`."""
