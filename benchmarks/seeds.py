@@ -21,6 +21,7 @@ from sampling import Runner, compared, ensemble, peer_parameters, peer_step, rec
 
 import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
+from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.setup import Setup, prepare
 from hystfit.sampling.target import Target
@@ -53,13 +54,17 @@ def peer_density(q, center, factor, u, y, scales, wide, median, spread):
     return prior + slope - 0.5 * total
 
 
+def of_noise(target: Target) -> NoiseCoordinates:
+    """Coordinates of white and slow noise, which this noise model has."""
+    assert target.noise is not None
+    return target.noise
+
+
 def plain(target: Target) -> Target:
     """The same density with logarithms of the noise's parameters as coordinates, whitened at the center alike."""
-    assert target.noise is not None
-    slope = jax.jacfwd(lambda w: target.noise.z_of(w))(target.center)
-    return dataclasses.replace(
-        target, noise=None, center=target.noise.z_of(target.center), factor=slope @ target.factor
-    )
+    z_of = of_noise(target).z_of
+    slope = jax.jacfwd(lambda w: z_of(w))(target.center)
+    return dataclasses.replace(target, noise=None, center=z_of(target.center), factor=slope @ target.factor)
 
 
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
@@ -102,7 +107,7 @@ def chains(setup: Setup, seed: int, settings: Nuts) -> tuple[np.ndarray, float]:
             q = jnp.asarray(parts[-1][-1])
         busy += time.process_time() - begin
         # Each chain has coordinates of its own; those of the peer serve all.
-        v = target.noise.z_of(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
+        v = of_noise(target).z_of(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
         drawn.append(plain(target).q_of(np.asarray(v), np))
     return np.stack(drawn), busy
 
