@@ -24,7 +24,7 @@ from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
 from hystfit.reading.in_memory import records_of
-from hystfit.runs.threads import Workers
+from hystfit.runs.threads import Workers, one_blas_thread
 
 
 @verb
@@ -80,7 +80,8 @@ def compare(
     chosen = Candidates(tuple(named)) if named else candidates(data)
     data = without_faults(data)
     run = ComparisonRun(data, left_out, purpose, options, named)
-    with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
+    shown = shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress)
+    with one_blas_thread(), shown as update:
         run.search(chosen, ShownProgress(update, chosen.names), Workers(workers))
     rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
     if not run.fits:
