@@ -63,7 +63,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     stride = -(-u.size // MOST)
     columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
     branch = float(np.median(np.diff(reversals))) / stride
-    without = _error_of_lags(columns, branch)
+    without = columns.error_behind((0.0,), np.geomspace(0.02 * branch, branch, _LAGS))
     if without < _VISIBLE:
         return None
     behind = np.hstack([columns.hysteresis, columns.beside])
@@ -75,16 +75,6 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if samples * stride < _SHORTEST or remaining > min(REMAINS * without, _DESCRIBED):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
-
-
-def _error_of_lags(columns: Regressors, branch: float) -> float:
-    """Least rms error of hysteresis beside velocity terms, behind no lag, one or two."""
-    fixed = (columns.beside, columns.speed)
-    errors = [columns.error(columns.hysteresis, *fixed)]
-    for time in np.geomspace(0.02 * branch, branch, _LAGS):
-        once = lagged(columns.hysteresis, time)
-        errors += [columns.error(once, *fixed), columns.error(lagged(once, time), *fixed)]
-    return min(errors)
 
 
 def _best(error: Callable[[float], float], longest: float) -> tuple[float, float] | None:
