@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, Regressors, delayed, lagged
+from hystfit.quality.resonance import FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
