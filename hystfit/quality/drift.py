@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
-LIKE = 0.03  # of a range, up to which turning levels of cycles, or the ends of one, are alike
-ABOVE_NOISE = 6.0  # least drift over the standard error of the mean of a cycle, and gap of an open loop over the noise
+from hystfit.quality.faults import CLEAR
+from hystfit.quality.loops import SAME_LEVEL
+
 _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 
@@ -51,7 +52,7 @@ def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None) 
     if len(cycles) == 0:
         return cycles
     ends, span = np.sort(u[cycles[:, :2]], axis=1), np.ptp(u)
-    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= LIKE * span
+    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= SAME_LEVEL * span
     score = near.sum(axis=1) + 0.5 * (ends[:, 1] - ends[:, 0]) / span
     like = cycles[near[int(np.argmax(score))]]
     if y is None:
@@ -84,7 +85,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
     samples = float(np.median(cycles[:, 2] - cycles[:, 0]))
-    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), ABOVE_NOISE * noise / np.sqrt(samples))
+    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), CLEAR * noise / np.sqrt(samples))
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0

@@ -8,6 +8,8 @@ import math
 import numpy as np
 
 MAD_TO_RMS = 1.4826  # of a normal distribution
+# Standard errors beyond which a measured difference is no chance: of the many that a report looks at, one in a million exceeds it.
+CLEAR = 5.0
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
 _COARSE = 0.02  # part of the range from which levels are those of a signal with steps
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone

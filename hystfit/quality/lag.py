@@ -55,7 +55,7 @@ class _Turn:
 
 
 def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
-    if noise is None or noise <= 3e-4 * np.ptp(u) or u.size <= 7:
+    if not noise:
         return u
     return smooth(u, 7)
 
@@ -131,7 +131,7 @@ def estimate_lag(
     from scipy.ndimage import map_coordinates, spline_filter1d  # its import takes 0.1 s
 
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    if reversals.size < 3 or u.size < 40:
+    if reversals.size < 2:
         return None
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:

@@ -7,6 +7,7 @@ import dataclasses
 from hystfit.params.units import quantity
 from hystfit.quality.delay import PureDelay
 from hystfit.quality.drift import Drift
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import Lag
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.shape import Shape
@@ -183,7 +184,7 @@ class RecordQuality:
             or self.softens
             or self.softens_with_stroke
             or left < 0.88
-            or (left < WHOLE and self.shape.pinching < 0.6)
+            or (left < WHOLE and self.shape.pinched)
         )
 
     @property
@@ -227,4 +228,4 @@ class RecordQuality:
         motion, noise = self.motion, self.y.noise_rms or 0.0
         if motion.longest_hold < LONG_HOLD or motion.hold_creep is None or self.sampling.rate is None:
             return False
-        return motion.hold_creep * self.y.range > 4 * noise / (motion.longest_hold / 20) ** 0.5
+        return motion.hold_creep * self.y.range > CLEAR * noise / (motion.longest_hold / 20) ** 0.5

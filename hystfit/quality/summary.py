@@ -211,10 +211,13 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     loops, cycles = geometry.closed_loops(u, threshold), geometry.cycles(u, threshold)
     span = column.range or 1.0
     largest = max((loop.stroke for loop in loops), default=0.0)
-    major = sum(loop.stroke >= 0.95 * largest for loop in loops)
+    major = sum(loop.stroke >= (1 - geometry.APART) * largest for loop in loops)
     branches = geometry.branches(u, threshold)
     levels = u[turns]
-    pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
+    pairs = {
+        tuple(sorted(pair))
+        for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / geometry.APART).tolist()
+    }
     rests = [(int(a), int(b)) for a, b in holds(u, 2e-4 * span + 10 * (column.known_noise or 0.0))]
     creep = [_change(y[a:b]) for a, b in rests]
     extent = float(np.nanmax(y) - np.nanmin(y))
