@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from hystfit.quality.faults import CLEAR
+from hystfit.quality.faults import CLEAR, SIGNIFICANCE
 from hystfit.quality.loops import SAME_LEVEL
 
 _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
@@ -22,8 +22,8 @@ class Drift:
         r2_linear: share of the variance of the means that this line explains.
         per_decade: slope against log10 of the time since the record began [unit of y per decade]; None without time.
         r2_log: share of the variance that it explains.
-        law: "linear", "logarithmic" or "none" (neither explains half of the variance, nine tenths where there are fewer than
-            eight cycles, or the drift is below a ten-thousandth of the range of y or within the noise).
+        law: "linear", "logarithmic" or "none" (neither explains half of the variance, or chance may explain it, or the drift is below
+            a ten-thousandth of the range of y or within the noise).
         skipped: cycles omitted at the start, as a transient, in both fits.
         total: change of the fitted law over the cycles compared [unit of y].
     """
@@ -89,7 +89,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0
-    if best >= (0.5 if len(means) - skip >= 8 else 0.9):
+    if best >= 0.5 and _probability(best, len(means) - skip) < SIGNIFICANCE:
         law, total = "linear", linear[0] * (number[-1] - skip)
         if log is not None and moment is not None and log[1] > linear[1]:
             law, total = "logarithmic", log[0] * np.log10(moment[-1] / moment[skip])
@@ -122,6 +122,13 @@ def _mean(y: np.ndarray, t: np.ndarray | None, start: int, stop: int) -> float:
         return float(np.mean(y[start:stop]))
     part = slice(start, stop + 1)
     return float(np.trapezoid(y[part], t[part]) / (t[stop] - t[start]))
+
+
+def _probability(explained: float, count: int) -> float:
+    """Probability that a line explains this share of the variance of a number of independent values by chance."""
+    from scipy.special import betainc
+
+    return float(betainc(0.5 * (count - 2), 0.5, max(1 - explained, 0.0)))
 
 
 def _line(x: np.ndarray, values: np.ndarray) -> tuple[float, float]:

@@ -25,7 +25,7 @@ _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # sam
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
-_VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
+VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
@@ -42,7 +42,7 @@ def explains(error: float, without: float) -> bool:
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
     """
-    return without > _VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
+    return without > VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +158,7 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     static = columns.static(u)
     lags = np.geomspace(0.5, max(1.0, 0.02 * u.size), 8)
     without = min(columns.error_behind(_DELAYS, lags), columns.error_corrected(static))
-    if without <= _VISIBLE:
+    if without <= VISIBLE:
         return None
     error, frequency, damping = columns.best_resonance(_Response(*map(np.frombuffer, response)))
     # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before

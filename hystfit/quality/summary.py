@@ -20,7 +20,6 @@ from hystfit.quality.drift import drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.record_quality import (
-    MULLINS,
     SOFTER,
     SPEEDS_APART,
     WEAKER,
@@ -75,7 +74,7 @@ def may_change(record: Record) -> bool:
         (stiffness_left(u, y, t, cycles), WHOLE),
         (strength_left(u, y, cycles), WEAKER),
         (unloading_left(u, y, cycles), SOFTER),
-        (softening_left(u, y, turns), MULLINS),
+        (softening_left(u, y, turns), WEAKER),
     )
     return any(left is not None and left < whole for left, whole in parts)
 
