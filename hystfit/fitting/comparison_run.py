@@ -272,10 +272,11 @@ class ComparisonRun:
 
     def _error_where_held_out(self, result: FitResult) -> float:
         """Root mean square residual on the samples that are held out at times [y]: the errors of the others are those on these."""
-        residuals, weights = result.problem.residuals(result.x), np.asarray(result.problem.objective.batch.weight)
-        asked = [weight[: fold.size] * (fold >= 0) for weight, fold in zip(weights, self.held.folds, strict=True)]
-        squares = sum(float(w @ row[: w.size] ** 2) for w, row in zip(asked, residuals, strict=True))
-        return float(np.sqrt(squares / sum(float(w.sum()) for w in asked)))
+        problem = result.problem  # whose records may begin with samples that bring the model to its state
+        asked = [r.weight * (fold >= 0) for r, fold in zip(problem.data, problem.held_out.folds, strict=True)]
+        rows = zip(asked, problem.residuals(result.x), strict=True)
+        squares = sum(float(weight @ row[: weight.size] ** 2) for weight, row in rows)
+        return float(np.sqrt(squares / sum(float(weight.sum()) for weight in asked)))
 
     # -- what was found --
 

@@ -19,7 +19,6 @@ _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
-_DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
 
@@ -71,7 +70,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < SHORTEST or remaining > min(REMAINS * without, _DESCRIBED):
+    if samples * stride < SHORTEST or remaining > REMAINS * without:
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

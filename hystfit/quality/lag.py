@@ -178,7 +178,7 @@ def _over_turns(
         return None
     without = [_lowest(delays, misfit.sum(axis=0) - one) for one in misfit]
     known = np.array([value for value in without if value is not None])
-    if known.size < 3:
+    if known.size < 2:
         return None
     scatter = np.sqrt((known.size - 1) / known.size * np.sum((known - known.mean()) ** 2))
     upper = np.array([turn.upper for turn in turns])

@@ -14,7 +14,7 @@ from hystfit.quality.loops import APART, SAME_LEVEL, Loop, closed_loops, loop_ar
 # Least area of an open loop over that of the box around it: the narrowest loops of piezo actuators have ten thousandths.
 NARROWEST = 1e-3
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
-_SAME_LEVEL_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
+_LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
 _CROSSING = 0.3  # net area over that between the branches below which these cross
@@ -168,7 +168,7 @@ def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, 
     centers, rising, falling = loop_branches(u, y)
     gap = np.abs(rising - falling)
     mirrored = rising + falling[::-1]
-    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= 0.04 * np.ptp(u)
+    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
     pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
     return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching
 
@@ -232,7 +232,7 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
     lasted = np.diff(turns if t is None else t[turns])
     with np.errstate(divide="ignore", invalid="ignore"):
         slower = lasted / np.interp(stroke, known, lasted[first])
-    repeated &= (slower > 1 / _SAME_LEVEL_DURATION) & (slower < _SAME_LEVEL_DURATION)
+    repeated &= (slower > 1 / _LIKE_DURATION) & (slower < _LIKE_DURATION)
     before = np.interp(stroke[repeated], known, change[first] / known)
     if not (before > 0).all():
         return None
@@ -286,9 +286,9 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
 
 
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
-    """Change of the loop's area from the slowest to the fastest of similar cycles, as a fraction of the mean area.
+    """Change of the loop's area from the slow to the fast ones of similar cycles, as a fraction of the mean area.
 
-    None without time, or where the durations of similar cycles differ by less than a factor of 1.5: rate dependence is not
+    None without time, or where the durations of similar cycles differ by less than a factor of 2: rate dependence is not
     visible at one frequency. Arguments as in `loop_shape`.
     """
     if t is None or np.ptp(u) == 0:
@@ -297,8 +297,9 @@ def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.n
     if len(like) < 2:
         return None
     durations = np.array([t[c] - t[a] for a, c in like])
-    if durations.max() < 1.5 * durations.min():
+    if durations.max() < _LIKE_DURATION * durations.min():
         return None
     areas = np.array([loop_area(u[a : c + 1], y[a : c + 1]) for a, c in like])
-    slow, fast = areas[durations > 0.9 * durations.max()].mean(), areas[durations < 1.1 * durations.min()].mean()
+    is_slow = durations > np.sqrt(durations.min() * durations.max())
+    slow, fast = areas[is_slow].mean(), areas[~is_slow].mean()
     return float((abs(fast) - abs(slow)) / np.mean(np.abs(areas))) if np.any(areas) else None
