@@ -339,23 +339,6 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
         assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
 
 
-def test_the_error_beside_held_out_errors_is_that_of_the_samples_that_are_held_out():
-    """Also where each record is preceded by a copy of its steady period."""
-    phase = np.linspace(0, 2 * np.pi, 121)
-    loops = [
-        hf.Record(size * np.sin(phase), np.tanh(size * np.sin(phase)) - 0.1 * np.cos(phase)) for size in (1.0, 2.0, 3.0)
-    ]
-    data = hf.Dataset(tuple(loop.replace(name=f"{k}") for k, loop in enumerate(loops)))
-    fit = hf.fit("prandtl-ishlinskii:plays=4", data)
-    assert len(fit.problem.data[0]) > len(data[0])
-    inside = list(data)[:2]  # the largest loop stays in every fit
-    misses = [fit.predict(record) - record.y for record in inside]
-    run = ComparisonRun(
-        data, "auto", "prediction", FitOptions(), {}, ShownProgress(lambda *_: None, ["duhem"]), Workers(1)
-    )
-    assert run._error_where_held_out(fit) == pytest.approx(np.sqrt(np.mean(np.concatenate(misses) ** 2)), rel=1e-9)
-
-
 def _numbers(comparison):
     rows = [(r.name, r.asked, r.score_percent, r.in_sample_percent, r.parameters, r.status) for r in comparison.rows]
     return rows, {name: result.x.tolist() for name, result in comparison.fits.items()}
