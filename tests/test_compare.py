@@ -19,7 +19,7 @@ from hystfit.errors import ModelError
 from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
-from hystfit.fitting.comparison import Comparison, Row
+from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
@@ -314,12 +314,18 @@ def test_of_first_fits_that_are_not_told_apart_that_with_the_fewest_parameters_i
     assert [found.name for equal in (1.05, 1.0) if (found := leader(waiting, equal))] == ["few", "many"]
 
 
+def beside(rival: Row, name: str, data: hf.Dataset, purpose: Purpose = "prediction") -> ComparisonRun:
+    """A comparison of a model with one that was validated before."""
+    run = ComparisonRun(data, "auto", purpose, FitOptions(), {}, ShownProgress(lambda *_: None, [name]), Workers(1))
+    run.rows.append(rival)
+    run.run([name])
+    return run
+
+
 def test_only_a_model_that_serves_the_purpose_stops_others():
     rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
     for purpose in ("inverse", "prediction"):
-        comparing = ComparisonRun(stepped_loops(), "auto", purpose, FitOptions(), {})
-        comparing.rows.append(rival)
-        comparing.run(["duhem"], ShownProgress(lambda *_: None, ["duhem"]), Workers(1))
+        comparing = beside(rival, "duhem", stepped_loops(), purpose)
         assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
 
 
@@ -327,9 +333,8 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
 def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated(name, data):
     error = hf.compare(data, [name]).rows[0].in_sample_percent
     for share, validated in ((0.8, False), (1.05, True)):
-        comparing = ComparisonRun(data, "auto", "prediction", FitOptions(), {})
-        comparing.rows.append(Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={}))
-        comparing.run([name], ShownProgress(lambda *_: None, [name]), Workers(1))
+        rival = Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={})
+        comparing = beside(rival, name, data)
         assert (comparing.rows[1].score_percent is not None) == validated
         assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
 

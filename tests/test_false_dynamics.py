@@ -31,6 +31,41 @@ def test_a_steep_transition_is_no_resonance(width: float, steep: float, samples:
     assert Code.DYNAMICS not in codes(sweep(55.0, width, steep, samples))
 
 
+def behind_two_lags(values: np.ndarray, time: float) -> np.ndarray:
+    """Two first-order lags of this time constant [samples], by a plain loop."""
+    first = second = values[0]
+    out = []
+    for value in values:
+        first += (value - first) * -np.expm1(-1 / time)
+        second += (first - second) * -np.expm1(-1 / time)
+        out.append(second)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("what", ["a delay", "two lags", "a delayed viscous force"])
+def test_a_line_behind_a_delay_or_a_lag_or_beside_a_viscous_force_is_no_resonance(what: str) -> None:
+    """All change gain or phase with frequency as a resonance does: nothing but their own description tells them apart from one."""
+    index = np.arange(1500.0)
+    t = index / 500
+    chirp, two = (
+        lambda rate: np.sin(2 * np.pi * (0.5 * t + rate * t**2)),
+        np.sin(2 * np.pi * t * np.where(t < 1.5, 5, 25)),
+    )
+    if what == "a delay":
+        u = two
+        y = np.interp(index - 16, index, u)
+    elif what == "two lags":
+        u = chirp(6)
+        y = behind_two_lags(u, 16.0)
+    else:
+        u = chirp(3)
+        rate = np.gradient(u)
+        y = np.interp(index - 3, index, u + 1.2 * rate / np.abs(rate).max())
+    y = y + 1e-3 * np.ptp(y) * np.random.default_rng(0).normal(size=t.size)
+    found = dynamics_of(hf.Record(u=u, y=y, t=t))
+    assert found is None or not found.resonant
+
+
 def test_a_resonance_behind_a_play_is_one() -> None:
     """A chirp through the natural frequency, by a plain loop of small steps."""
     t = np.linspace(0, 10, 4000)

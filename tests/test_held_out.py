@@ -77,6 +77,25 @@ def test_runs_are_shorter_in_short_records_so_that_each_group_covers_the_loop():
     assert np.diff(np.flatnonzero(np.diff(fold))).max() == 2
 
 
+def windowed(record, stop):
+    return record.replace(weight=(np.arange(len(record)) < stop).astype(float))
+
+
+@pytest.mark.parametrize("kind", ["levels", "cycles", "records"])
+def test_samples_that_count_are_held_out_whatever_a_window_leaves(kind):
+    """Without one, the error on held-out samples would be that of nothing."""
+    u = np.repeat([1.0, 0.6, 0.3, 0.3], 500) * np.cos(2 * np.pi * 20 * np.arange(2000) / 2000)
+    records = {
+        "levels": [windowed(Record(u, u), 450)],  # of the largest amplitude, which is in no group
+        "cycles": [windowed(sine(), 120)],
+        "records": [sine(name="a"), windowed(sine(0.5, name="b"), 0), windowed(sine(0.5, name="c"), 0)],
+    }[kind]
+    groups = held_out(records)
+    groups_of = [fold[record.used] for fold, record in zip(groups.folds, records, strict=True)]
+    assert len(np.unique(np.concatenate(groups_of))) >= 2
+    assert all((fold[~record.used] == -1).all() for fold, record in zip(groups.folds, records, strict=True))
+
+
 def test_the_future_is_the_fifths_in_order():
     fold = future([sine()]).folds[0]
     assert (np.diff(fold) >= 0).all()

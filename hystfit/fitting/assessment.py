@@ -14,6 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number
 from hystfit.quality.findings import WITHOUT_TIME
+from hystfit.quality.loops import APART
 
 _MANY = 12  # weights above this number are counted in a note, not listed
 
@@ -32,7 +33,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         notes.append(Note(Code.REGULARIZED, text))
     if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         change = f"{errors.ratio:.2g} times those for independent residuals"
-        if 0.95 < errors.ratio < 1.05:
+        if abs(errors.ratio - 1) < APART:
             change = f"unchanged (factor {errors.ratio:.2g})"
         text = (
             f"residuals are autocorrelated over {number(errors.correlation_time, '.3g')} samples; standard errors are {change}"

@@ -14,16 +14,13 @@ from hystfit.fitting.structure import Structure, falls
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
-from hystfit.quality.faults import noise_rms
+from hystfit.quality.faults import CLEAR, noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
+from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of
 from hystfit.results.loop_kinds import LoopKind
-
-# An area has a direction from five of its standard errors, and from a thousandth of the box around it: the narrowest loops of piezo
-# actuators have ten thousandths.
-_ERRORS, _NARROWEST = 5.0, 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,7 +107,7 @@ def _way(record: Record) -> float:
         return 0.0
     # The area is a sum of outputs, each weighed by the step of the input around it.
     error = (noise_rms(y)[0] or 0.0) / np.ptp(y) * np.sqrt(np.sum(np.gradient(u) ** 2)) / np.ptp(u)
-    return circulation(u, y) / max(_ERRORS * error, _NARROWEST)
+    return circulation(u, y) / max(CLEAR * error, NARROWEST)
 
 
 def _needs(name: str) -> list[Needs]:

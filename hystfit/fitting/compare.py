@@ -12,6 +12,7 @@ from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
+from hystfit.fitting.comparison_search import search
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
@@ -24,7 +25,7 @@ from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
 from hystfit.reading.in_memory import records_of
-from hystfit.runs.threads import Workers
+from hystfit.runs.threads import Workers, one_blas_thread
 
 
 @verb
@@ -79,9 +80,15 @@ def compare(
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named)) if named else candidates(data)
     data = without_faults(data)
-    run = ComparisonRun(data, left_out, purpose, options, named)
-    with shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress) as update:
-        run.search(chosen, ShownProgress(update, chosen.names), Workers(workers))
+    update = shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress)
+    with one_blas_thread(), update as shown:
+        run = ComparisonRun(
+            data, left_out, purpose, options, named, ShownProgress(shown, chosen.names), Workers(workers)
+        )
+        if named:
+            run.run(chosen.names)
+        else:
+            search(run, chosen)
     rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
     if not run.fits:
         raise run.refusal(rows)

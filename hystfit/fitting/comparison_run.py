@@ -1,4 +1,4 @@
-"""The candidates of a comparison: which are fitted, which are validated on left-out data, and which are stopped before."""
+"""The candidates of a comparison: each gets a first fit, and the best ones a fit and a validation until no other can win."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
-from hystfit.fitting.candidates import Candidates
 from hystfit.fitting.comparison import Obstacles, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.contender import Candidate, First, leader
@@ -23,7 +22,6 @@ from hystfit.fitting.left_out import LeftOut, bic, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.sizes import SizeSearch, weights_of
-from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import residuals_are_white
@@ -32,24 +30,24 @@ from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
-from hystfit.quality.summary import dynamics_of
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
 # What a solver raises on data that it cannot handle, besides the library's own errors.
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
-_WHITE = "the residuals of the best model are noise"
-_TIMELESS = "the search found no term that depends on time"
-_FIRST_STARTS = 2  # starting points of that fit
+WHITE = "the residuals of the best model are noise"
+_FIRST_STARTS = 2  # starting points of a first fit
+
+_Work = Callable[[Candidate, Callable[[str], object]], None]
 
 
-def _score(row: Row) -> float:
+def score_of(row: Row) -> float:
     """Error on held-out data [percent of range]; infinite where it is not known."""
     return np.inf if row.score_percent is None else row.score_percent
 
 
-def _correlation(fit: FitResult) -> int:
+def correlation_of(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
     residuals = fit.problem.residuals(fit.x)
     return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
@@ -63,172 +61,84 @@ class ComparisonRun:
         left_out, purpose: see `compare`.
         options: of every fit.
         named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
+        shown: progress of the models.
+        workers: which fit them side by side.
     """
 
-    def __init__(self, data: Dataset, left_out: LeftOut, purpose: Purpose, options: FitOptions, named: dict[str, Any]):
+    def __init__(
+        self,
+        data: Dataset,
+        left_out: LeftOut,
+        purpose: Purpose,
+        options: FitOptions,
+        named: dict[str, Any],
+        shown: ShownProgress,
+        workers: Workers,
+    ):
         self.data, self.left_out, self.purpose, self.options, self.named = data, left_out, purpose, options, named
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
-        self.solved: dict[str, Solved] = {}
-        self.correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
-        self.errors: list[Exception] = []
+        self._shown, self._workers = shown, workers
+        self._solved: dict[str, Solved] = {}
+        self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
+        self._errors: list[Exception] = []
         # Final cross-validation errors over those of first fits, of models with elements.
-        self.lowered: list[float] = []
+        self._lowered: list[float] = []
 
-    def search(self, chosen: Candidates, shown: ShownProgress, workers: Workers) -> None:
-        """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
+    # -- the candidates in turn --
 
-        White residuals end it: what other models would describe better is noise. Where the search describes some of the noise too, models
-        with fewer parameters may predict better; they need no time, because a lag or creep would show in the residuals.
-        """
-        if self.named:
-            self.run(chosen.names, shown, workers)
-            return
-        first, *others = chosen.closed
-        self.run((first,), shown, workers)
-        if white := self._is_white():
-            lasting = tuple(name for name in chosen.iterated if make_model(name).rate_independent)
-            self._skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), _WHITE)
-            chosen, others = Candidates((first,), lasting), []
-        if white and not self._overfits():
-            self._skip(chosen.iterated, _WHITE)
-            return
-        waiting = self._looked_at(others, shown, workers)
-        if (spacing := self._spacing(waiting)) > 1:  # the errors of all must be those on the same samples
-            self.options = dataclasses.replace(self.options, spacing=spacing)
-            self.rows, self.fits, self.errors = [], {}, []
-            self.run((first,), shown, workers)
-            waiting = self._looked_at(others, shown, workers)
-        waiting = self._next(self._keep_finished(waiting, shown), shown, workers)
-        search = self.fits.get(SEARCH)
-        found, delay = structure_of(search.model) if search else (Structure(), False)
-        rings, iterated = self._rings(), chosen.iterated
-        if not (white or rings or delay or found.timed):
-            iterated = tuple(name for name in iterated if make_model(name).rate_independent)
-            self._skip([name for name in chosen.iterated if name not in iterated], _TIMELESS)
-        if not rings:
-            self._skip(chosen.resonant, "the response shows no resonance")
-        chosen = Candidates(chosen.closed, iterated, chosen.resonant if rings else ()).beside(found, delay)
-        others = (*chosen.closed, *chosen.resonant), chosen.iterated
-        for number, names in enumerate(others if rings else [sum(others, ())]):
-            if not white and self._is_white():
-                self._skip((*(one.name for one in waiting), *names), _WHITE)
-            elif number and self._resonance_needed():
-                self._skip(names, "a resonance is needed")
-            else:
-                self._finish([*waiting, *self._looked_at(names, shown, workers)], shown, workers, past_white=white)
-            waiting = []
+    def run(self, names: Sequence[str]) -> None:
+        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
+        self.finish(self.looked_at(names))
 
-    def _spacing(self, waiting: Sequence[Candidate]) -> int:
-        """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
-        if self._held.scheme is not Scheme.SCATTERED:
-            return 1
-        least = min(
-            (one.first for one in waiting if one.first is not None), key=lambda first: first.error, default=None
-        )
-        best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
-        if (
-            least is not None
-            and least.model is not None
-            and (best is None or 100 * least.error < _score(best) * self._span)
-        ):
-            fit = solve_model(least.model, self.data, self.options).unjudged
-        elif best is not None:
-            fit = self.fits[best.asked]
-        else:
-            return 1
-        return _correlation(fit)
+    def run_again(self, names: Sequence[str], options: FitOptions) -> None:
+        """Forget what was found, and run candidates with other options."""
+        self.options, self.rows, self.fits, self._errors = options, [], {}, []
+        self.run(names)
 
-    def _rings(self) -> bool:
-        """Whether the response of the longest record changes with frequency as that of an oscillator."""
-        found = dynamics_of(max(self.data, key=len))
-        return found is not None and found.resonant
+    def looked_at(self, names: Sequence[str]) -> list[Candidate]:
+        """Candidates after their first fits."""
+        candidates = [Candidate(name) for name in names]
+        self._each(self._first_fit, candidates)
+        return candidates
 
-    def _resonance_needed(self) -> bool:
-        """Whether the search, which has no resonance, errs far more than the best model."""
-        best, search = self._best(), next((_score(row) for row in self.rows if row.asked == SEARCH), 0.0)
-        return best is not None and search > MARGIN * best
+    def finish(self, candidates: Sequence[Candidate], *, past_white: bool = True) -> None:
+        """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
+        waiting = self._keep_finished(candidates)
+        while waiting:
+            if not past_white and self.is_white():
+                self.skip([one.name for one in waiting], WHITE)
+                return
+            waiting = self.after_next(waiting)
 
-    def _is_white(self) -> bool:
-        """Whether the residuals of the best model are white, and its loop stands out of them."""
-        best = min((row for row in self.rows if row.score_percent is not None), key=_score, default=None)
-        if best is None:
-            return False
-        fit = self.fits[best.asked]
-        rows = [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
-        return residuals_are_white(rows, fit.baselines.curve, len(fit.free_names))
+    def after_next(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """Fit and validate the model with the best first fit; returns those that may still win."""
+        waiting = self._keep_finished(candidates)
+        for one in waiting:
+            one.row = self._excluded_row(one)
+        ahead = leader([one for one in waiting if one.row is None], self.equal)
+        if ahead is not None:
+            self._each(self._fit, [ahead])
+            ahead.row = ahead.row or self._beaten_row(ahead)
+            self._each(self._validate, [ahead] if ahead.row is None else [])
+        return self._keep_finished(waiting)
 
-    def _overfits(self) -> bool:
-        """Whether the best model errs more on held-out samples than on those that it was fitted to."""
-        best = min((row for row in self.rows if row.asked in self.fits), key=_score)
-        return best.in_sample_percent is not None and _score(best) > self.equal * best.in_sample_percent
-
-    @property
-    def equal(self) -> float:
-        """Ratio of errors on held-out samples up to which models are not told apart."""
-        best = min((row for row in self.rows if row.asked in self.fits), key=_score, default=None)
-        samples = sum(int(record.used.sum()) for record in self.data)
-        return equal_errors(samples, 1 if best is None else self.correlated[best.asked])
-
-    def _skip(self, names: Sequence[str], reason: str) -> None:
+    def skip(self, names: Sequence[str], reason: str) -> None:
+        """Add a row for each candidate that is not tried."""
         note = "not tried: {} (hystfit compare --models {} tries it)"
         self.rows += [
             Row(name, name, None, None, None, None, 0.0, Status.UNTESTED, note.format(reason, name)) for name in names
         ]
 
-    def run(self, names: Sequence[str], shown: ShownProgress, workers: Workers) -> None:
-        """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""
-        self._finish(self._looked_at(names, shown, workers), shown, workers)
+    def _each(self, work: _Work, chosen: Sequence[Candidate]) -> None:
+        self._workers.run([functools.partial(self._timed, work, one) for one in chosen])
 
-    def _looked_at(self, names: Sequence[str], shown: ShownProgress, workers: Workers) -> list[Candidate]:
-        """Candidates after their first fits."""
-        candidates = [Candidate(name) for name in names]
-        self._each(self._first_fit, candidates, shown, workers)
-        return candidates
-
-    def _finish(
-        self, candidates: Sequence[Candidate], shown: ShownProgress, workers: Workers, *, past_white: bool = True
-    ) -> None:
-        """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
-        waiting = self._keep_finished(candidates, shown)
-        while waiting:
-            if not past_white and self._is_white():
-                self._skip([one.name for one in waiting], _WHITE)
-                return
-            waiting = self._next(waiting, shown, workers)
-
-    def _next(self, waiting: Sequence[Candidate], shown: ShownProgress, workers: Workers) -> list[Candidate]:
-        """Fit and validate the model with the best first fit; returns those that may still win."""
-        for one in waiting:
-            one.row = self._excluded_row(one)
-        ahead = leader([one for one in waiting if one.row is None], self.equal)
-        if ahead is not None:
-            self._each(self._fit, [ahead], shown, workers)
-            ahead.row = ahead.row or self._beaten_row(ahead)
-            self._each(self._validate, [ahead] if ahead.row is None else [], shown, workers)
-        return self._keep_finished(waiting, shown)
-
-    def _each(
-        self,
-        work: Callable[[Candidate, Callable[[str], object]], None],
-        chosen: Sequence[Candidate],
-        shown: ShownProgress,
-        workers: Workers,
-    ) -> None:
-        workers.run([functools.partial(self._timed, work, one, shown, workers) for one in chosen])
-
-    def _timed(
-        self,
-        work: Callable[[Candidate, Callable[[str], object]], None],
-        one: Candidate,
-        shown: ShownProgress,
-        workers: Workers,
-    ) -> None:
+    def _timed(self, work: _Work, one: Candidate) -> None:
         """Run one piece of work on a candidate and measure its time; an error becomes the candidate's row."""
 
         def say(text: str) -> None:
-            workers.check()
-            shown.step(one.name, text)
+            self._workers.check()
+            self._shown.step(one.name, text)
 
         started = time.perf_counter()
         try:
@@ -238,70 +148,23 @@ class ComparisonRun:
             one.failure = error
         one.seconds += time.perf_counter() - started
 
-    def _keep_finished(self, candidates: Sequence[Candidate], shown: ShownProgress) -> list[Candidate]:
+    def _keep_finished(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Add the rows of candidates that are done, and return the others."""
         for one in candidates:
             if one.row is None:
                 continue
             self.rows.append(dataclasses.replace(one.row, seconds=one.seconds))
             if one.failure is not None:
-                self.errors.append(one.failure)
+                self._errors.append(one.failure)
             if one.result is not None and one.solved is not None:
-                self.fits[one.name], self.solved[one.name] = one.result, one.solved
-                self.correlated[one.name] = _correlation(one.result)
+                self.fits[one.name], self._solved[one.name] = one.result, one.solved
+                self._correlated[one.name] = correlation_of(one.result)
                 if one.first is not None and one.first.model is not None and one.result.left_out is not None:
-                    self.lowered.append(one.result.left_out / one.first.error)
-            shown.done(one.name)
+                    self._lowered.append(one.result.left_out / one.first.error)
+            self._shown.done(one.name)
         return [one for one in candidates if one.row is None]
 
-    def refusal(self, rows: Sequence[Row]) -> HystfitError:
-        """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
-        first = self.errors[0]
-        if isinstance(first, DataError) and all(str(error) == str(first) for error in self.errors):
-            return first
-        return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
-
-    def _fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
-        """Fit a model of the size that suits the data."""
-        name = one.name
-        progress("fit")
-        if name == SEARCH:
-            one.solved = solve_model(SEARCH, self.data, self.options)
-            return
-        given = self.named.get(name, name)
-        model = make_model(given)
-        # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
-        sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
-        if not sized and (alike := self._alike(model)) is not None:
-            given = type(model).of(**alike.model.settings())
-        elif not sized:
-            chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
-            given = chosen if one.choices else given
-        one.solved = solve_model(given, self.data, self.options)
-
-    def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
-        """Measure the error of a fit on left-out data."""
-        assert one.solved is not None
-        name, result = one.name, one.solved.unjudged
-        progress("cross-validation")
-        score, criterion = left_out_error(result, self.left_out), bic(result)
-        if self.left_out == "auto" and np.isfinite(score):
-            result = with_left_out(result, float(score))
-        one.result = result.with_notes(*one.choices)
-        one.row = Row(
-            name=name if ".py:" in name else result.name,
-            asked=name,
-            score_percent=100 * score / self._span if np.isfinite(score) else None,
-            in_sample_percent=result.train.nrmse_percent,
-            max_error_percent=result.train.max_error_percent,
-            parameters=len(result.free_names),
-            seconds=0.0,
-            status=result.status,
-            bic=criterion if np.isfinite(criterion) else None,
-            obstacles=Obstacles(result),
-            family_inverts=result.model.has_inverse,
-            effective=one.solved.estimate.effective or float(len(result.free_names)),
-        )
+    # -- one candidate --
 
     def _first_fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """A first fit, which decides whether a model is validated; the models that users chose, and a search, are validated."""
@@ -333,19 +196,56 @@ class ComparisonRun:
         kinds = ((fit, type(fit.model)) for fit in self.fits.values() if model.choices(list(self.data)))
         return next((fit for fit, kind in kinds if isinstance(model, kind) and type(model) is not kind), None)
 
-    def _best(self) -> float | None:
-        """The smallest error on left-out data so far, of models that serve the purpose."""
-        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
-        return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+    def _fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
+        """Fit a model of the size that suits the data."""
+        name = one.name
+        progress("fit")
+        if name == SEARCH:
+            one.solved = solve_model(SEARCH, self.data, self.options)
+            return
+        given = self.named.get(name, name)
+        model = make_model(given)
+        # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
+        sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
+        if not sized and (alike := self._alike(model)) is not None:
+            given = type(model).of(**alike.model.settings())
+        elif not sized:
+            chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
+            given = chosen if one.choices else given
+        one.solved = solve_model(given, self.data, self.options)
+
+    def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
+        """Measure the error of a fit on left-out data."""
+        assert one.solved is not None
+        name, result = one.name, one.solved.unjudged
+        progress("cross-validation")
+        score, criterion = left_out_error(result, self.left_out), bic(result)
+        if self.left_out == "auto" and np.isfinite(score):
+            result = with_left_out(result, float(score))
+        one.result = result.with_notes(*one.choices)
+        one.row = Row(
+            name=name if ".py:" in name else result.name,
+            asked=name,
+            score_percent=100 * score / self.span if np.isfinite(score) else None,
+            in_sample_percent=result.train.nrmse_percent,
+            max_error_percent=result.train.max_error_percent,
+            parameters=len(result.free_names),
+            seconds=0.0,
+            status=result.status,
+            bic=criterion if np.isfinite(criterion) else None,
+            obstacles=Obstacles(result),
+            family_inverts=result.model.has_inverse,
+            effective=one.solved.estimate.effective or float(len(result.free_names)),
+        )
 
     def _excluded_row(self, one: Candidate) -> Row | None:
         """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
-        best, first, name = self._best(), one.first, one.name
+        best, first, name = self.best, one.first, one.name
         if best is None or first is None:
             return None
-        error = 100 * first.error / self._span
+        error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
-        lowered = min(self.lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
+        lowered = min(self._lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
         if not np.isfinite(error) or error * lowered <= self.equal * best:
             return None
         note = (
@@ -356,54 +256,92 @@ class ComparisonRun:
 
     def _beaten_row(self, one: Candidate) -> Row | None:
         """The row of a model that errs more on the samples it was fitted to than another on left-out data; None for the others."""
-        best, solved = self._best(), one.solved
+        best, solved = self.best, one.solved
         if best is None or solved is None:
             return None
         result = solved.unjudged
-        held = result.problem.held_out.folds  # those of the samples before a record, which a steady period begins, too
-        residuals, weights = result.problem.residuals(result.x), np.asarray(result.problem.objective.batch.weight)
-        # What is never held out, such as the largest of the cycles, is not in the errors of the others.
-        asked = [weight[: fold.size] * (fold >= 0) for weight, fold in zip(weights, held, strict=True)]
-        if not (total := sum(float(w.sum()) for w in asked)):  # too few samples to leave any out
-            return None
-        squares = sum(float(w @ row[: w.size] ** 2) for w, row in zip(asked, residuals, strict=True))
-        error = 100 * np.sqrt(squares / total) / self._span
+        error = 100 * self._error_where_held_out(result) / self.span
         if error <= self.equal * best:
             return None
         note = (
             f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error of another model, "
             f"{best:.2g} % (hystfit compare --models {one.name} validates it)"
         )
-        return Row(
-            result.name,
-            one.name,
-            None,
-            error,
-            result.train.max_error_percent,
-            len(result.free_names),
-            0.0,
-            Status.UNTESTED,
-            note,
+        largest, parameters = result.train.max_error_percent, len(result.free_names)
+        return Row(result.name, one.name, None, error, largest, parameters, 0.0, Status.UNTESTED, note)
+
+    def _error_where_held_out(self, result: FitResult) -> float:
+        """Root mean square residual on the samples that are held out at times [y]: the errors of the others are those on these."""
+        problem = result.problem  # whose records may begin with samples that bring the model to its state
+        asked = [r.weight * (fold >= 0) for r, fold in zip(problem.data, problem.held_out.folds, strict=True)]
+        rows = zip(asked, problem.residuals(result.x), strict=True)
+        squares = sum(float(weight @ row[: weight.size] ** 2) for weight, row in rows)
+        return float(np.sqrt(squares / sum(float(weight.sum()) for weight in asked)))
+
+    # -- what was found --
+
+    @property
+    def best(self) -> float | None:
+        """The smallest error on left-out data so far, of models that serve the purpose [percent of range]."""
+        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
+        return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+
+    @property
+    def best_row(self) -> Row | None:
+        """The row of the fit with the smallest error on left-out data so far."""
+        return min((row for row in self.rows if row.asked in self.fits), key=score_of, default=None)
+
+    @property
+    def equal(self) -> float:
+        """Ratio of errors on held-out samples up to which models are not told apart."""
+        samples = sum(int(record.used.sum()) for record in self.data)
+        return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
+
+    def is_white(self) -> bool:
+        """Whether the residuals of the best model are white, and its loop stands out of them."""
+        best = self.best_row
+        if best is None or best.score_percent is None:
+            return False
+        fit = self.fits[best.asked]
+        rows = [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
+        return residuals_are_white(rows, fit.baselines.curve, len(fit.free_names))
+
+    def overfits(self) -> bool:
+        """Whether the best model errs more on held-out samples than on those that it was fitted to."""
+        best = self.best_row
+        return (
+            best is not None
+            and best.in_sample_percent is not None
+            and score_of(best) > self.equal * best.in_sample_percent
         )
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        known, result = self.fits[name], self.solved[name].judged()
+        known, result = self.fits[name], self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
         return result.with_notes(
             *(note for note in known.notes if note.code is Code.CHOICE and note not in result.notes)
         )
 
+    def refusal(self, rows: Sequence[Row]) -> HystfitError:
+        """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
+        first = self._errors[0]
+        if isinstance(first, DataError) and all(str(error) == str(first) for error in self._errors):
+            return first
+        return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
+
     @property
     def scheme(self) -> Scheme:
         """What was held out."""
-        return Scheme.FUTURE if self.left_out == "future" else self._held.scheme
+        return Scheme.FUTURE if self.left_out == "future" else self.held.scheme
 
     @functools.cached_property
-    def _held(self) -> HeldOut:
+    def held(self) -> HeldOut:
+        """The groups that are held out in turn."""
         return held_out(list(self.data))
 
     @functools.cached_property
-    def _span(self) -> float:
+    def span(self) -> float:
+        """Range of the output [y]."""
         return output_range(self.data).width

@@ -21,6 +21,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import saturated_samples
+from hystfit.quality.loops import SLACK
 from hystfit.quality.summary import outliers_of
 
 _MANY = 4  # weights on a bound from which the convex solve is the default
@@ -140,7 +141,7 @@ def _choose_rest(
 ) -> tuple[Problem, list[Note]]:
     """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
     span = 2 * problem.scales.u
-    if all(abs(record.u[0]) < 1e-3 * span for record in problem.data):
+    if all(abs(record.u[0]) <= SLACK * span for record in problem.data):
         return problem, []
     first = problem.model.with_rest("first")
     if eqx.tree_equal(first, problem.model):  # chosen by the user

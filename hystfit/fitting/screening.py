@@ -13,8 +13,9 @@ from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
-from hystfit.fitting.verdict import POOR
+from hystfit.fitting.verdict import POOR, residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
 
 # How many times the error of the best decides without further evidence: a first fit that errs more is not validated, and a model without an
@@ -32,6 +33,7 @@ class Screened:
         weights: number of its weights.
         inverse: whether it has one.
         found: what the search found, where it is its model.
+        leaves_noise: whether it leaves nothing but noise, see `residuals_are_white`.
     """
 
     name: str
@@ -39,10 +41,14 @@ class Screened:
     weights: int
     inverse: bool
     found: Found | None = None
+    leaves_noise: bool = False
 
 
 def screen(data: Dataset) -> Iterator[Screened]:
-    """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start."""
+    """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start.
+
+    The search comes first, and the only one where it leaves nothing but noise, as in `compare`.
+    """
     data = without_faults(data)
     short = thinned(data)  # not for the search, whose terms may depend on the rate
     for name in candidates(data).closed:
@@ -60,7 +66,10 @@ def screen(data: Dataset) -> Iterator[Screened]:
                 continue
             model, error = problem.model, fit_ridge(system).score
         weights = weights_of(model)
-        yield Screened(model_name(model), error, weights, model.has_inverse, found)
+        noise = found is not None and residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
+        yield Screened(model_name(model), error, weights, model.has_inverse, found, noise)
+        if noise:
+            return
 
 
 def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:

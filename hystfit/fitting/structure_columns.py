@@ -23,6 +23,7 @@ from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.quality.held_out import HeldOut, Scheme
+from hystfit.quality.loops import SLACK
 from hystfit.quality.slow_lag import SHORT
 
 _DEGREES = (1, 3, 5)
@@ -87,7 +88,7 @@ class Terms:
         options: dict[str, tuple[Any, ...]] = {"operator": get_args(Operator), "envelopes": (1, 3), "degree": _DEGREES}
         options["line"] = (False, True)
         span = max(float(np.ptp(record.u)) for record in self.data)
-        if any(abs(record.u[0]) > 1e-3 * span for record in self.data):
+        if any(abs(record.u[0]) > SLACK * span for record in self.data):
             options["rest"] = ("level", "first")
         if self.timed:
             # Hardening would stand in for what creep and rate describe.

@@ -45,6 +45,8 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
         screened: models already scored, see `screen`.
         baselines: errors of simple descriptions.
     """
+    if any(one.leaves_noise and _kind(make_model(one.name)) == "" for one in screened):
+        return ()
     short = thinned(without_faults(data))
     scores = [(one.error, one.name, _kind(make_model(one.name))) for one in screened]
     scores.append((baselines.curve, "a single-valued curve", ""))

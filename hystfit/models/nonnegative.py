@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from scipy.linalg.lapack import dpotrs
-from threadpoolctl import ThreadpoolController
+
+from hystfit.runs.threads import one_blas_thread
 
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
 _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
@@ -27,7 +26,7 @@ def solve_nonnegative(
     Returns:
         w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
     """
-    with _blas().limit(limits=1, user_api="blas"):
+    with one_blas_thread():
         try:
             return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
         except np.linalg.LinAlgError:  # positive definite but for rounding
@@ -75,12 +74,6 @@ def _wrong(w: np.ndarray, dual: np.ndarray, b: np.ndarray, bounded: np.ndarray, 
     slack = 1e-13 * np.abs(w).max(axis=-1, initial=0.0, keepdims=True)
     steep = -1e-11 * np.abs(b).max(axis=-1, initial=1e-300, keepdims=True)
     return bounded & np.where(active, w < -slack, dual < steep)
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    # numpy and scipy bring a pool of threads each, which wait for each other where small products and factors alternate.
-    return ThreadpoolController()
 
 
 def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -56,7 +56,7 @@ class Baselines:
         fitted = lambda k: kept[k] if kept else frame.parts(train[k])
 
         samples = sum(int(record.used.sum()) for record in train)
-        enough = samples >= _SPARE * (_PLAYS + 3 + len(own))
+        enough = samples >= _SPARE * (len(_PLAYED) + len(own))
         chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
         theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
 

@@ -11,16 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, Regressors, delayed, lagged
+from hystfit.quality.resonance import FEWEST, VISIBLE, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
-_SHORTEST = 1.5  # samples
-_VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y
+SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
-_DESCRIBED = 0.05  # largest error with the delay, as a fraction of the range of y
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
 
@@ -63,8 +61,8 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     stride = -(-u.size // MOST)
     columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
     branch = float(np.median(np.diff(reversals))) / stride
-    without = _error_of_lags(columns, branch)
-    if without < _VISIBLE:
+    without = columns.error_behind((0.0,), np.geomspace(0.02 * branch, branch, _LAGS))
+    if without < VISIBLE:
         return None
     behind = np.hstack([columns.hysteresis, columns.beside])
     error = lambda delay: columns.error(delayed(behind, delay))
@@ -72,19 +70,9 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < _SHORTEST or remaining > min(REMAINS * without, _DESCRIBED):
+    if samples * stride < SHORTEST or remaining > REMAINS * without:
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
-
-
-def _error_of_lags(columns: Regressors, branch: float) -> float:
-    """Least rms error of hysteresis beside velocity terms, behind no lag, one or two."""
-    fixed = (columns.beside, columns.speed)
-    errors = [columns.error(columns.hysteresis, *fixed)]
-    for time in np.geomspace(0.02 * branch, branch, _LAGS):
-        once = lagged(columns.hysteresis, time)
-        errors += [columns.error(once, *fixed), columns.error(lagged(once, time), *fixed)]
-    return min(errors)
 
 
 def _best(error: Callable[[float], float], longest: float) -> tuple[float, float] | None:

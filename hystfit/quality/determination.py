@@ -7,6 +7,7 @@ import enum
 from collections.abc import Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, Severity
+from hystfit.quality.faults import FEWEST_SAMPLES
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import LONG_HOLD, SPEEDS_APART, RecordQuality
@@ -15,7 +16,6 @@ ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
 _SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
 _FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
-_FEWEST_SAMPLES = 16  # below which no loop is described
 _FEWEST_PER_BRANCH, _FEW_PER_BRANCH = 3, 6  # samples below which branches have no shape, or a coarse one
 
 
@@ -81,7 +81,7 @@ class _Facts:
     @property
     def too_few(self) -> bool:
         """Whether there are too few samples for any model."""
-        return self.samples < _FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
+        return self.samples < FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
 
 
 def few_samples(records: Sequence[RecordQuality]) -> Note | None:
@@ -135,7 +135,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
 def _drift_logarithmically(records: Sequence[RecordQuality]) -> bool:
     """Whether drift is logarithmic in most records in which it is measured, and these are not a few of many by chance."""
     drifts = [r.drift for r in records if r.drift is not None]
-    logarithmic = sum(one.law == "logarithmic" and one.skipped < 4 for one in drifts)
+    logarithmic = sum(one.law == "logarithmic" for one in drifts)
     return 2 * logarithmic > len(drifts) and logarithmic >= _FEW_RECORDS * len(records)
 
 

@@ -6,8 +6,9 @@ import dataclasses
 
 import numpy as np
 
-LIKE = 0.03  # of a range, up to which turning levels of cycles, or the ends of one, are alike
-ABOVE_NOISE = 6.0  # least drift over the standard error of the mean of a cycle, and gap of an open loop over the noise
+from hystfit.quality.faults import CLEAR, SIGNIFICANCE
+from hystfit.quality.loops import SAME_LEVEL
+
 _VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 
@@ -21,8 +22,8 @@ class Drift:
         r2_linear: share of the variance of the means that this line explains.
         per_decade: slope against log10 of the time since the record began [unit of y per decade]; None without time.
         r2_log: share of the variance that it explains.
-        law: "linear", "logarithmic" or "none" (neither explains half of the variance, nine tenths where there are fewer than
-            eight cycles, or the drift is below a ten-thousandth of the range of y or within the noise).
+        law: "linear", "logarithmic" or "none" (neither explains half of the variance, or chance may explain it, or the drift is below
+            a ten-thousandth of the range of y or within the noise).
         skipped: cycles omitted at the start, as a transient, in both fits.
         total: change of the fitted law over the cycles compared [unit of y].
     """
@@ -51,7 +52,7 @@ def like_cycles(u: np.ndarray, cycles: np.ndarray, y: np.ndarray | None = None) 
     if len(cycles) == 0:
         return cycles
     ends, span = np.sort(u[cycles[:, :2]], axis=1), np.ptp(u)
-    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= LIKE * span
+    near = np.max(np.abs(ends[:, None] - ends[None]), axis=2) <= SAME_LEVEL * span
     score = near.sum(axis=1) + 0.5 * (ends[:, 1] - ends[:, 0]) / span
     like = cycles[near[int(np.argmax(score))]]
     if y is None:
@@ -84,11 +85,11 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
     samples = float(np.median(cycles[:, 2] - cycles[:, 0]))
-    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), ABOVE_NOISE * noise / np.sqrt(samples))
+    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), CLEAR * noise / np.sqrt(samples))
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0
-    if best >= (0.5 if len(means) - skip >= 8 else 0.9):
+    if best >= 0.5 and _probability(best, len(means) - skip) < SIGNIFICANCE:
         law, total = "linear", linear[0] * (number[-1] - skip)
         if log is not None and moment is not None and log[1] > linear[1]:
             law, total = "logarithmic", log[0] * np.log10(moment[-1] / moment[skip])
@@ -121,6 +122,13 @@ def _mean(y: np.ndarray, t: np.ndarray | None, start: int, stop: int) -> float:
         return float(np.mean(y[start:stop]))
     part = slice(start, stop + 1)
     return float(np.trapezoid(y[part], t[part]) / (t[stop] - t[start]))
+
+
+def _probability(explained: float, count: int) -> float:
+    """Probability that a line explains this share of the variance of a number of independent values by chance."""
+    from scipy.special import betainc
+
+    return float(betainc(0.5 * (count - 2), 0.5, max(1 - explained, 0.0)))
 
 
 def _line(x: np.ndarray, values: np.ndarray) -> tuple[float, float]:

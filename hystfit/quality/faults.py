@@ -7,7 +7,13 @@ import math
 
 import numpy as np
 
+FEWEST_SAMPLES = 16  # below which no noise is known and no loop is described
 MAD_TO_RMS = 1.4826  # of a normal distribution
+# Standard errors beyond which a measured difference is no chance: of the many that a report looks at, one in a million exceeds it.
+CLEAR = 5.0
+# Probability of a pattern by chance, below which it is one. First points of the 152 reversal curves of HCHB (MicroMag) that had not settled
+# reach 2e-5, second points 0.13, and those of simulated curves stay above 0.4.
+SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
 _COARSE = 0.02  # part of the range from which levels are those of a signal with steps
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
@@ -34,7 +40,7 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
         so sparse that the differences still contain the signal.
     """
     values = _finite(values)
-    if values.size < 16:
+    if values.size < FEWEST_SAMPLES:
         return None, False
     sizes, differences = [], np.diff(values)
     for order in range(2, 7):
@@ -221,8 +227,6 @@ def spikes(y: np.ndarray, noise: float | None, u: np.ndarray) -> np.ndarray:
         u: input, shape (T,).
     """
     y = np.asarray(y, dtype=float)
-    if y.size < 5:
-        return np.empty(0, dtype=int)
     before, after = y[1:-1] - y[:-2], y[1:-1] - y[2:]
     limit = max(10 * (noise or 0.0), 0.03 * float(np.nanmax(y) - np.nanmin(y)))
     with np.errstate(invalid="ignore"):

@@ -11,7 +11,7 @@ from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
 from hystfit.quality.chatter import MOST
 from hystfit.quality.determination import few_samples
-from hystfit.quality.drift import ABOVE_NOISE
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
 
@@ -140,13 +140,11 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
     elif shape.circulation is None and not record.degrading:
         yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
-    chance = 0.0 if record.y.range == 0 else 100 * ABOVE_NOISE * (record.y.known_noise or 0.0) / record.y.range
+    chance = 0.0 if record.y.range == 0 else 100 * CLEAR * (record.y.known_noise or 0.0) / record.y.range
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
-        pinched = (
-            f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinching < 0.6 else ""
-        )
+        pinched = f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinched else ""
         yield warn(
             Code.DEGRADING,
             f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "

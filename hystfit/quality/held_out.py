@@ -15,8 +15,8 @@ from hystfit.quality.loops import SLACK, clear_reversals, distinct
 # Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
 FOLDS = 5
 GAIN = 0.98  # another term or size is taken only if it lowers the error on held-out data by at least 2 %
-_RECORDS = 3  # from which whole records are held out: two would leave a single one to fit
-_LEVELS, _PER_LEVEL = 3, 2  # amplitude levels, and cycles of each, from which whole levels are held out
+_SEVERAL = 3  # records or amplitude levels from which whole ones are held out: two would leave a single one to fit
+_PER_LEVEL = 2  # cycles of each level
 _RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
 
 
@@ -88,15 +88,15 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
         records: measured.
         spacing: samples over which errors are correlated; scattered runs have this length where the record is long enough.
     """
-    if len(records) >= _RECORDS:
+    if sum(bool(record.used.any()) for record in records) >= _SEVERAL:
         return HeldOut(Scheme.RECORDS, _whole_records(records))
     turns = [clear_reversals(record.u) for record in records]
     levels = [_levels(record, turn) for record, turn in zip(records, turns, strict=True)]
-    if all(level is not None for level in levels):
-        return HeldOut(Scheme.LEVELS, tuple(level for level in levels if level is not None))
+    if all(_is_divided(level) for level in levels):
+        return HeldOut(Scheme.LEVELS, tuple(levels))
     if all(turn.size >= 2 * FOLDS for turn in turns):
         folds = [_fifths(record, turn) for record, turn in zip(records, turns, strict=True)]
-        if all(len(np.unique(fold[fold >= 0])) > 1 for fold in folds):
+        if all(_is_divided(fold) for fold in folds):
             return HeldOut(Scheme.CYCLES, tuple(folds))
     return HeldOut(Scheme.SCATTERED, tuple(_scattered(record, spacing) for record in records))
 
@@ -127,6 +127,11 @@ def future(records: Sequence[Record]) -> HeldOut:
     return HeldOut(Scheme.FUTURE, tuple(_of_masks(record, record.blocks(FOLDS)) for record in records))
 
 
+def _is_divided(fold: np.ndarray) -> bool:
+    """Whether the samples that count are in two groups or more."""
+    return len(np.unique(fold[fold >= 0])) > 1
+
+
 def _of_masks(record: Record, masks: Sequence[np.ndarray]) -> np.ndarray:
     fold = np.full(len(record), -1)
     for k, mask in enumerate(masks):
@@ -135,30 +140,32 @@ def _of_masks(record: Record, masks: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _whole_records(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    """Records dealt out to at most five groups."""
-    low, high = (np.array([f(r.u[r.used]) if r.used.any() else 0.0 for r in records]) for f in (np.min, np.max))
-    slack = SLACK * float(high.max() - low.min())
-    inside = np.empty(len(records), dtype=bool)
-    for k in range(len(records)):
-        others = np.arange(len(records)) != k
+    """Records dealt out to at most five groups; those of which no sample counts are in none."""
+    counted = np.array([k for k, record in enumerate(records) if record.used.any()])
+    low, high = (np.array([f(records[k].u[records[k].used]) for k in counted]) for f in (np.min, np.max))
+    slack, inside = SLACK * float(high.max() - low.min()), np.empty(counted.size, dtype=bool)
+    for k in range(counted.size):
+        others = np.arange(counted.size) != k
         inside[k] = low[k] >= low[others].min() - slack and high[k] <= high[others].max() + slack
     if inside.sum() < 2:
         inside[:] = True
-    group = np.where(inside, (np.cumsum(inside) - 1) % min(int(inside.sum()), FOLDS), -1)
+    group = np.full(len(records), -1)
+    group[counted[inside]] = np.arange(int(inside.sum())) % FOLDS
     return tuple(np.where(record.used, number, -1) for record, number in zip(records, group, strict=True))
 
 
-def _levels(record: Record, turns: np.ndarray) -> np.ndarray | None:
-    """Groups by amplitude, the largest in none; None where there are too few levels, or these are not repeated."""
-    if turns.size < 2 * _LEVELS * _PER_LEVEL:
-        return None
+def _levels(record: Record, turns: np.ndarray) -> np.ndarray:
+    """Groups by amplitude, the largest in none; no groups where there are too few levels, or these are not repeated."""
+    none = np.full(len(record), -1)
+    if turns.size < 2 * _SEVERAL * _PER_LEVEL:
+        return none
     span = float(np.ptp(record.u))
     edges = [0, *turns.tolist(), len(record)]
     strokes = np.array([np.ptp(record.u[a : b + 1]) / span for a, b in itertools.pairwise(edges)])
     values = distinct(strokes[1:-1])
     count = len(values)
-    if count < _LEVELS or turns.size < 2 * _PER_LEVEL * count:
-        return None
+    if count < _SEVERAL or turns.size < 2 * _PER_LEVEL * count:
+        return none
     level = np.abs(strokes[:, None] - np.array(values)).argmin(axis=1)
     group = np.where(level == 0, -1, (level - 1) % min(count - 1, FOLDS))
     return np.where(record.used, np.repeat(group, np.diff(edges)), -1)

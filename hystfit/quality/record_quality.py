@@ -5,19 +5,18 @@ from __future__ import annotations
 import dataclasses
 
 from hystfit.params.units import quantity
-from hystfit.quality.delay import PureDelay
+from hystfit.quality.delay import SHORTEST, PureDelay
 from hystfit.quality.drift import Drift
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import Lag
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.shape import Shape
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
-_BESIDE_DELAY = 2.0  # samples: a shorter lag beside a delay is an error of the delay
 SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
-# Part of the output on branches from the outermost level, below which larger strokes have softened the device.
-MULLINS = 0.9
 WHOLE = 0.95  # part of the stiffness from which a device is whole
-WEAKER = 0.85  # part of the output of shorter branches, below which that of longer ones shows damage
+# Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
+WEAKER = 0.88
 SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 _CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
 FOLLOWS = (
@@ -182,8 +181,8 @@ class RecordQuality:
             self.weakens
             or self.softens
             or self.softens_with_stroke
-            or left < 0.88
-            or (left < WHOLE and self.shape.pinching < 0.6)
+            or left < WEAKER
+            or (left < WHOLE and self.shape.pinched)
         )
 
     @property
@@ -195,7 +194,7 @@ class RecordQuality:
     @property
     def softens_with_stroke(self) -> bool:
         """Whether branches from the outermost level are softer after larger strokes (Mullins effect)."""
-        return self.softening_left is not None and self.softening_left < MULLINS
+        return self.softening_left is not None and self.softening_left < WEAKER
 
     @property
     def weakens(self) -> bool:
@@ -205,7 +204,7 @@ class RecordQuality:
     @property
     def lags(self) -> bool:
         """Whether the output keeps moving after the input has turned."""
-        least = 0.0 if self.delay is None else _BESIDE_DELAY
+        least = 0.0 if self.delay is None else SHORTEST
         if self.slow_lag is not None:
             return True
         return self.lag is not None and self.lag.samples > max(2 * self.lag.stderr, least)
@@ -227,4 +226,4 @@ class RecordQuality:
         motion, noise = self.motion, self.y.noise_rms or 0.0
         if motion.longest_hold < LONG_HOLD or motion.hold_creep is None or self.sampling.rate is None:
             return False
-        return motion.hold_creep * self.y.range > 4 * noise / (motion.longest_hold / 20) ** 0.5
+        return motion.hold_creep * self.y.range > CLEAR * noise / (motion.longest_hold / 20) ** 0.5

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -24,7 +25,7 @@ _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # sam
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 _UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
-_VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
+VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
@@ -41,7 +42,7 @@ def explains(error: float, without: float) -> bool:
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
     """
-    return without > _VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
+    return without > VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +107,8 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
         interval: time between the evenly spaced samples [unit of t].
 
     Returns:
-        None with fewer than 200 samples, or where the input excites a single frequency only.
+        None with fewer than 200 samples, where the input excites a single frequency only, and where hysteresis, a delay, a lag and
+        velocity terms leave nothing to explain.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     used = np.isfinite(y)
@@ -121,14 +123,17 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // FEWEST))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     thinned = (part[::stride][:_MOST].tobytes() for part in (x, bridged, used))
-    without, error, frequency, damping = _described(*thinned, *(part.tobytes() for part in coarse.parts))
+    found = _described(*thinned, *(part.tobytes() for part in coarse.parts))
+    if found is None:
+        return None
+    without, error, frequency, damping = found
     ratio = coarse.frequency / frequency
     alone = 1 / (1 - ratio**2 + 2j * damping * ratio)
     high = int(np.argmax(np.abs(np.log(alone))))
     return Dynamics(
         natural_frequency=frequency / interval / stride,
         damping_ratio=damping,
-        explained=1 - (error / without) ** 2 if without > 0 else 0.0,
+        explained=1 - (error / without) ** 2,
         error_without=without,
         error_with=error,
         low=float(response.frequency[0]) / interval,
@@ -141,16 +146,21 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
 
 
 @functools.lru_cache(maxsize=8)
-def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float, float, float, float]:
+def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float, float, float, float] | None:
     """Least rms errors without and with a resonance, its natural frequency [1/interval] and its damping ratio.
+
+    None where hysteresis, a delay, a lag and velocity terms leave nothing to explain.
 
     Input, output and response are given as bytes: several steps of a search ask for those of the same record.
     """
     u = np.frombuffer(x)
     columns = Regressors.of(u, np.frombuffer(y), np.frombuffer(used, dtype=bool))
-    error, frequency, damping = columns.best_resonance(_Response(*map(np.frombuffer, response)))
     static = columns.static(u)
-    without = min(columns.error_without(), columns.error_corrected(static))
+    lags = np.geomspace(0.5, max(1.0, 0.02 * u.size), 8)
+    without = min(columns.error_behind(_DELAYS, lags), columns.error_corrected(static))
+    if without <= VISIBLE:
+        return None
+    error, frequency, damping = columns.best_resonance(_Response(*map(np.frombuffer, response)))
     # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before
     # the turns of the input.
     behind, ahead = (columns.error_corrected(_filtered(static[::way], frequency, damping)[::way]) for way in (1, -1))
@@ -202,13 +212,13 @@ class Regressors:
         """Least rms error of the output by these columns."""
         return float(np.sqrt(unexplained(np.hstack(parts)[self.used], self.y[self.used], 1e-7)))
 
-    def error_without(self) -> float:
-        """Least rms error of hysteresis with velocity terms, over delays and lags of the input."""
-        fixed = (self.beside, self.speed)
-        after = [self.error(delayed(self.hysteresis, delay), *fixed) for delay in _DELAYS]
-        lags = np.geomspace(0.5, max(1.0, 0.02 * self.y.size), 8)
-        behind = [self.error(lagged(lagged(self.hysteresis, lag), lag), *fixed) for lag in lags]
-        return min(*after, *behind)
+    def error_behind(self, delays: Iterable[float], lags: Iterable[float]) -> float:
+        """Least rms error of hysteresis and velocity terms behind a delay, or behind one or two lags of the same time [samples]."""
+        driven = np.hstack([self.hysteresis, self.speed])
+        behind = [delayed(driven, delay) for delay in delays]
+        for time in lags:
+            behind += [once := lagged(driven, time), lagged(once, time)]
+        return min(self.error(columns, self.beside) for columns in behind)
 
     def static(self, x: np.ndarray) -> np.ndarray:
         """Columns of hysteresis whose envelopes are free: of plays, and of the branches where the input rises and falls.

@@ -9,10 +9,8 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
+from hystfit.quality.faults import SIGNIFICANCE
 
-# Probability at which a correction is made although nothing is wrong. The 152 curves of HCHB (MicroMag) reach 2e-5 for the first point
-# and 0.13 for the second; simulated curves, smooth or with noise, of 34 reversals stay above 0.4.
-SIGNIFICANCE = 1e-3
 _FIT = 5  # points after a point from which a parabola is continued to it
 _MOST = 3  # first points that are left out of each curve at most
 _FEWEST = 8  # calibration points, or curves, from which a correction is estimated

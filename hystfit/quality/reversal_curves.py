@@ -11,11 +11,10 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.quality.loops import SLACK
+from hystfit.quality.loops import APART, SLACK
 
 _LEAST = 5  # number of curves from which records are recognized as a family
 _APART = 0.3  # least spread of the reversal points of a recognized family, as a fraction of the input's range
-_CLOSE = 0.05  # spread of the curves at the largest common input that is reported, as a fraction of the output's range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +100,7 @@ def _notes(curves: list[Record], rising: bool) -> list[str]:
         )
     end = min(r.u.max() for r in curves) if rising else max(r.u.min() for r in curves)
     ends = [float(at_inputs(r, np.array([end]))[0]) for r in curves]
-    if np.ptp(ends) > _CLOSE * span:
+    if np.ptp(ends) > APART * span:
         level = f"{end:g} {curves[0].u_unit}".rstrip()
         notes.append(
             f"at {level} the curves differ by {100 * np.ptp(ends) / span:.1f} % of the range: they do not close, because the "

@@ -7,16 +7,20 @@ import itertools
 
 import numpy as np
 
-from hystfit.quality.drift import LIKE, like_cycles
-from hystfit.quality.loops import SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
+from hystfit.quality.drift import like_cycles
+from hystfit.quality.faults import CLEAR
+from hystfit.quality.loops import APART, SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
 
-_CHANCE = 4.0  # standard errors by white noise that the area of an open loop exceeds
+# Least area of an open loop over that of the box around it: the narrowest loops of piezo actuators have ten thousandths.
+NARROWEST = 1e-3
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
+_PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
 _CROSSING = 0.3  # net area over that between the branches below which these cross
 _LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
-_APART = 0.1  # largest distance of the middles of branches that are compared, as a fraction of the largest stroke
+_SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
+_LATE = 4  # late branches, whose median shows damage
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +53,11 @@ class Shape:
     crossing: bool
     loops: int
 
+    @property
+    def pinched(self) -> bool:
+        """Whether the middle of the loop is clearly narrower than its widest part."""
+        return self.pinching < _PINCHED
+
 
 def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarray, noise: float = 0.0) -> Shape | None:
     """Shape of the largest loops of a record: of its closed loops, of its widest cycles where none closes.
@@ -61,27 +70,26 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         noise: rms of white noise in the output [unit of y]; a loop whose area may be noise is not open.
 
     Returns:
-        None where there is no loop of at least eight samples.
+        None where there is no loop of at least three samples on each branch.
     """
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
-        return loop_shape(*begun, closed_loops(begun[0], LIKE * float(np.ptp(u))), cycles, noise)
+        return loop_shape(*begun, closed_loops(begun[0], SAME_LEVEL * float(np.ptp(u))), cycles, noise)
     spans, closed = _spans(u, loops, cycles)
     usable = [span for span in spans if _is_loop(u, y, *span[:2])]
     if not usable:
         return None
     largest = max(stroke for _, _, stroke in usable)
-    chosen = [(start, stop) for start, stop, stroke in usable if stroke >= 0.95 * largest][-20:]
+    chosen = [(start, stop) for start, stop, stroke in usable if stroke >= (1 - APART) * largest][-20:]
     area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0)
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
-    lobes = max(0.01 * stroke * largest, 3 * _CHANCE * chance, _LOBES * noise * largest)
+    lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
     crossing = bool(abs(area) < _CROSSING * between and between > lobes)
-    is_open = fullness > 0.3 and abs(area) > _CHANCE * chance
-    is_open = is_open or (fullness > 0.03 and 0 < 3 * _CHANCE * chance < abs(area))
+    is_open = fullness > 100 * NARROWEST and abs(area) > CLEAR * chance
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
     if turning is None and not crossing and not closed and loops and len(cycles):
         first = max(loops, key=lambda loop: loop.stroke)
@@ -115,7 +123,7 @@ def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[t
 def _is_loop(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> bool:
     """Whether a stretch has samples enough on both branches, all of them measured."""
     u, y = u[start : stop + 1], y[start : stop + 1]
-    return u.size > 7 and bool(np.isfinite(y).all()) and _FEWEST <= _turn(u) < u.size - _FEWEST
+    return bool(np.isfinite(y).all()) and _FEWEST <= _turn(u) < u.size - _FEWEST
 
 
 def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list[tuple[int, int, float]]) -> float:
@@ -124,7 +132,9 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
     returning = [
         (a, c)
         for a, b, c in cycles.tolist()
-        if abs(u[b] - u[a]) > 0.4 * largest and abs(u[c] - u[a]) < 0.1 * np.ptp(u[a : c + 1]) and _is_loop(u, y, a, c)
+        if abs(u[b] - u[a]) > 0.5 * largest
+        and abs(u[c] - u[a]) < _SMALL * np.ptp(u[a : c + 1])
+        and _is_loop(u, y, a, c)
     ]
     late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
     return float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
@@ -144,8 +154,8 @@ def _turn(u: np.ndarray) -> int:
 
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
-    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= LIKE * np.ptp(u)
-    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= LIKE * np.ptp(y):
+    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= SAME_LEVEL * np.ptp(u)
+    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= SAME_LEVEL * np.ptp(y):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)
@@ -158,7 +168,7 @@ def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, 
     centers, rising, falling = loop_branches(u, y)
     gap = np.abs(rising - falling)
     mirrored = rising + falling[::-1]
-    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= 0.04 * np.ptp(u)
+    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
     pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
     return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching
 
@@ -210,17 +220,15 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
     """
     turns = np.unique(cycles)
     turns = turns[np.isfinite(y[turns])]
-    if turns.size < 5:
-        return None
     stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(y[turns]))
     middle = 0.5 * (u[turns][1:] + u[turns][:-1])
     farthest = np.maximum.accumulate(stroke)
-    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > 1.02 * farthest[:-1]])
+    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > (1 + SAME_LEVEL) * farthest[:-1]])
     if not first.any():
         return None
     known = stroke[first]
-    repeated = ~first & (stroke > 0.1 * farthest[-1]) & (stroke > (1 - SAME_LEVEL) * known.min())
-    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _APART * farthest[-1]
+    repeated = ~first & (stroke > _SMALL * farthest[-1]) & (stroke > (1 - SAME_LEVEL) * known.min())
+    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _SMALL * farthest[-1]
     lasted = np.diff(turns if t is None else t[turns])
     with np.errstate(divide="ignore", invalid="ignore"):
         slower = lasted / np.interp(stroke, known, lasted[first])
@@ -229,7 +237,7 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
     if not (before > 0).all():
         return None
     left = change[repeated] / stroke[repeated] / before
-    return float(np.median(left[-4:])) if left.size >= 4 else None
+    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
 
 
 def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
@@ -243,14 +251,12 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
     """
     turns = np.unique(cycles)
     branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
-    if len(branches) < 5:
-        return None
     stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
     reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
     before = np.maximum.accumulate(reached)[:-1]
-    longer = (stroke[1:] > 1.02 * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
+    longer = (stroke[1:] > (1 + SAME_LEVEL) * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
     left = reached[1:][longer] / before[longer]
-    return float(np.median(left[-4:])) if left.size >= 4 else None
+    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
 
 
 def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
@@ -265,9 +271,9 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     turns = np.unique(cycles)
     branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
     stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
-    if stroke.size < 5:
+    if stroke.size <= _LATE:
         return None
-    growing = (stroke > 0.1 * stroke.max()) & (stroke > 0.95 * np.maximum.accumulate(stroke))
+    growing = (stroke > _SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
     reach = _UNLOADING * stroke[growing].min()
     slopes = []
     for a, b in itertools.compress(branches, growing):
@@ -276,13 +282,13 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
             return None
         slopes.append(float(np.polyfit(u[near], y[near], 1)[0]))
     first = float(np.median(slopes[:2]))
-    return float(np.median(slopes[-4:])) / first if len(slopes) >= 5 and first > 0 else None
+    return float(np.median(slopes[-_LATE:])) / first if len(slopes) > _LATE and first > 0 else None
 
 
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
-    """Change of the loop's area from the slowest to the fastest of similar cycles, as a fraction of the mean area.
+    """Change of the loop's area from the slow to the fast ones of similar cycles, as a fraction of the mean area.
 
-    None without time, or where the durations of similar cycles differ by less than a factor of 1.5: rate dependence is not
+    None without time, or where the durations of similar cycles differ by less than a factor of 2: rate dependence is not
     visible at one frequency. Arguments as in `loop_shape`.
     """
     if t is None or np.ptp(u) == 0:
@@ -291,8 +297,9 @@ def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.n
     if len(like) < 2:
         return None
     durations = np.array([t[c] - t[a] for a, c in like])
-    if durations.max() < 1.5 * durations.min():
+    if durations.max() < _LIKE_DURATION * durations.min():
         return None
     areas = np.array([loop_area(u[a : c + 1], y[a : c + 1]) for a, c in like])
-    slow, fast = areas[durations > 0.9 * durations.max()].mean(), areas[durations < 1.1 * durations.min()].mean()
+    is_slow = durations > np.sqrt(durations.min() * durations.max())
+    slow, fast = areas[is_slow].mean(), areas[~is_slow].mean()
     return float((abs(fast) - abs(slow)) / np.mean(np.abs(areas))) if np.any(areas) else None

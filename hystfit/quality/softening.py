@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from hystfit.quality.loops import SAME_LEVEL
+from hystfit.quality.loops import APART, SAME_LEVEL
 
 _LARGER = 1.1  # ratio of the largest strokes so far between which branches are compared
 _FEWEST = 2  # branches on each side of the comparison
@@ -42,12 +42,14 @@ def _from_lowest(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | Non
         return None
     least = min(stroke for _, _, stroke in branches)
     common = min(least, min(float(u[b]) - lowest for _, b, _ in branches))
-    if common <= 3 * SAME_LEVEL * span:
+    if common <= APART * span:
         return None
     first = [_rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke < _LARGER * least]
     largest = max(stroke for _, _, stroke in branches)
     late = [
-        _rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke > max(_LARGER * least, 0.9 * largest)
+        _rise(u, y, a, b, lowest, common)
+        for a, b, stroke in branches
+        if stroke > max(_LARGER * least, largest / _LARGER)
     ]
     if min(len(first), len(late)) < _FEWEST or abs(np.median(first)) < _VISIBLE * np.ptp(y[np.isfinite(y)]):
         return None

@@ -20,7 +20,6 @@ from hystfit.quality.drift import drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.record_quality import (
-    MULLINS,
     SOFTER,
     SPEEDS_APART,
     WEAKER,
@@ -75,7 +74,7 @@ def may_change(record: Record) -> bool:
         (stiffness_left(u, y, t, cycles), WHOLE),
         (strength_left(u, y, cycles), WEAKER),
         (unloading_left(u, y, cycles), SOFTER),
-        (softening_left(u, y, turns), MULLINS),
+        (softening_left(u, y, turns), WEAKER),
     )
     return any(left is not None and left < whole for left, whole in parts)
 
@@ -211,10 +210,13 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     loops, cycles = geometry.closed_loops(u, threshold), geometry.cycles(u, threshold)
     span = column.range or 1.0
     largest = max((loop.stroke for loop in loops), default=0.0)
-    major = sum(loop.stroke >= 0.95 * largest for loop in loops)
+    major = sum(loop.stroke >= (1 - geometry.APART) * largest for loop in loops)
     branches = geometry.branches(u, threshold)
     levels = u[turns]
-    pairs = {tuple(sorted(pair)) for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / 0.05).tolist()}
+    pairs = {
+        tuple(sorted(pair))
+        for pair in np.round(np.stack([levels[:-1], levels[1:]], 1) / span / geometry.APART).tolist()
+    }
     rests = [(int(a), int(b)) for a, b in holds(u, 2e-4 * span + 10 * (column.known_noise or 0.0))]
     creep = [_change(y[a:b]) for a, b in rests]
     extent = float(np.nanmax(y) - np.nanmin(y))
