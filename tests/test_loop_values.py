@@ -141,3 +141,17 @@ def test_an_output_of_either_zero_is_no_division_by_zero():
     y = np.where(np.abs(u) < 0.3, np.where(np.arange(40) % 2, 0.0, -0.0), u + 0.2 * np.repeat([-1, 1], 20))
     found = hf.quantities(hf.Record(u, y, u_unit="A/m", y_unit="T"))
     assert all(np.isfinite(value.value) for values in found.rows.values() for value in values)
+
+
+@pytest.mark.parametrize("count", [120, 121, 400])
+def test_a_loop_of_growing_amplitude_has_the_energy_of_its_largest_cycle(count):
+    """A friction element of force 1 on a spring of stiffness 1."""
+    amplitudes = [2.0, 3.0, 4.0, 5.0]
+    u = np.concatenate([a * np.sin(2 * np.pi * np.arange(count) / count) for a in amplitudes] + [[0.0]])
+    y, slider = np.zeros_like(u), 0.0
+    for k, now in enumerate(u):
+        slider = min(max(slider, now - 1), now + 1)
+        y[k] = now - slider
+    found = values_of(hf.Record(u, y, u_unit="mm", y_unit="kN", u_name="x", y_name="F"))
+    # From the end of the third cycle, where F = 1 at x = 0, the largest one slides 5 - 0 up, 10 - 2 down and 5 - 2 up again.
+    assert found["loop_area"].value == pytest.approx(5 + 8 + 3, rel=0.01)

@@ -147,7 +147,7 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         pinched = f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinched else ""
         yield warn(
             Code.DEGRADING,
-            f"loss of {_loss(record)}{pinched}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
+            f"loss of {_loss(record)}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
             f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=){_whole(record)}",
         )
 

@@ -15,6 +15,7 @@ TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 _LARGE = 0.9  # of the input's range that a branch of the largest loops covers
 _GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
+_STEP = 0.02  # of the input's range: the same of the inputs, where 0.08 hides 13 % of the area of a loop that grows
 _OPEN = 4.0  # standard errors by which an area differs from zero where there is a loop
 _ABOUT = 4.0  # standard deviations of the noise, within which samples are averaged about a crossing
 _WITHIN = 0.9  # of the largest input that both branches reach, within which they are compared
@@ -63,8 +64,46 @@ def turns_of(u: np.ndarray) -> np.ndarray:
 
 
 def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
-    """Whether two branches end where they began."""
+    """Whether the output of two branches ends where it began."""
     return bool(abs(other.y[-1] - one.y[0]) <= _GAP * float(np.ptp(y)))
+
+
+def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pair]:
+    """Pairs of branches that close; else the largest cycles from one passage of the middle input to the next in the same direction.
+
+    The latter need no closed loop: in a test of growing amplitudes the energy that such a cycle dissipates is its area.
+    """
+    middle, span = 0.5 * float(u.max() + u.min()), float(np.ptp(u))
+    closed = [pair for pair in pairs if closes(*pair, y)]
+    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= _STEP * span]
+    return exact or _between_passages(u, y, middle, span) or closed
+
+
+def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) -> list[Pair]:
+    """Cycles over the whole range of the input that begin and end at its middle."""
+    clear = np.flatnonzero(np.abs(u - middle) > _STEP * span)
+    side = np.sign(u - middle)
+    for end, inner in ((0, clear[0]), (-1, clear[-1])):  # a record that begins or ends in the middle passes it there
+        if abs(u[end] - middle) <= _STEP * span:
+            side[end] = -side[inner]
+    found = []
+    for way in (1, -1):
+        passages = np.flatnonzero((side[:-1] * way < 0) & (side[1:] * way >= 0)) + 1
+        for a, b in itertools.pairwise(passages.tolist()):
+            if np.ptp(u[a:b]) >= (1 - _STEP) * span:
+                ends = [float(np.interp(middle, *_rising(u[k - 1 : k + 1], y[k - 1 : k + 1]))) for k in (a, b)]
+                inputs, outputs = (
+                    np.pad(u[a:b], 1, constant_values=middle),
+                    np.concatenate([ends[:1], y[a:b], ends[1:]]),
+                )
+                half = int(np.argmax(np.abs(inputs - middle)))
+                found.append((Branch(inputs[:half], outputs[:half]), Branch(inputs[half:], outputs[half:])))
+    return found
+
+
+def _rising(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(u)
+    return u[order], y[order]
 
 
 def area(one: Branch, other: Branch) -> float:

@@ -27,6 +27,7 @@ from hystfit.results.loop_branches import (
     crossing,
     is_open,
     large_branches,
+    large_cycles,
     loss,
     turns_of,
 )
@@ -147,12 +148,14 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
     if not pairs or not is_open(pairs, sigma):
         return (), (), ()
-    closed = [pair for pair in pairs if closes(*pair, y)]
-    found = [*_levels(branches, sigma, kind, record), *(_loss(closed, sigma, record) if closed else ())]
+    cycles = large_cycles(u, y, pairs)
+    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
-    rows = tuple(with_stated(record, found, lambda added: _levels(added, sigma, kind, record), branches))
-    return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=bool(closed))
+    rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
+    return _with_data_sheet(
+        rows, record, sample, correct, sigma, magnetic, closed=any(closes(*pair, y) for pair in pairs)
+    )
 
 
 def _with_data_sheet(
@@ -201,7 +204,9 @@ def _field_unit(record: Record) -> tuple[str, float]:
     return record.u_unit, unit.factor / (MU0 if quantity(record.u_unit) == "induction" else 1.0)
 
 
-def _levels(branches: list[Branch], sigma: float | None, kind: LoopKind, record: Record) -> Iterator[LoopValue]:
+def _levels(
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float | None, kind: LoopKind, record: Record
+) -> Iterator[LoopValue]:
     """Where the branches cross zero (coercivity, remanence), of other loops the middle of their ranges; stiffness of those of forces."""
     named, units = kind in REMANENT, (record.u_unit, record.y_unit)
     top, bottom = max(b.y.max() for b in branches), min(b.y.min() for b in branches)
@@ -220,7 +225,7 @@ def _levels(branches: list[Branch], sigma: float | None, kind: LoopKind, record:
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
-        yield from _stiffness(branches, sigma, units)
+        yield from _stiffness(branches, cycles, sigma, units)
 
 
 def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[LoopValue]:
@@ -233,7 +238,9 @@ def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[Lo
     yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
 
 
-def _stiffness(branches: list[Branch], sigma: float | None, units: tuple[str, str]) -> Iterator[LoopValue]:
+def _stiffness(
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float | None, units: tuple[str, str]
+) -> Iterator[LoopValue]:
     """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
     width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
     each = None if sigma is None else sigma * float(np.sqrt(2)) / width
@@ -242,9 +249,8 @@ def _stiffness(branches: list[Branch], sigma: float | None, units: tuple[str, st
         return
     unit = f"{units[1]}/{units[0]}".strip("/")
     yield LoopValue("secant_stiffness", "secant stiffness", found[0], found[1], unit, found[2])
-    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    if pairs and found[0] > 0:
-        size, uncertain, count = loss(pairs, sigma)
+    if cycles and found[0] > 0:
+        size, uncertain, count = loss(cycles, sigma)
         ratio, stiffness = 100 * 2 * size / (np.pi * found[0] * width**2), found[1]
         known = uncertain is not None and stiffness is not None and size > 0
         damping = ratio * float(np.hypot(uncertain / size, stiffness / found[0])) if known else None  # type: ignore[operator]
