@@ -144,7 +144,6 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
-        pinched = f" and its middle is pinched to {100 * shape.pinching:.0f} % of its width" if shape.pinched else ""
         yield warn(
             Code.DEGRADING,
             f"loss of {_loss(record)}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
