@@ -150,7 +150,7 @@ def _choose_rest(
     scores = []
     for candidate in (problem, other):
         x = with_record_parameters(candidate, candidate.space.vector(candidate.model))
-        scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
+        scores.append(float(fit_ridge(LinearSystem.of(candidate, x)).score))
     best, where = (problem, "at zero input") if scores[0] <= scores[1] else (other, "at its first input")
     gain = 1 - min(scores) / max(scores)
     text = f"the device is assumed to have rested {where} before the record (cross-validation error {100 * gain:.0f} % lower)"

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, left_out_squares
+from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.quality.held_out import HeldOut, held_out
 
@@ -326,7 +326,9 @@ class _Trials:
             own = part(gram)
             others = total - own
             v, _ = _solve(others, strength * (self.n - count) * rough, bounded[at], positive[at])
-            squares += left_out_squares(own, v, self._own[at] & (np.diag(others)[:-1] == 0))
+            absent = self._own[at] & (np.diag(others)[:-1] == 0)
+            r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
+            squares += max(float(r @ own @ r), 0.0)
         return float(np.sqrt(squares / self._counts[:-1].sum()))
 
     def effective(self, strength: float) -> float:
