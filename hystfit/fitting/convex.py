@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.blocks import parts, spread
+from hystfit.inference.blocks import NUMBERS, parts, spread
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
 from hystfit.models.design import FAR, effective_number, with_own_offsets
@@ -241,15 +241,21 @@ def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths:
     A, b = normal.A.sum(axis=0) - normal.A[:-1], normal.b.sum(axis=1, keepdims=True) - normal.b[:, :-1]
     fewer = normal.counts.sum() - normal.counts[:-1]
     absent = ~held & (np.diagonal(A, axis1=1, axis2=2) == 0)
-    every = np.broadcast_to(A, (N, *A.shape)).reshape(-1, p, p)
+    together = strengths.size if N * A.size * strengths.size <= NUMBERS and p <= _SMALL else 1
     out, positive = np.zeros((N, strengths.size)), None
-    for k, strength in enumerate(strengths):
-        ridges = np.broadcast_to(fewer[:, None] * strength * held + normal.dead, b.shape).reshape(-1, p)
-        found, positive = solve_normal(every, b.reshape(-1, p), system.free, ridges, positive)
-        for group, w in enumerate(np.moveaxis(found.reshape(N, groups, p), 1, 0)):
+    for begin in range(0, strengths.size, together):
+        some = strengths[begin : begin + together]
+        shape = (some.size, N, groups)
+        ridges = np.broadcast_to((fewer * some[:, None])[:, None, :, None] * held + normal.dead, (*shape, p))
+        every, right = np.broadcast_to(A, (*shape, p, p)), np.broadcast_to(b, (*shape, p))
+        found, positive = solve_normal(
+            every.reshape(-1, p, p), right.reshape(-1, p), system.free, ridges.reshape(-1, p), positive
+        )
+        found = found.reshape(*shape, p)
+        for group in range(groups):
             own = normal.A[group], normal.b[:, group]
-            w = with_own_offsets(*own, w, absent[group])
-            out[:, k] += _squares(*own, normal.squares[:, group], w)
+            for k, w in enumerate(found[:, :, group], begin):
+                out[:, k] += _squares(*own, normal.squares[:, group], with_own_offsets(*own, w, absent[group]))
     return out
 
 
