@@ -235,15 +235,14 @@ class Problem:
 
         Args:
             x: physical parameters of the model, shape (p,).
-            tolerance: distance in the parameter's scale, or with two bounds in the width between them.
+            tolerance: see `ParameterSpace.reached`.
         """
-        near = tolerance * self.space.width
-        low, high = x - self.space.lower < near, self.space.upper - x < near
+        low, high = self.space.reached(x, tolerance)
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
 
     def on_bound(self, x: np.ndarray) -> np.ndarray:
         """Which parameters have reached a bound, shape (p,), bool."""
-        return np.array([side is not None for side in self.at_bound(x)], dtype=bool)
+        return np.logical_or(*self.space.reached(x))
 
     # -- least squares -------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,142 @@
+"""Loops over one input whose model is linear in all free parameters: weights of plays, stops, relays or cells.
+
+All loops share the columns of one design matrix and its normal equations. The weights, the strength of their penalty, and the errors
+beside bounds are found side by side, by the functions that fit a single loop.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from hystfit.batch.alike import Common, Loops
+from hystfit.batch.plain_judge import Judged
+from hystfit.batch.row_accuracy import accuracy_of
+from hystfit.data.record import Record
+from hystfit.fitting.assessment import Unknown, notes_of_errors
+from hystfit.fitting.convex import Convex, LinearSystem, fit_ridges
+from hystfit.fitting.covariance import determine, ridge_shares
+from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.near_bounds import Information, NearBounds, centered
+from hystfit.fitting.trial import largest_left_out
+from hystfit.inference.problem import Problem
+from hystfit.inference.weights import free_columns
+from hystfit.outcome import Note
+from hystfit.params.relative_size import relative_size
+
+_SURE = 0.97  # of the largest error of left-out samples
+
+
+class Weights(NamedTuple):
+    """Solved weights of N loops over one input.
+
+    Attributes:
+        common: what the loops have in common.
+        columns: of the weights on the n samples that count, shape (n, p), times the roots of the samples' weights.
+        targets: what they have to explain, shape (N, n).
+        x: solutions, shape (N, p).
+        penalty: diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p).
+        left_out: rms errors of samples left out, by which the penalties were chosen, shape (N,).
+        chosen: which loops begin in the state that `common` assumes, shape (N,), bool.
+        estimate: makes the estimate of a loop from its number.
+    """
+
+    common: Common
+    columns: np.ndarray
+    targets: np.ndarray
+    x: np.ndarray
+    penalty: np.ndarray
+    left_out: np.ndarray
+    chosen: np.ndarray
+    estimate: Callable[[int], Estimate]
+
+    def outputs(self, record: Record) -> Float[np.ndarray, "N T"]:
+        """Outputs of all models over the input of a record."""
+        problem = self.common.setup.problem
+        design = problem.model.design_matrix(record.u, 0 * record.u if problem.model.rate_independent else record.dt)
+        columns, rest = free_columns(problem.space, design, 0, 1)
+        return (self.x @ columns.T + rest)[:, design.index]
+
+
+def solve_weights(common: Common, loops: Loops) -> Weights:
+    """Solve for the weights of loops over one input."""
+    (group,), setup = loops.groups, common.setup
+    estimator, sizes = Convex(), group.sizes[:, 1]
+    candidates = setup.candidates or (setup.problem,)
+    systems = [_system(problem, group.y) for problem in candidates]
+    fits = [fit_ridges(*one, estimator.strengths) for one in systems]
+    own = candidates.index(setup.problem)
+    chosen = np.argmin([fit.score for fit in fits], axis=0) == own
+    (system, targets), fit = systems[own], fits[own]
+
+    def estimate(k: int) -> Estimate:
+        x, groups = fit.weights[k], int(system.fold.max()) + 1
+        return estimator.of_ridge(fit.of(k), x, np.arange(x.size), float(sizes[k]), groups)
+
+    return Weights(common, system.columns, targets, fit.weights, fit.ridge, fit.score, chosen, estimate)
+
+
+def _system(problem: Problem, y: Float[np.ndarray, "N T"]) -> tuple[LinearSystem, Float[np.ndarray, "N n"]]:
+    """The columns of a problem, and what they have to explain of other outputs over its input."""
+    (record,) = problem.data
+    system = LinearSystem.of(problem, problem.space.vector(problem.model))
+    root = np.sqrt(record.weight[record.used])
+    return system, y[:, record.used] * root - (record.y[record.used] * root - system.target)
+
+
+def judge_weights(
+    weights: Weights, loops: Loops, noise: Float[np.ndarray, " N"]
+) -> tuple[Judged, list[tuple[Note, ...]]]:
+    """Results of solved loops with sound outputs, and the notes on their errors.
+
+    Args:
+        weights: solved.
+        loops: over one input.
+        noise: of each output.
+    """
+    (group,), x = loops.groups, weights.x
+    described, white, _, *sizes = accuracy_of(loops, weights.outputs(group.record), noise)
+    rmse, percent, _ = sizes
+    with np.errstate(all="ignore"):
+        usable = ~(weights.left_out > _SURE * largest_left_out(100 * rmse / percent, rmse)) & (rmse > 0)
+    wanted = np.flatnonzero(described & white & usable & weights.chosen & (len(weights.columns) > x.shape[1]))
+    plain, stderr, scale = np.zeros(len(loops), bool), np.full(x.shape, np.nan), weights.common.scale(loops)
+    notes: list[tuple[Note, ...]] = [()] * len(loops)
+    if wanted.size:
+        plain[wanted], stderr[wanted], found = _errors(weights, wanted, scale[wanted])
+        for k, lines in zip(wanted.tolist(), found, strict=True):
+            notes[k] = lines
+    return Judged(plain, np.zeros_like(plain), weights.chosen, x, stderr, *sizes), notes
+
+
+def _errors(
+    weights: Weights, at: np.ndarray, scale: Float[np.ndarray, "n p"]
+) -> tuple[np.ndarray, Float[np.ndarray, "n p"], list[tuple[Note, ...]]]:
+    """Of some loops with white residuals: which have the influences of most, their standard errors, and notes on these."""
+    space, columns, x, ridge = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
+    residual, rows = x @ columns.T - weights.targets[at], np.linalg.qr(columns, mode="r")
+    relative, on_bound = relative_size(space, x, scale), np.logical_or(*space.reached(x, scale=scale))
+    gain = np.linalg.norm(centered(rows, space.offsets)[0], axis=0) * np.minimum(relative, scale)
+    acting = gain > 1e-9 * gain.max(axis=1, keepdims=True)
+    acts = np.array(Counter(map(tuple, acting.tolist())).most_common(1)[0][0])
+    live = acts & ~on_bound
+    variance = np.einsum("nk,nk->n", residual, residual) / np.maximum(len(columns) - live.sum(axis=1), 1)
+    slope = lambda: np.where(on_bound, residual @ columns, -ridge * x)
+    near = NearBounds.of(space, x, on_bound, rows, Information(rows, variance, ridge), slope, ridge, acts)
+    share, inside = np.ones(x.shape), [None] * at.size
+    if near is not None:
+        share = ridge_shares(near, space.names, acts) if weights.estimate(0).toward_zero else share
+        inside = near.moments(share, acts)
+    stderr, notes = np.full(x.shape, np.nan), list[tuple[Note, ...]]()
+    for k in range(at.size):
+        own = Information(rows, float(variance[k]), share[k] * ridge[k])
+        found = determine(space, x[k], relative[k], own, live[k], inside[k])
+        stderr[k] = np.sqrt(np.diag(found["covariance"]))
+        unknown = Unknown(~acts & ~on_bound[k], found["directions"], found["reaching"], found["rank"])
+        sides = ["lower" if reached else None for reached in on_bound[k]]
+        notes.append(tuple(notes_of_errors(space, sides, unknown, ridge[k])))
+    return (acting == acts).all(axis=1) & live.any(axis=1), stderr, notes
