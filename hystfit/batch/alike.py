@@ -28,7 +28,7 @@ from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.units import Scales
 
-CONVEX = ("convex",)  # estimators of weights, which are solved side by side
+CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
 _FIRST = 3  # loops from whose starting values all others begin
 _LOOKED_AT = 512  # loops among which these are chosen
 _GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all

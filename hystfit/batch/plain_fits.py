@@ -178,9 +178,7 @@ def _solved_weights(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
     return _Solved(judged, on_errors, weights.estimate, lambda records: weights.outputs(records[0]))
 
 
-def _notes(
-    common: Common, loops: Loops, judged: Judged, on_errors: Sequence[Sequence[Note]]
-) -> list[tuple[Note, ...]]:
+def _notes(common: Common, loops: Loops, judged: Judged, on_errors: Sequence[Sequence[Note]]) -> list[tuple[Note, ...]]:
     """Notes on each plain loop, in the order of a fit that is judged alone."""
     model, space = common.setup.problem.model, common.setup.problem.space
     advises, of_range = type(model).advice is not AbstractHysteresis.advice, not model.from_saturation

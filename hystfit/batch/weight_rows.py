@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.batch.alike import Common, Loops
+from hystfit.batch.alike import Common, Group, Loops
 from hystfit.batch.plain_judge import Judged
 from hystfit.batch.row_accuracy import accuracy_of
 from hystfit.data.record import Record
@@ -22,9 +22,11 @@ from hystfit.fitting.convex import Convex, LinearSystem, fit_ridges
 from hystfit.fitting.covariance import determine, ridge_shares
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.near_bounds import Information, NearBounds, centered
+from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.fitting.trial import largest_left_out
 from hystfit.inference.problem import Problem
-from hystfit.inference.weights import free_columns
+from hystfit.inference.weights import Split, free_columns, weighted_columns
+from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.outcome import Note
 from hystfit.params.relative_size import relative_size
 
@@ -64,28 +66,59 @@ class Weights(NamedTuple):
 
 def solve_weights(common: Common, loops: Loops) -> Weights:
     """Solve for the weights of loops over one input."""
-    (group,), setup = loops.groups, common.setup
-    estimator, sizes = Convex(), group.sizes[:, 1]
+    (group,) = loops.groups
+    return _SOLVERS[cast(str, common.setup.method)](common, group)
+
+
+def _ridges(common: Common, group: Group) -> Weights:
+    """With a ridge for each loop."""
+    setup, estimator, sizes = common.setup, Convex(), group.sizes[:, 1]
     candidates = setup.candidates or (setup.problem,)
-    systems = [_system(problem, group.y) for problem in candidates]
-    fits = [fit_ridges(*one, estimator.strengths) for one in systems]
+    systems = [LinearSystem.of(problem, problem.space.vector(problem.model)) for problem in candidates]
+    targets = [_targets(p, one.target, group.y) for p, one in zip(candidates, systems, strict=True)]
+    fits = [fit_ridges(*pair, estimator.strengths) for pair in zip(systems, targets, strict=True)]
     own = candidates.index(setup.problem)
     chosen = np.argmin([fit.score for fit in fits], axis=0) == own
-    (system, targets), fit = systems[own], fits[own]
+    system, fit = systems[own], fits[own]
 
     def estimate(k: int) -> Estimate:
         x, groups = fit.weights[k], int(system.fold.max()) + 1
         return estimator.of_ridge(fit.of(k), x, np.arange(x.size), float(sizes[k]), groups)
 
-    return Weights(common, system.columns, targets, fit.weights, fit.ridge, fit.score, chosen, estimate)
+    return Weights(common, system.columns, targets[own], fit.weights, fit.ridge, fit.score, chosen, estimate)
 
 
-def _system(problem: Problem, y: Float[np.ndarray, "N T"]) -> tuple[LinearSystem, Float[np.ndarray, "N n"]]:
-    """The columns of a problem, and what they have to explain of other outputs over its input."""
+def _smooth(common: Common, group: Group) -> Weights:
+    """With smooth weights."""
+    problem, estimator = common.setup.problem, SmoothWeights()
+    (record,), held, x = problem.data, problem.held_out, problem.space.vector(problem.model)
+    split = Split.of(problem.space, [record], x, held=held)
+    design = problem.model.design_matrix(record.u, record.dt)
+    systems = split.system.of_outputs(design, record, group.y, held)
+    fits = [fit_smooth(system, estimator.smoothness, fixed=split.fixed) for system in systems]
+    sizes = group.sizes[:, 1]
+    found = [estimator.of_fit(fit, split, x, size, held.count) for fit, size in zip(fits, sizes.tolist(), strict=True)]
+    columns, target = weighted_columns(problem.space, [record], x, np.arange(x.size))
+    return Weights(
+        common,
+        columns,
+        _targets(problem, target, group.y),
+        np.stack([one.x for one in found]),
+        np.stack([cast(np.ndarray, one.penalty) * size**2 for one, size in zip(found, sizes, strict=True)]),
+        np.array([one.left_out for one in found], float),
+        np.ones(len(found), bool),
+        lambda k: found[k],
+    )
+
+
+def _targets(problem: Problem, target: np.ndarray, y: Float[np.ndarray, "N T"]) -> Float[np.ndarray, "N n"]:
+    """What the columns of a problem have to explain of other outputs over its input; `target` is that of its own."""
     (record,) = problem.data
-    system = LinearSystem.of(problem, problem.space.vector(problem.model))
     root = np.sqrt(record.weight[record.used])
-    return system, y[:, record.used] * root - (record.y[record.used] * root - system.target)
+    return y[:, record.used] * root - (record.y[record.used] * root - target)
+
+
+_SOLVERS = {"convex": _ridges, "preisach": _smooth}
 
 
 def judge_weights(
@@ -102,8 +135,12 @@ def judge_weights(
     described, white, _, *sizes = accuracy_of(loops, weights.outputs(group.record), noise)
     rmse, percent, _ = sizes
     with np.errstate(all="ignore"):
-        usable = ~(weights.left_out > _SURE * largest_left_out(100 * rmse / percent, rmse)) & (rmse > 0)
-    wanted = np.flatnonzero(described & white & usable & weights.chosen & (len(weights.columns) > x.shape[1]))
+        usable = (
+            (len(weights.columns) > x.shape[1])
+            & ~(weights.left_out > _SURE * largest_left_out(100 * rmse / percent, rmse))
+            & (rmse > 0)
+        )
+    wanted = np.flatnonzero(described & white & usable & weights.chosen)
     plain, stderr, scale = np.zeros(len(loops), bool), np.full(x.shape, np.nan), weights.common.scale(loops)
     notes: list[tuple[Note, ...]] = [()] * len(loops)
     if wanted.size:

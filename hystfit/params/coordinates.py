@@ -192,7 +192,9 @@ class Coordinates(eqx.Module):
             flat[index][:, list(positions)] = x[:, start : start + len(positions)]
             start += len(positions)
         for index, k, source, j, factor, constant in self.ties:
-            flat[index][:, k] = factor * flat.get(source, leaves[source].reshape(len(x), sizes[source]))[:, j] + constant
+            flat[index][:, k] = (
+                factor * flat.get(source, leaves[source].reshape(len(x), sizes[source]))[:, j] + constant
+            )
         rows = [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
         yield from (self.treedef.unflatten(row) for row in zip(*rows, strict=True))
 
