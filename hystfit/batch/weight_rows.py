@@ -135,12 +135,9 @@ def judge_weights(
     described, white, _, *sizes = accuracy_of(loops, weights.outputs(group.record), noise)
     rmse, percent, _ = sizes
     with np.errstate(all="ignore"):
-        usable = (
-            (len(weights.columns) > x.shape[1])
-            & ~(weights.left_out > _SURE * largest_left_out(100 * rmse / percent, rmse))
-            & (rmse > 0)
-        )
-    wanted = np.flatnonzero(described & white & usable & weights.chosen)
+        tested = weights.left_out <= _SURE * largest_left_out(100 * rmse / percent, rmse)
+    tested &= (rmse > 0) & (len(weights.columns) > x.shape[1])
+    wanted = np.flatnonzero(described & white & tested & weights.chosen)
     plain, stderr, scale = np.zeros(len(loops), bool), np.full(x.shape, np.nan), weights.common.scale(loops)
     notes: list[tuple[Note, ...]] = [()] * len(loops)
     if wanted.size:

@@ -18,7 +18,7 @@ from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
-from hystfit.inference.blocks import chosen
+from hystfit.inference.blocks import NUMBERS, chosen
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.density import Density
 from hystfit.inference.linearization import Linearization
@@ -302,8 +302,8 @@ class Problem:
     def linearization(self, x: Any, gram: Float[np.ndarray, "p1 p1"] | None = None) -> Linearization:
         """`misfit` and its derivatives with respect to physical x.
 
-        Those of long records, and those by design matrices, are never in memory all at once. `gram` is their normal matrix, where it
-        is known.
+        Those of long records, and those of many weights by design matrices, are never in memory all at once. `gram` is their normal
+        matrix, where it is known.
         """
         if not self._has_design and in_stretches(self.objective):
             return linearization_by_stretches(self.objective, np.asarray(x, float))
@@ -318,6 +318,9 @@ class Problem:
                 on = used[number, part]
                 yield chosen(rows, on) * slope[number, part][on, None]
 
+        if gram is None and used.size * len(self.space) <= NUMBERS:
+            few = list(blocks())
+            return Linearization(misfit, used.reshape(-1), len(self.space), lambda: iter(few))
         return Linearization(misfit, used.reshape(-1), len(self.space), blocks, gram=gram)
 
     # -- likelihoods ---------------------------------------------------------------------------------------------------
