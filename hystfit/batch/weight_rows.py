@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.batch.alike import Common, Group, Loops
-from hystfit.batch.plain_judge import Judged
+from hystfit.batch.plain_judge import SLOW, Judged
 from hystfit.batch.row_accuracy import accuracy_of
+from hystfit.data.batch import Batch
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.assessment import Unknown, notes_of_errors
 from hystfit.fitting.convex import Convex, LinearSystem, fit_ridges
@@ -24,10 +26,14 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.near_bounds import Information, NearBounds, centered
 from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.fitting.trial import largest_left_out
+from hystfit.inference.noise.even_noise import NUMBERS
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.problem import Problem
+from hystfit.inference.residuals import FEW, ResidualAnalysis, curves, diagnose
 from hystfit.inference.weights import Split, free_columns, weighted_columns
 from hystfit.models.preisach.smooth import fit_smooth
-from hystfit.outcome import Note
+from hystfit.outcome import Code, Note
 from hystfit.params.relative_size import relative_size
 
 _SURE = 0.97  # of the largest error of left-out samples
@@ -137,20 +143,28 @@ def judge_weights(
     with np.errstate(all="ignore"):
         tested = weights.left_out <= _SURE * largest_left_out(100 * rmse / percent, rmse)
     tested &= (rmse > 0) & (len(weights.columns) > x.shape[1])
-    wanted = np.flatnonzero(described & white & tested & weights.chosen)
+    wanted = np.flatnonzero(described & (white | (percent < SLOW)) & tested & weights.chosen)
     plain, stderr, scale = np.zeros(len(loops), bool), np.full(x.shape, np.nan), weights.common.scale(loops)
     notes: list[tuple[Note, ...]] = [()] * len(loops)
     if wanted.size:
-        plain[wanted], stderr[wanted], found = _errors(weights, wanted, scale[wanted])
+        plain[wanted], stderr[wanted], found = _errors(weights, group.record, wanted, white[wanted], scale[wanted])
         for k, lines in zip(wanted.tolist(), found, strict=True):
             notes[k] = lines
-    return Judged(plain, np.zeros_like(plain), weights.chosen, x, stderr, *sizes), notes
+    return Judged(plain, plain & ~white, weights.chosen, x, stderr, *sizes), notes
 
 
 def _errors(
-    weights: Weights, at: np.ndarray, scale: Float[np.ndarray, "n p"]
-) -> tuple[np.ndarray, Float[np.ndarray, "n p"], list[tuple[Note, ...]]]:
-    """Of some loops with white residuals: which have the influences of most, their standard errors, and notes on these."""
+    weights: Weights, record: Record, at: np.ndarray, white: np.ndarray, scale: Float[np.ndarray, "m p"]
+) -> tuple[np.ndarray, Float[np.ndarray, "m p"], list[tuple[Note, ...]]]:
+    """Of some loops: which are beyond doubt, their standard errors, and notes on these.
+
+    Args:
+        weights: of all loops.
+        record: the input.
+        at: numbers of m loops.
+        white: which of them have white residuals, shape (m,), bool.
+        scale: natural scales of their parameters.
+    """
     space, columns, x, ridge = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
     residual, rows = x @ columns.T - weights.targets[at], np.linalg.qr(columns, mode="r")
     relative, on_bound = relative_size(space, x, scale), np.logical_or(*space.reached(x, scale=scale))
@@ -158,19 +172,63 @@ def _errors(
     acting = gain > 1e-9 * gain.max(axis=1, keepdims=True)
     acts = np.array(Counter(map(tuple, acting.tolist())).most_common(1)[0][0])
     live = acts & ~on_bound
+    plain = (acting == acts).all(axis=1) & live.any(axis=1)
     variance = np.einsum("nk,nk->n", residual, residual) / np.maximum(len(columns) - live.sum(axis=1), 1)
+    roots, variances, ridges = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), ridge.copy()
+    slow = np.flatnonzero(~white)
+    for k, analysis in zip(slow, _analyses(record, residual[slow], columns, live[slow], relative[slow]), strict=True):
+        plain[k] &= all(note.code is Code.CORRELATED_RESIDUALS for note in diagnose(analysis).findings)
+        if analysis.of_errors is None:
+            variances[k] *= analysis.correlation_time
+            continue
+        root = least_squares_root(analysis.of_errors, columns[:, acts])
+        roots[k], variances[k], ridges[k] = 0.0, 1.0, ridge[k] / variance[k]
+        roots[k, : len(root), acts] = root.T
     slope = lambda: np.where(on_bound, residual @ columns, -ridge * x)
-    near = NearBounds.of(space, x, on_bound, rows, Information(rows, variance, ridge), slope, ridge, acts)
+    near = NearBounds.of(space, x, on_bound, rows, Information(roots, variances, ridges), slope, ridge, acts)
     share, inside = np.ones(x.shape), [None] * at.size
     if near is not None:
         share = ridge_shares(near, space.names, acts) if weights.estimate(0).toward_zero else share
         inside = near.moments(share, acts)
     stderr, notes = np.full(x.shape, np.nan), list[tuple[Note, ...]]()
     for k in range(at.size):
-        own = Information(rows, float(variance[k]), share[k] * ridge[k])
+        own = Information(roots[k], float(variances[k]), share[k] * ridges[k])
         found = determine(space, x[k], relative[k], own, live[k], inside[k])
         stderr[k] = np.sqrt(np.diag(found["covariance"]))
         unknown = Unknown(~acts & ~on_bound[k], found["directions"], found["reaching"], found["rank"])
         sides = ["lower" if reached else None for reached in on_bound[k]]
         notes.append(tuple(notes_of_errors(space, sides, unknown, ridge[k])))
-    return (acting == acts).all(axis=1) & live.any(axis=1), stderr, notes
+    return plain, stderr, notes
+
+
+def _analyses(
+    record: Record,
+    residual: Float[np.ndarray, "m n"],
+    columns: Float[np.ndarray, "n p"],
+    live: np.ndarray,
+    relative: Float[np.ndarray, "m p"],
+) -> list[ResidualAnalysis]:
+    """Analyses of autocorrelated residuals: the slow noise of loops with as many live weights is sought side by side.
+
+    Args:
+        record: the input.
+        residual: weighted.
+        columns: of the weights.
+        live: which weights act and are off their bounds, shape (m, p), bool.
+        relative: sizes of the weights.
+    """
+    if not len(residual):
+        return []
+    samples, none = Samples.of(Setting.on_host(Batch.of(Dataset.of(record)))), np.zeros((len(columns), 0))
+    shapes, found, counts = curves(samples), dict[int, ResidualAnalysis](), live.sum(axis=1)
+    for count in np.unique(counts).tolist():
+        alike = np.flatnonzero(counts == count)
+        p = count if count <= FEW else 0
+        for begin in range(0, alike.size, size := max(1, NUMBERS // ((p + 1) * (p + 2) // 2 * len(columns)))):
+            at = alike[begin : begin + size]
+            own = [columns[:, live[k]] * relative[k, live[k]] if p else none for k in at]
+            noises = fit_slow_noises(Contrasts(samples, residual[at], np.linalg.qr(np.stack(own))[0], none))
+            for k, noise, J in zip(at.tolist(), noises, own, strict=True):
+                derivatives = (lambda J=J: J) if p else None
+                found[k] = ResidualAnalysis(samples.on, residual[k], lambda: samples, derivatives, noise, shapes)
+    return [found[k] for k in range(len(residual))]

@@ -23,8 +23,8 @@ class Information(NamedTuple):
     """Information about the parameters: R'R / variance, and that of a regularization.
 
     Attributes:
-        root: R, shape (n, p).
-        variance: of its rows; one for each estimate, shape (N,), where several share the root.
+        root: R, shape (n, p) or (N, n, p).
+        variance: of its rows, or one for each estimate, shape (N,).
         ridge: added to R'R, diagonal, shape (p,) or (N, p).
     """
 
@@ -96,13 +96,13 @@ class NearBounds(NamedTuple):
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)
         back, unit = back / size, columns / size
-        root, variance = information.root[:, acts] @ back, np.asarray(information.variance)
+        root, variance = information.root[..., acts] @ back, np.asarray(information.variance)
         return cls(
             x[:, acts] * size,
             unit.T @ unit,
             ridge[:, acts] / size**2,
             slope()[:, acts] / size,
-            root.T @ root / variance[..., None, None] * np.ones((len(x), 1, 1)),
+            root.swapaxes(-1, -2) @ root / variance[..., None, None] * np.ones((len(x), 1, 1)),
             information.ridge[..., acts] / size**2 / variance[..., None] * np.ones((len(x), 1)),
             room * size,
             np.where(below < above, 1.0, -1.0)[0, acts],
