@@ -71,16 +71,19 @@ def same(row: Row, wanted: Row, span: float) -> None:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_rows_are_those_of_fit(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most are judged together; one with slow noise is judged alone with its weights, one with an outlier is fitted alone."""
+    """Most are judged together, one with slow noise too; one with an outlier is fitted alone."""
     records, judged, solved = devices(model, "from zero"), list[str](), list[int]()
     judge, solve = work._judge, work.solve
     monkeypatch.setattr(work, "_judge", lambda task, loop: judged.append(loop.name) or judge(task, loop))
     monkeypatch.setattr(work, "solve", lambda *arguments: solved.append(1) or solve(*arguments))
     fix = {"w[3]": 0.01} if "held" in model else {}
     rows = hf.fit_many(MODELS[model], records, fix=fix)
-    assert {"from zero 10", "from zero 11"} <= set(judged)
-    assert len(judged) <= 6
+    assert "from zero 11" in judged
+    assert len(judged) <= 5
     assert len(solved) == 1
+    slow = rows["from zero 10"]
+    assert "error-ratio" in slow.codes
+    assert (slow.name in judged) is (model == "stops")
     for k in (1, 9, 10):
         one = records[k]
         same(rows[one.name], row_of("", "", one, hf.fit(MODELS[model], one, fix=fix)), float(np.ptp(one.y)))
@@ -102,7 +105,7 @@ def test_a_map_of_plays_is_that_of_fit() -> None:
         MODELS["plays"], INPUTS["from zero"], np.stack([r.y for r in records]), T, u_unit="V", y_unit="um"
     )
     assert (~found.alone).sum() >= 7
-    assert found.alone[-2:].all()
+    assert found.alone[-1]
     alone = hf.fit(MODELS["plays"], records[4])
     for p in alone.parameters:
         if not p.fixed:
