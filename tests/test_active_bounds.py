@@ -58,25 +58,27 @@ def test_moments_are_those_of_a_plain_sample() -> None:
         P, s, low = A.T @ A, rng.normal(size=count), -np.abs(rng.normal(size=count))
         sample = rng.multivariate_normal(-np.linalg.solve(P, s), np.linalg.inv(P), size=400_000)
         sample = sample[(sample >= low).all(axis=1)]
-        mean, covariance = truncated_moments(P, s, low)
+        ((mean, other), (covariance, _)) = truncated_moments(*(np.stack([v, 2 * v]) for v in (P, s, low)))
+        alone = truncated_moments(2 * P[None], 2 * s[None], 2 * low[None])[0][0]
+        np.testing.assert_allclose(other, alone, rtol=1e-12)  # each of several ends by itself
         np.testing.assert_allclose(mean, sample.mean(axis=0), atol=0.01)
         np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sample.std(axis=0), rtol=0.02)
 
 
 def test_a_steep_slope_leaves_an_exponential_density() -> None:
-    mean, covariance = truncated_moments(np.array([[1e-12]]), np.array([50.0]), np.zeros(1))
-    assert (mean[0], covariance[0, 0]) == pytest.approx((1 / 50, 1 / 2500), rel=1e-3)
+    mean, covariance = truncated_moments(np.array([[[1e-12]]]), np.array([[50.0]]), np.zeros((1, 1)))
+    assert (mean[0, 0], covariance[0, 0, 0]) == pytest.approx((1 / 50, 1 / 2500), rel=1e-3)
     # So does a slope beyond all measure, where the residuals are rounding errors.
-    mean, covariance = truncated_moments(np.array([[1.0]]), np.array([1e90]), np.zeros(1))
-    assert np.isfinite([mean[0], covariance[0, 0]]).all()
-    assert abs(mean[0]) < 1e-80
+    mean, covariance = truncated_moments(np.array([[[1.0]]]), np.array([[1e90]]), np.zeros((1, 1)))
+    assert np.isfinite([mean[0, 0], covariance[0, 0, 0]]).all()
+    assert abs(mean[0, 0]) < 1e-80
 
 
 def test_without_a_bound_the_moments_are_the_covariance() -> None:
     A = np.random.default_rng(1).normal(size=(5, 3))
     P = A.T @ A
-    mean, far = about_estimate(P, np.zeros(3), np.array([np.inf, 1e3, np.inf]), np.ones(3))
-    np.testing.assert_allclose(far, np.linalg.inv(P), rtol=1e-6)
+    mean, far = about_estimate(P[None], np.zeros((1, 3)), np.array([[np.inf, 1e3, np.inf]]), np.ones(3))
+    np.testing.assert_allclose(far[0], np.linalg.inv(P), rtol=1e-6)
     np.testing.assert_allclose(mean, 0, atol=1e-5)
 
 

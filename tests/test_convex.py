@@ -39,9 +39,9 @@ def test_solution_equals_bounded_least_squares(seed):
     y = A @ w + 0.1 * rng.normal(size=60)
     free = np.arange(8) < 3
     ridge = np.where(free, 0.0, 0.3)
-    joint = np.column_stack([A, y])
-    found, positive = solve_normal(joint.T @ joint, free, ridge)
-    again, _ = solve_normal(joint.T @ joint, free, ridge, rng.random(8) < 0.5)
+    several = np.array([A.T @ y, -A.T @ y])
+    (found, _), (positive, _) = solve_normal(A.T @ A, several, free, np.array([ridge, ridge]))
+    again = solve_normal(A.T @ A, several, free, np.array([ridge, ridge]), rng.random((2, 8)) < 0.5)[0][0]
     assert again == pytest.approx(found, abs=1e-12)  # wherever the search begins
     assert np.array_equal(positive, free | (found > 0))
     stacked = np.vstack([A, np.diag(np.sqrt(ridge))])
@@ -57,8 +57,8 @@ def test_nearly_equal_columns_are_solved_by_their_ridge(seed):
     base = rng.normal(size=(200, 6))
     A = np.hstack([base, base + 1e-8 * rng.normal(size=base.shape)])
     y = A @ rng.normal(size=12) + 0.1 * rng.normal(size=200)
-    free, joint = np.arange(12) % 3 == 0, np.column_stack([A, y])
-    found, _ = solve_normal(joint.T @ joint, free, np.full(12, 1e-6))
+    free = np.arange(12) % 3 == 0
+    found = solve_normal(A.T @ A, (y @ A)[None], free, np.full((1, 12), 1e-6))[0][0]
     stacked, target = np.vstack([A, 1e-3 * np.eye(12)]), np.append(y, np.zeros(12))
     oracle = scipy.optimize.lsq_linear(stacked, target, (np.where(free, -np.inf, 0), np.full(12, np.inf)), tol=1e-14).x
     assert (found[~free] >= 0).all()
@@ -225,12 +225,12 @@ def test_systems_that_are_solved_side_by_side_have_the_solutions_of_an_active_se
     roots = rng.normal(size=(30, 40, 12)).cumsum(axis=1)
     y = roots @ rng.normal(size=(30, 12, 1)) + rng.normal(size=(30, 40, 1))
     A, b = roots.transpose(0, 2, 1) @ roots, (roots.transpose(0, 2, 1) @ y)[..., 0]
-    found = solve_several(A, b, np.ones(12, dtype=bool))
+    found, _ = solve_several(A, b, np.ones(12, dtype=bool))
     expected = np.array([scipy.optimize.nnls(root, out[:, 0])[0] for root, out in zip(roots, y, strict=True)])
     assert (expected == 0).any(axis=1).sum() > 20
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-8)
     half = np.arange(12) < 6
-    for w, one, right in zip(solve_several(A, b, half), A, b, strict=True):
+    for w, one, right in zip(solve_several(A, b, half)[0], A, b, strict=True):
         dual = one @ w - right
         assert (w[half] >= 0).all()
         assert (dual[half] > -1e-8 * np.abs(right).max()).all()

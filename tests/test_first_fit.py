@@ -14,6 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.levenberg_marquardt import descend
+from hystfit.models import starting
 from hystfit.models.registry import make_model
 from hystfit.params.hypercube import latin_hypercube
 
@@ -91,6 +92,20 @@ def test_the_error_of_a_first_look_is_that_of_all_samples():
     start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
     look = LeastSquares().quick().estimate(problem, start)
     assert look.cost == pytest.approx(0.5 * np.sum(problem.misfit(look.x) ** 2), rel=0.2)
+
+
+def test_records_of_similar_length_share_the_program_of_a_grid(monkeypatch):
+    """A program of each length took longer than the fit, and all of them stayed in memory."""
+    shapes, run = set(), starting.simulated_grid
+    monkeypatch.setattr(starting, "simulated_grid", lambda *of, shapes=shapes: shapes.add(of[3].shape) or run(*of))
+    grid = np.array([[0.3], [0.5]])
+    for count in (329, 332):
+        u = np.sin(np.linspace(0, 20, count))
+        record = hf.Record(u=u, y=u, weight=(np.arange(count) > 4).astype(float))
+        columns = starting.grid_columns(hf.BoucWen(), ("mu",), grid, [record])
+        for column, (mu,) in zip(columns.T, grid, strict=True):
+            np.testing.assert_allclose(column, hf.simulate(hf.BoucWen(mu=mu), u)[0][5:], rtol=1e-12, atol=1e-14)
+    assert len(shapes) == 1
 
 
 def test_the_hypercube_is_that_of_scipy():

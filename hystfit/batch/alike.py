@@ -28,6 +28,7 @@ from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.units import Scales
 
+CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
 _FIRST = 3  # loops from whose starting values all others begin
 _LOOKED_AT = 512  # loops among which these are chosen
 _GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
@@ -118,7 +119,7 @@ class Common(NamedTuple):
 
     Attributes:
         setup: the fit of one of them.
-        starts: shape (S, p), relative to the sizes of each loop.
+        starts: shape (S, p), relative to the sizes of each loop; none for weights, which need none.
         levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
         powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
     """
@@ -127,6 +128,11 @@ class Common(NamedTuple):
     starts: np.ndarray
     levels: np.ndarray
     powers: np.ndarray
+
+    @property
+    def of_weights(self) -> bool:
+        """Whether the model is linear in all free parameters, which are found by convex optimization."""
+        return self.setup.method in CONVEX
 
     def scale(self, loops: Loops) -> Float[np.ndarray, "N p"]:
         """Natural scale of each parameter of each loop."""
@@ -165,7 +171,7 @@ def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, h
     setups = [set_up_fit(model, Dataset.of(record), options, held=held) for record in chosen]
     first = setups[0]
     alike = all(
-        one.method == "lm" == first.method
+        one.method == first.method
         and one.problem.space.names == first.problem.space.names
         and [p[:2] for p in one.problem.space.fixed()] == [p[:2] for p in first.problem.space.fixed()]
         and np.array_equal(one.problem.space.lower, first.problem.space.lower)
@@ -178,7 +184,12 @@ def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, h
     found = first.problem.model
     if not alike or found.derived() or type(found).hysteretic_share is not AbstractHysteresis.hysteretic_share:
         return None
-    starts, levels = _starts(setups, options)
+    of_weights = first.method in CONVEX
+    if of_weights and not (first.problem.closed_form and len(loops.groups) == 1):
+        return None
+    if not of_weights and first.method != "lm":
+        return None
+    starts, levels = (np.zeros((0, len(first.problem.space))), np.zeros(0)) if of_weights else _starts(setups, options)
     unit = Scales(1.0, 1.0, 1.0)
     doubled = [dataclasses.replace(unit, **{symbol: 2.0}) for symbol in "uys"]
     units = [info.unit for info in first.problem.space.infos]

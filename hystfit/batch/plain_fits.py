@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from hystfit.batch.plain_judge import Judged, judge_plain
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
 from hystfit.batch.simulated_rows import simulated
+from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -71,11 +73,11 @@ class PlainFits(NamedTuple):
             model=example.model,
             samples=int(self.samples[k]),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
-            stderr=dict(zip(self.names, one.stderr[k].tolist(), strict=True)),
+            stderr=dict(zip(self.names, map(_known, one.stderr[k].tolist()), strict=True)),
             rmse=float(one.rmse[k]),
             error_percent=float(one.percent[k]),
             max_error_percent=float(one.largest_percent[k]),
-            quantities={key: float(v[k]) if np.isfinite(v[k]) else None for key, v in self.quantities.items()},
+            quantities={key: _known(float(v[k])) for key, v in self.quantities.items()},
             units=example.units,
         )
 
@@ -90,6 +92,10 @@ def setup_of(common: Common, record: Record, options: FitOptions) -> FitSetup:
     settings = {"fix": options.fix, "free": options.free, "loss": options.loss, "spacing": options.spacing}
     problem = Problem(own.model, without_faults(Dataset.of(record)), **settings)
     return dataclasses.replace(common.setup, problem=problem, points=(own.model,))
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _codes(notes: Sequence[Note]) -> tuple[str, ...]:
@@ -120,22 +126,59 @@ def fit_plain(
     common = common_of(model, loops, options, held=held)
     if common is None:
         return None
-    ends, stack, _ = solve_alike(common, loops)
-    judged = judge_plain(common, loops, ends, stack, faultless.noise[sound])
-    notes = _notes(common, loops, judged)
-    examples = _examples(common, loops, judged, ends.normal.cost, notes, options)
+    solved = _solved_weights if common.of_weights else _solved_lanes
+    judged, on_errors, estimate, outputs = solved(common, loops, faultless.noise[sound])
+    notes = _notes(common, loops, judged, on_errors)
+    examples = _examples(common, loops, judged, estimate, notes, options)
     if examples is None:
         judged = judged._replace(plain=np.zeros(len(loops), bool))
     example = examples[0] if examples else None
-    quantities = _quantities(common, loops, stack, ends.normal.z)
+    quantities = _quantities(common, loops, outputs)
     samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
-    estimates = _estimates(common, loops, judged)
+    rest = np.flatnonzero(judged.close & ~judged.plain)
+    if common.of_weights:
+        estimates = {k: estimate(k) for k in rest.tolist()}
+    else:
+        estimates = _estimates(common, loops, rest)
     names = common.setup.problem.space.names
     fits = PlainFits(names, judged, quantities, notes, samples, example, common, estimates)
     return _spread(fits, sound, len(every))
 
 
-def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...]]:
+class _Solved(NamedTuple):
+    """Solved loops.
+
+    Attributes:
+        judged: their numbers.
+        on_errors: notes on the errors of each plain loop.
+        estimate: makes the estimate of a loop from its number.
+        outputs: of each loop's model over the input of its group, one record a group, shape (N, T), padded with outputs that mean nothing.
+    """
+
+    judged: Judged
+    on_errors: Sequence[Sequence[Note]]
+    estimate: Callable[[int], Estimate]
+    outputs: Callable[[Sequence[Record]], np.ndarray]
+
+
+def _solved_lanes(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
+    """By Levenberg-Marquardt."""
+    ends, stack, _ = solve_alike(common, loops)
+    judged, cost, model = judge_plain(common, loops, ends, stack, noise), ends.normal.cost, common.setup.problem.model
+    estimate = lambda k: Estimate(judged.x[k], float(cost[k]), True, "converged", 1, np.array([cost[k]]))
+    counts, timed = [len(group.y) for group in loops.groups], not model.rate_independent
+    outputs = lambda records: _outputs(stack, ends.normal.z, records, counts, timed=timed, causal=model.causal)
+    return _Solved(judged, [()] * len(loops), estimate, outputs)
+
+
+def _solved_weights(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
+    """By convex optimization."""
+    weights = solve_weights(common, loops)
+    judged, on_errors = judge_weights(weights, loops, noise)
+    return _Solved(judged, on_errors, weights.estimate, lambda records: weights.outputs(records[0]))
+
+
+def _notes(common: Common, loops: Loops, judged: Judged, on_errors: Sequence[Sequence[Note]]) -> list[tuple[Note, ...]]:
     """Notes on each plain loop, in the order of a fit that is judged alone."""
     model, space = common.setup.problem.model, common.setup.problem.space
     advises, of_range = type(model).advice is not AbstractHysteresis.advice, not model.from_saturation
@@ -144,7 +187,8 @@ def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...
     models = dict(zip(told.tolist(), space.coordinates.assemble_rows(judged.x[told]), strict=True))
     for record, y in loops.groups:
         data = Dataset.of(record)
-        first = [*(coverage_notes(data) if of_range else ()), *common.setup.notes, *notes_on_time(data)]
+        chosen = [Note(Code.CHOICE, "")] if common.of_weights else []  # as every estimate of weights has one
+        first = [*(coverage_notes(data) if of_range else ()), *common.setup.notes, *chosen, *notes_on_time(data)]
         last = [note for note in record.notes if note.code is Code.UNITS]
         same = (*first, *last)
         for k in range(len(out), len(out) + len(y)):
@@ -152,9 +196,9 @@ def _notes(common: Common, loops: Loops, judged: Judged) -> list[tuple[Note, ...
                 out.append(())
             elif k in models:
                 slow = [Note(Code.ERROR_RATIO, "residuals are autocorrelated")] if judged.slow[k] else []
-                out.append((*first, *notes_of_model(data, models[k]), *slow, *last))
+                out.append((*first, *notes_of_model(data, models[k]), *on_errors[k], *slow, *last))
             else:
-                out.append(same)
+                out.append((*first, *on_errors[k], *last) if on_errors[k] else same)
     return out
 
 
@@ -162,7 +206,7 @@ def _examples(
     common: Common,
     loops: Loops,
     judged: Judged,
-    cost: np.ndarray,
+    estimate: Callable[[int], Estimate],
     notes: Sequence[Sequence[Note]],
     options: FitOptions,
 ) -> list[Row] | None:
@@ -175,19 +219,17 @@ def _examples(
         seen.add(codes)
         (record, y), watch = loops.take(np.array([k])).groups[0], Stopwatch()
         record = record.replace(y=y[0])
-        estimate = Estimate(judged.x[k], float(cost[k]), True, "converged", 1, np.array([cost[k]]))
-        row = row_of("", "", record, judge(setup_of(common, record, options), estimate, options, watch))
-        errors = np.array([np.nan if value is None else value for value in row.stderr.values()])
+        row = row_of("", "", record, judge(setup_of(common, record, options), estimate(int(k)), options, watch))
+        errors = np.array([np.nan if value is None else value for value in row.stderr.values()], float)
         same = (row.status, row.codes, row.reason) == (Status.OK, codes, _reason(notes[k]))
-        if not same or not np.allclose(errors, judged.stderr[k], rtol=_SAME):
+        if not same or not np.allclose(errors, judged.stderr[k], rtol=_SAME, equal_nan=True):
             return None
         rows.append(row)
     return rows
 
 
-def _estimates(common: Common, loops: Loops, judged: Judged) -> dict[int, Estimate]:
-    """Estimates of loops that are not plain, but close: from every start to its end."""
-    rest = np.flatnonzero(judged.close & ~judged.plain)
+def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Estimate]:
+    """Estimates of loops that are not plain, but close, by their numbers: from every start to its end."""
     if not rest.size:
         return {}
     ends, stack, costs = solve_alike(common, loops.take(rest), STEPS)
@@ -200,7 +242,9 @@ def _estimates(common: Common, loops: Loops, judged: Judged) -> dict[int, Estima
     }
 
 
-def _quantities(common: Common, loops: Loops, stack: Stack, z: np.ndarray) -> dict[str, np.ndarray]:
+def _quantities(
+    common: Common, loops: Loops, outputs_of: Callable[[Sequence[Record]], np.ndarray]
+) -> dict[str, np.ndarray]:
     """Quantities of the steady loop of each fitted model."""
     model, timed = common.setup.problem.model, not common.setup.problem.model.rate_independent
     datasets = [Dataset.of(group.record) for group in loops.groups]
@@ -209,9 +253,7 @@ def _quantities(common: Common, loops: Loops, stack: Stack, z: np.ndarray) -> di
     drives = {"loop": [one.loop for one in excitations]} | (
         {"step": [one.step for one in excitations]} if timed else {}
     )
-    outputs = {
-        name: _outputs(stack, z, records, counts, timed=timed, causal=model.causal) for name, records in drives.items()
-    }
+    outputs = {name: outputs_of(records) for name, records in drives.items()}
     found, stop = list[dict[str, np.ndarray]](), 0
     for data, excitation, count in zip(datasets, excitations, counts, strict=True):
         start, stop = stop, stop + count

@@ -22,7 +22,7 @@ from hystfit.params.relative_size import relative_size
 _LEAST_EIGENVALUE = 1e-10  # of the scaled normal matrix, relative to the largest
 _OPEN = 0.9  # largest standard error of a direction, beside the parameters' own size
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
-_SLOW = 0.95  # percent of the range: largest rms error of a loop under slow noise, whose device may change where it is larger
+SLOW = 0.95  # percent of the range: largest rms error of a loop under slow noise, whose device may change where it is larger
 _AT_BOUND = 2e-4  # relative distance to a bound
 
 
@@ -67,7 +67,7 @@ def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack, noise: F
         variance = 2 * ends.normal.cost / np.maximum(samples - x.shape[1], 1)
         stderr, inside, regular = _errors(common, x, scale, gram, variance)
         good = ends.converged & described & regular
-        slow = good & ~white & (sizes[1] < _SLOW)
+        slow = good & ~white & (sizes[1] < SLOW)
         if (at := np.flatnonzero(slow)).size:
             information, slow[at] = slow_information(loops.take(at), stack.take(at), z[at])
             stderr[at], _, regular = _errors(common, x[at], scale[at], information, np.ones(at.size))

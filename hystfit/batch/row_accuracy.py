@@ -125,13 +125,17 @@ def accuracy(loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"], noise: Flo
         z: estimates, unconstrained.
         noise: of each output.
     """
-    u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))
     device = _on_gpu(loops)
     if device is None:
-        found = loops.each(_of_group, simulated(stack, z, u, dt), noise)
-    else:
-        found = _of_group_on_device(loops.groups[0], stack.objective.coordinates, z, noise, device)
+        u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))
+        return accuracy_of(loops, simulated(stack, z, u, dt), noise)
+    found = _of_group_on_device(loops.groups[0], stack.objective.coordinates, z, noise, device)
     return Accuracy(*loops.each(_only_even, *found))
+
+
+def accuracy_of(loops: Loops, predicted: Float[np.ndarray, "N T"], noise: Float[np.ndarray, " N"]) -> Accuracy:
+    """`accuracy` of predicted outputs, which may be padded."""
+    return Accuracy(*loops.each(_only_even, *loops.each(_of_group, predicted, noise)))
 
 
 def _only_even(group: Group, *found: np.ndarray) -> Accuracy:

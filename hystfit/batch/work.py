@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from hystfit.batch.alike import Group
+from hystfit.batch.alike import CONVEX, Group
 from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
 from hystfit.batch.row import Row, row_of
@@ -92,13 +92,13 @@ class Work:
     @property
     def quick(self) -> bool:
         """Whether a loop is expected to take milliseconds."""
-        if self.searches or self.options.method not in ("auto", _TOGETHER):
+        if self.searches or self.options.method not in ("auto", _TOGETHER, *CONVEX):
             return False
-        return make_model(self.model).estimator is None and self.options.plain_noise
+        return make_model(self.model).estimator in (None, *CONVEX) and self.options.plain_noise
 
     @property
     def plain(self) -> bool:
-        """Whether loops over one input can be judged together."""
+        """Whether loops of one kind can be judged together."""
         return self.quick and self.options.loss == "linear"
 
     @property
@@ -218,21 +218,30 @@ def _fit_plain(work: Work, loops: Sequence[_Loop]) -> None:
         inputs: dict[bytes, list[_Loop]] = defaultdict(list)
         for loop in alike:
             inputs[_input(cast(Record, loop.record))].append(loop)
-        ordered = [loop for same in inputs.values() for loop in same]
-        try:
-            records = [[cast(Record, loop.record) for loop in same] for same in inputs.values()]
-            groups = [Group(same[0], np.stack([record.y for record in same])) for same in records]
-            fits = fit_plain(make_model(work.model), groups, work.options, held=work.held)
-        except HystfitError:  # each is fitted alone, and its row has the reason
-            continue
-        if fits is None:
-            continue
-        for k, loop in enumerate(ordered):
-            record = cast(Record, loop.record)
-            if fits.judged.plain[k]:
-                loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
-            elif k in fits.estimates:
-                loop.fit_setup, loop.estimate = setup_of(fits.common, record, work.options), fits.estimates[k]
+        if not _fit_groups(work, list(inputs.values())):  # weights have a design matrix for each input
+            for same in inputs.values():
+                if FEWEST <= len(same) < len(alike):
+                    _fit_groups(work, [same])
+
+
+def _fit_groups(work: Work, inputs: Sequence[Sequence[_Loop]]) -> bool:
+    """`_fit_plain` of loops of one kind, input by input; whether they can be solved together."""
+    ordered = [loop for same in inputs for loop in same]
+    try:
+        records = [[cast(Record, loop.record) for loop in same] for same in inputs]
+        groups = [Group(same[0], np.stack([record.y for record in same])) for same in records]
+        fits = fit_plain(make_model(work.model), groups, work.options, held=work.held)
+    except HystfitError:  # each is fitted alone, and its row has the reason
+        return False
+    if fits is None:
+        return False
+    for k, loop in enumerate(ordered):
+        record = cast(Record, loop.record)
+        if fits.judged.plain[k]:
+            loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
+        elif k in fits.estimates:
+            loop.fit_setup, loop.estimate = setup_of(fits.common, record, work.options), fits.estimates[k]
+    return True
 
 
 def _kind(record: Record) -> Any:

@@ -17,38 +17,40 @@ _STEPS, _SETTLED, _DAMPED = 60, 1e-5, 0.7
 
 
 def about_estimate(
-    information: Float[np.ndarray, "p p"],
-    slope: Float[np.ndarray, " p"],
-    room: Float[np.ndarray, " p"],
+    information: Float[np.ndarray, "N p p"],
+    slope: Float[np.ndarray, "N p"],
+    room: Float[np.ndarray, "N p"],
     side: Float[np.ndarray, " p"],
-) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p p"]]:
-    """Mean E[d] and second moments E[d d'] of the density exp(-d'I d / 2 - s'd) of deviations d from the estimate, within bounds.
+) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N p p"]]:
+    """Means E[d] and second moments E[d d'] of N densities exp(-d'I d / 2 - s'd) of deviations d from the estimates, within bounds.
 
     Args:
         information: I, about all parameters.
         slope: s, of the negative log likelihood at the estimate.
-        room: distance to the bound, infinite without one.
+        room: distance to the bound, infinite without one; of the same parameters in all of them.
         side: 1 for a lower bound, -1 for an upper bound.
     """
-    near, others = np.isfinite(room), ~np.isfinite(room)
-    inverse = np.linalg.pinv(information[np.ix_(others, others)], rcond=ROUNDING, hermitian=True)
-    follow = np.zeros((side.size, int(near.sum())))
-    follow[near] = np.diag(side[near])
-    follow[others] = -inverse @ information[np.ix_(others, near)] * side[near]
-    curvature = follow.T @ information @ follow + ROUNDING * np.diag(np.diag(information)[near])
-    mean, covariance = truncated_moments(curvature, follow.T @ slope, -room[near])
-    free = np.zeros(side.size)
-    free[others] = -inverse @ slope[others]
-    mean = follow @ mean + free
-    moments = follow @ covariance @ follow.T + np.outer(mean, mean)
-    moments[np.ix_(others, others)] += inverse
+    near, others = np.flatnonzero(np.isfinite(room[0])), np.flatnonzero(np.isinf(room[0]))
+    count = len(slope)
+    inverse = np.linalg.pinv(information[:, others[:, None], others], rcond=ROUNDING, hermitian=True)
+    follow = np.zeros((count, side.size, near.size))
+    follow[:, near] = np.diag(side[near])
+    follow[:, others] = -inverse @ information[:, others[:, None], near] * side[near]
+    back = follow.swapaxes(1, 2)
+    diagonal = np.einsum("npp->np", information)[:, near]
+    curvature = back @ information @ follow + ROUNDING * diagonal[:, None] * np.eye(near.size)
+    mean, covariance = truncated_moments(curvature, (back @ slope[..., None])[..., 0], -room[:, near])
+    mean = (follow @ mean[..., None])[..., 0]
+    mean[:, others] -= (inverse @ slope[:, others, None])[..., 0]
+    moments = follow @ covariance @ back + mean[:, :, None] * mean[:, None, :]
+    moments[:, others[:, None], others] += inverse
     return mean, moments
 
 
 def truncated_moments(
-    precision: Float[np.ndarray, "k k"], slope: Float[np.ndarray, " k"], low: Float[np.ndarray, " k"]
-) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:
-    """Mean and covariance of the density exp(-d'P d / 2 - s'd) over d >= low.
+    precision: Float[np.ndarray, "N k k"], slope: Float[np.ndarray, "N k"], low: Float[np.ndarray, "N k"]
+) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k k"]]:
+    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low.
 
     Args:
         precision: P, positive semidefinite.
@@ -57,25 +59,28 @@ def truncated_moments(
     """
     if not slope.size:
         return slope, precision
-    scale = 1 / np.maximum(np.sqrt(np.maximum(np.diag(precision), 1e-300)), slope)
-    P, s, low = precision * scale * scale[:, None] + 1e-8 * np.eye(slope.size), slope * scale, low / scale
-    width = np.ones(s.size)  # of the factors that stand for the bounds: precision, and that times mean
+    unit = np.eye(slope.shape[1])
+    scale = 1 / np.maximum(np.sqrt(np.maximum(np.einsum("npp->np", precision), 1e-300)), slope)
+    P, s, low = precision * scale[:, None] * scale[:, :, None] + 1e-8 * unit, slope * scale, low / scale
+    width = np.ones(s.shape)  # of the factors that stand for the bounds: precision, and that times mean
     shift = low + 1.0
+    moving = np.arange(len(s))
     for _ in range(_STEPS):
-        covariance = np.linalg.inv(P + np.diag(width))
-        mean, variance = covariance @ (shift - s), np.diag(covariance)
-        left = np.maximum(1 / variance - width, 1e-12)
-        center = (mean / variance - shift) / left
-        wanted, spread = _truncated(center, 1 / left, low)
+        covariance = np.linalg.inv(P[moving] + width[moving, None] * unit)
+        mean = (covariance @ (shift - s)[moving, :, None])[..., 0]
+        variance = np.einsum("npp->np", covariance)
+        left = np.maximum(1 / variance - width[moving], 1e-12)
+        center = (mean / variance - shift[moving]) / left
+        wanted, spread = _truncated(center, 1 / left, low[moving])
         new_width = np.maximum(1 / spread - left, 0.0)
-        width, shift = (
-            width + _DAMPED * (new_width - width),
-            shift + _DAMPED * (wanted / spread - center * left - shift),
-        )
-        if np.max(np.abs(wanted - mean) / np.sqrt(spread)) < _SETTLED:
+        width[moving] += _DAMPED * (new_width - width[moving])
+        shift[moving] += _DAMPED * (wanted / spread - center * left - shift[moving])
+        moving = moving[~(np.max(np.abs(wanted - mean) / np.sqrt(spread), axis=1) < _SETTLED)]
+        if not moving.size:
             break
-    covariance = np.linalg.inv(P + np.diag(width))
-    return scale * (covariance @ (shift - s)), covariance * scale * scale[:, None]
+    covariance = np.linalg.inv(P + width[:, None] * unit)
+    mean = (covariance @ (shift - s)[..., None])[..., 0]
+    return scale * mean, covariance * scale[:, None] * scale[:, :, None]
 
 
 def _truncated(mean: np.ndarray, variance: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

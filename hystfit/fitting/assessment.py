@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.preparation import CoarseClock
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
-from hystfit.inference.problem import Problem
+from hystfit.inference.problem import Problem, Side
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number
+from hystfit.params.space import ParameterSpace
 from hystfit.quality.findings import WITHOUT_TIME
 from hystfit.quality.loops import APART
 
@@ -26,11 +30,8 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
         text = f"the residuals are {errors.sigma / stated:.2g} times the standard deviations given; only their ratios are used"
         notes.append(Note(Code.WEIGHTED, text))
     notes += notes_of_model(problem.data, model)
-    notes += _bounds_reached(problem, estimate.x)
-    notes += _undetermined(problem, errors)
-    if estimate.penalty is not None and np.any(estimate.penalty > 0):
-        text = "standard errors treat the smoothing penalty as prior information; the data alone would give larger ones"
-        notes.append(Note(Code.REGULARIZED, text))
+    unknown = Unknown(errors.inactive, errors.directions, errors.reaching, errors.rank)
+    notes += notes_of_errors(problem.space, problem.at_bound(estimate.x), unknown, estimate.penalty)
     if errors.correlation_time > 1.0 or errors.ratio != 1.0:
         change = f"{errors.ratio:.2g} times those for independent residuals"
         if abs(errors.ratio - 1) < APART:
@@ -62,9 +63,36 @@ def notes_of_model(data: Dataset, model: AbstractHysteresis) -> list[Note]:
     return [warn(Code.MODEL_ADVICE, line) for line in advice]
 
 
-def _bounds_reached(problem: Problem, x: np.ndarray) -> list[Note]:
-    linear = problem.space.linear
-    reached = list(zip(problem.space.names, problem.at_bound(x), linear, strict=True))
+class Unknown(NamedTuple):
+    """What the data do not determine, see `Uncertainty`."""
+
+    inactive: np.ndarray
+    directions: Sequence[str]
+    reaching: Sequence[str]
+    rank: int
+
+
+def notes_of_errors(
+    space: ParameterSpace, sides: Sequence[Side | None], unknown: Unknown, penalty: np.ndarray | None
+) -> list[Note]:
+    """Notes on bounds that were reached, on what is not determined, and on a regularization.
+
+    Args:
+        space: of the parameters.
+        sides: which bound each of them has reached.
+        unknown: what the data do not determine.
+        penalty: see `Estimate`.
+    """
+    notes = [*_bounds_reached(space, sides), *_undetermined(space, unknown)]
+    if penalty is not None and np.any(penalty > 0):
+        text = "standard errors treat the smoothing penalty as prior information; the data alone would give larger ones"
+        notes.append(Note(Code.REGULARIZED, text))
+    return notes
+
+
+def _bounds_reached(space: ParameterSpace, sides: Sequence[Side | None]) -> list[Note]:
+    linear = space.linear
+    reached = list(zip(space.names, sides, linear, strict=True))
     notes = [
         warn(
             Code.AT_BOUND,
@@ -80,13 +108,13 @@ def _bounds_reached(problem: Problem, x: np.ndarray) -> list[Note]:
     return notes
 
 
-def _undetermined(problem: Problem, errors: Uncertainty) -> list[Note]:
-    notes, names = [], problem.space.names
+def _undetermined(space: ParameterSpace, errors: Unknown) -> list[Note]:
+    notes, names = [], space.names
     inactive = [name for name, none in zip(names, errors.inactive, strict=True) if none]
     if inactive:
         shown = ", ".join(inactive[:_MANY]) + (f" and {len(inactive) - _MANY} more" if len(inactive) > _MANY else "")
         notes.append(warn(Code.NO_INFLUENCE, f"no influence on these data: {shown}"))
-    if len(errors.directions) > 3 and problem.space.linear.sum() > _MANY:
+    if len(errors.directions) > 3 and space.linear.sum() > _MANY:
         text = (
             f"the data do not determine {len(errors.directions)} combinations of the weights (rank {errors.rank} of {len(names)}); "
             "predictions within the fitted range do not need them"

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
+from jaxtyping import Float
 
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.inference.blocks import parts, spread
+from hystfit.inference.blocks import NUMBERS, parts, spread
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
-from hystfit.models.design import FAR, effective_number, left_out_squares
+from hystfit.models.design import FAR, effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
 from hystfit.outcome import Code, Note
 
@@ -73,9 +73,8 @@ class LinearSystem:
         )
         return cls(columns, target, ~np.isfinite(lower), ridged, fold, weight)
 
-    @functools.cached_property
-    def origin(self) -> np.ndarray:
-        """One level for the offsets of all records, zeros for all others, shape (p,).
+    def origins(self, targets: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
+        """For each target, one level for the offsets of all records, zeros for all others.
 
         Normal equations would square the size of an output far from zero. Where zero is near, the level is zero.
         """
@@ -83,37 +82,55 @@ class LinearSystem:
         alike = [
             k for k in constant if np.ptp(column := self.columns[:, k][self.columns[:, k] != 0]) < 1e-12 * column.max()
         ]
-        together, origin = self.columns[:, alike].sum(axis=1), np.zeros(self.free.size)
-        level = float(together @ self.target) / max(float(together @ together), 1e-300)
-        origin[alike] = level if abs(level) * np.abs(together).max(initial=0.0) > FAR * np.ptp(self.target) else 0.0
-        return origin
+        together, origins = self.columns[:, alike].sum(axis=1), np.zeros((len(targets), self.free.size))
+        level = targets @ together / max(float(together @ together), 1e-300)
+        far = np.abs(level) * np.abs(together).max(initial=0.0) > FAR * np.ptp(targets, axis=1)
+        origins[:, alike] = np.where(far, level, 0.0)[:, None]
+        return origins
 
-    def normal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Normal matrices of the held-out groups, and a last one of the samples that stay in every fit, on columns divided by `scale`.
-
-        The target, less the response to `origin`, comes last.
-
-        Returns:
-            The matrices, shape (groups + 1, p + 1, p + 1), the scale of each column, and the number of samples of each group.
-        """
+    def normal(self, targets: Float[np.ndarray, "N n"] | None = None) -> Normal:
+        """Normal equations of the target, or of others on the same columns, less the response to `origins`."""
+        targets = self.target[None] if targets is None else targets
         scale = spread(self.columns)
         scale = np.where(scale > 1e-9 * max(scale.max(initial=0.0), 1e-300), scale, np.inf)
-        constant = ~self.ridged  # an offset has no spread, and needs no common scale
-        scale[constant] = 1.0
-        p, count = self.columns.shape[1], int(self.fold.max()) + 2
-        grams = np.zeros((count, p + 1, p + 1))
-        for gram, number in zip(grams, (*range(count - 1), -1), strict=True):
+        scale[~self.ridged] = 1.0  # an offset has no spread, and needs no common scale
+        p, count, origins = self.columns.shape[1], int(self.fold.max()) + 2, self.origins(targets)
+        A, b, squares = np.zeros((count, p, p)), np.zeros((len(targets), count, p)), np.zeros((len(targets), count))
+        for group, number in enumerate((*range(count - 1), -1)):
             rows = np.flatnonzero(self.fold == number)
-            for part in parts(rows.size, p + 1):
-                some, target = self.columns[rows[part]], self.target[rows[part]]
-                target = target - some @ self.origin
-                gram[:p, :p] += some.T @ some
-                gram[:p, p] += some.T @ target
-                gram[p, p] += target @ target
-        grams[:, p, :p] = grams[:, :p, p]
-        by = np.append(1 / scale, 1.0)
-        grams *= by * by[:, None]
-        return grams, scale, np.bincount(np.where(self.fold < 0, count - 1, self.fold), minlength=count)
+            for part in parts(rows.size, p + len(targets)):
+                some = self.columns[rows[part]]
+                rest = targets[:, rows[part]] - origins @ some.T
+                A[group] += some.T @ some
+                b[:, group] += rest @ some
+                squares[:, group] += np.einsum("nk,nk->n", rest, rest)
+        counts = np.bincount(np.where(self.fold < 0, count - 1, self.fold), minlength=count)
+        return Normal(A / scale / scale[:, None], b / scale, squares, origins, scale, counts)
+
+
+class Normal(NamedTuple):
+    """Normal equations of N targets on the same columns, for G held-out groups of samples and a last one of those that stay in every fit.
+
+    Attributes:
+        A: shape (G + 1, p, p), of columns divided by `scale`.
+        b: shape (N, G + 1, p).
+        squares: of the targets, shape (N, G + 1).
+        origins: about which the targets are solved for, shape (N, p).
+        scale: of each column, infinite for columns that vanish, shape (p,).
+        counts: number of samples of each group, shape (G + 1,).
+    """
+
+    A: np.ndarray
+    b: np.ndarray
+    squares: np.ndarray
+    origins: np.ndarray
+    scale: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def dead(self) -> np.ndarray:
+        """Which columns vanish, shape (p,), bool."""
+        return ~np.isfinite(self.scale)
 
 
 def linear_positions(problem: Problem) -> np.ndarray:
@@ -122,20 +139,31 @@ def linear_positions(problem: Problem) -> np.ndarray:
 
 
 def solve_normal(
-    matrix: np.ndarray, free: np.ndarray, ridge: np.ndarray, start: np.ndarray | None = None
+    A: np.ndarray, b: np.ndarray, free: np.ndarray, ridges: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free; matrix = [[A, b], [b', .]].
+    """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free, for K problems.
 
     Args:
-        matrix: shape (p + 1, p + 1).
+        A: shape (K, p, p), or shared, (p, p).
+        b: shape (K, p).
         free: unknowns without a lower bound, shape (p,), bool.
-        ridge: added to the diagonal, shape (p,).
-        start: which unknowns are not zero at a neighboring solution, shape (p,), bool.
+        ridges: added to the diagonals, shape (K, p).
+        start: which unknowns are not zero at neighboring solutions, shape (K, p), bool.
 
     Returns:
-        w, shape (p,), and which unknowns are not held at zero, to start a similar problem from.
+        Solutions, and which unknowns are not held at zero, to start similar problems from, shapes (K, p).
     """
-    return solve_nonnegative(_ridged(matrix[:-1, :-1], ridge), matrix[:-1, -1], ~free, start)
+    found, positive = np.empty_like(b), np.empty(b.shape, bool)
+    A = np.broadcast_to(A, (len(b), *A.shape[-2:]))
+    if free.size <= _SMALL:
+        for part in parts(len(b), free.size**2):
+            own = None if start is None else start[part]
+            found[part], positive[part] = solve_several(_ridged(A[part], ridges[part]), b[part], ~free, own)
+        return found, positive
+    for k, right in enumerate(b):
+        own = None if start is None else start[k]
+        found[k], positive[k] = solve_nonnegative(_ridged(A[k], ridges[k]), right, ~free, own)
+    return found, positive
 
 
 def _ridged(A: np.ndarray, ridge: np.ndarray) -> np.ndarray:
@@ -146,43 +174,38 @@ def _ridged(A: np.ndarray, ridge: np.ndarray) -> np.ndarray:
     return A
 
 
-def _solve_ridges(matrices: np.ndarray, free: np.ndarray, ridges: np.ndarray) -> np.ndarray:
-    """Solutions for G matrices, shape (G, p + 1, p + 1), each with S ridges, shape (G, S, p); shape (G, S, p)."""
-    if free.size <= _SMALL:
-        A, b = (np.repeat(part, ridges.shape[1], axis=0) for part in (matrices[:, :-1, :-1], matrices[:, :-1, -1]))
-        return solve_several(_ridged(A, ridges.reshape(len(A), -1)), b, ~free).reshape(ridges.shape)
-    found = np.zeros(ridges.shape)
-    for of_matrix, matrix, own in zip(found, matrices, ridges, strict=True):
-        positive = None
-        for k, ridge in enumerate(own):
-            of_matrix[k], positive = solve_normal(matrix, free, ridge, positive)
-    return found
+def _squares(A: np.ndarray, b: np.ndarray, squares: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Sums of squared residuals of N targets at weights (N, p), from their normal equations."""
+    return np.maximum(squares - 2 * np.einsum("np,np->n", b, w) + np.einsum("np,np->n", w @ A, w), 0.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class RidgeFit:
-    """Solution of a `LinearSystem`.
+class RidgeFit(NamedTuple):
+    """Solution of a `LinearSystem` for one target; or solutions for N targets, along a first axis of each array.
 
     Attributes:
         weights: shape (p,).
         strength: of the ridge, relative to the samples' number, on columns of unit spread.
         ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
-        left_out: weighted root mean square error on held-out groups, output units, for each strength tried.
+        left_out: weighted root mean square error on held-out groups, output units, for each strength tried, shape (S,).
         rss: sum of squared residuals.
         effective: number of weights that the data determine, see `effective_number`.
     """
 
     weights: np.ndarray
-    strength: float
+    strength: np.ndarray
     ridge: np.ndarray
     left_out: np.ndarray
-    rss: float
-    effective: float
+    rss: np.ndarray
+    effective: np.ndarray
 
     @property
-    def score(self) -> float:
+    def score(self) -> np.ndarray:
         """The smallest error on held-out groups."""
-        return float(np.min(self.left_out))
+        return self.left_out.min(axis=-1)
+
+    def of(self, k: int) -> RidgeFit:
+        """The solution for one of several targets."""
+        return RidgeFit(*(values[k] for values in self))
 
 
 def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) -> RidgeFit:
@@ -190,26 +213,50 @@ def fit_ridge(system: LinearSystem, strengths: tuple[float, ...] = STRENGTHS) ->
 
     The offset of a record that is left out as a whole is fitted to it.
     """
-    grams, scale, counts = system.normal()
-    total, n = grams.sum(axis=0), counts.sum()
-    dead = ~np.isfinite(scale)
-    held = system.ridged | dead
-    error = np.zeros(len(strengths))
-    others, fewer = total - grams[:-1], n - counts[:-1]
-    absent = ~held & (np.diagonal(others, axis1=1, axis2=2)[:, :-1] == 0)
-    ridges = fewer[:, None, None] * np.array(strengths)[:, None] * held + dead
-    solved = _solve_ridges(others, system.free, ridges)
-    for gram, own, weights in zip(grams[:-1], absent, solved, strict=True):
-        error += [left_out_squares(gram, w, own) for w in weights]
-    left_out = np.sqrt(error / system.weight[system.fold >= 0].sum())
-    best = int(np.argmin(left_out))
-    ridge = held * strengths[best] * n + dead
-    w, positive = solve_normal(total, system.free, ridge)
-    effective = effective_number(total[:-1, :-1], np.diag(ridge), positive & ~dead)
-    r = np.append(-w, 1.0)
-    finite = np.where(dead, 1.0, scale)
-    weights = np.where(dead, 0.0, w / finite) + system.origin
-    return RidgeFit(weights, strengths[best], ridge * finite**2, left_out, max(float(r @ total @ r), 0.0), effective)
+    return fit_ridges(system, system.target[None], strengths).of(0)
+
+
+def fit_ridges(
+    system: LinearSystem, targets: Float[np.ndarray, "N n"], strengths: tuple[float, ...] = STRENGTHS
+) -> RidgeFit:
+    """`fit_ridge` for each of several targets on the columns of a system."""
+    normal = system.normal(targets)
+    dead, n = normal.dead, normal.counts.sum()
+    held, total, tried = system.ridged | dead, normal.A.sum(axis=0), np.array(strengths)
+    left_out = np.sqrt(_left_out(system, normal, held, tried) / system.weight[system.fold >= 0].sum())
+    best = np.argmin(left_out, axis=1)
+    ridge = held * tried[best, None] * n + dead
+    b, squares = normal.b.sum(axis=1), normal.squares.sum(axis=1)
+    w, positive = solve_normal(total, b, system.free, ridge)
+    effective = [effective_number(total, np.diag(own), on & ~dead) for own, on in zip(ridge, positive, strict=True)]
+    finite = np.where(dead, 1.0, normal.scale)
+    weights = np.where(dead, 0.0, w / finite) + normal.origins
+    rss = _squares(total, b, squares, w)
+    return RidgeFit(weights, tried[best], ridge * finite**2, left_out, rss, np.array(effective))
+
+
+def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths: np.ndarray) -> np.ndarray:
+    """Sums of squared residuals of the held-out groups with each strength, shape (N, S); `held` are the weights with a ridge."""
+    N, groups, p = len(normal.b), len(normal.A) - 1, held.size
+    A, b = normal.A.sum(axis=0) - normal.A[:-1], normal.b.sum(axis=1, keepdims=True) - normal.b[:, :-1]
+    fewer = normal.counts.sum() - normal.counts[:-1]
+    absent = ~held & (np.diagonal(A, axis1=1, axis2=2) == 0)
+    together = strengths.size if N * A.size * strengths.size <= NUMBERS and p <= _SMALL else 1
+    out, positive = np.zeros((N, strengths.size)), None
+    for begin in range(0, strengths.size, together):
+        some = strengths[begin : begin + together]
+        shape = (some.size, N, groups)
+        ridges = np.broadcast_to((fewer * some[:, None])[:, None, :, None] * held + normal.dead, (*shape, p))
+        every, right = np.broadcast_to(A, (*shape, p, p)), np.broadcast_to(b, (*shape, p))
+        found, positive = solve_normal(
+            every.reshape(-1, p, p), right.reshape(-1, p), system.free, ridges.reshape(-1, p), positive
+        )
+        found = found.reshape(*shape, p)
+        for group in range(groups):
+            own = normal.A[group], normal.b[:, group]
+            for k, w in enumerate(found[:, :, group], begin):
+                out[:, k] += _squares(*own, normal.squares[:, group], with_own_offsets(*own, w, absent[group]))
+    return out
 
 
 def penalized(system: LinearSystem, strength: float) -> float:
@@ -219,12 +266,11 @@ def penalized(system: LinearSystem, strength: float) -> float:
         system: at some values of the nonlinear parameters.
         strength: of the ridge.
     """
-    grams, scale, counts = system.normal()
-    total, dead = grams.sum(axis=0), ~np.isfinite(scale)
-    ridge = (system.ridged | dead) * strength * counts.sum() + dead
-    w, _ = solve_normal(total, system.free, ridge)
-    r = np.append(-w, 1.0)
-    return max(float(r @ total @ r), 0.0) + float(ridge @ w**2)
+    normal = system.normal()
+    total, b = normal.A.sum(axis=0), normal.b.sum(axis=1)
+    ridge = (system.ridged | normal.dead) * strength * normal.counts.sum() + normal.dead
+    w, _ = solve_normal(total, b, system.free, ridge[None])
+    return float(_squares(total, b, normal.squares.sum(axis=1), w)[0]) + float(ridge @ w[0] ** 2)
 
 
 class Convex(AbstractEstimator):
@@ -268,30 +314,40 @@ class Convex(AbstractEstimator):
         system = LinearSystem.of(problem, x)
         fit = fit_ridge(system, self.strengths)
         x[at] = fit.weights
-        size = problem.scales.y
+        found = self.of_ridge(fit, x, at, problem.scales.y, system.fold.max() + 1)
+        return dataclasses.replace(found, converged=converged, message=message, evaluations=evaluations)
+
+    def of_ridge(self, fit: RidgeFit, x: np.ndarray, at: np.ndarray, size: float, groups: int) -> Estimate:
+        """The estimate that a solution gives.
+
+        Args:
+            fit: the solution.
+            x: all parameters, shape (p,).
+            at: positions of the weights.
+            size: half range of the output.
+            groups: number of those held out.
+        """
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
         note = (
-            f"ridge {fit.strength:.0e} chosen by cross-validation on {system.fold.max() + 1} groups "
+            f"ridge {fit.strength:.0e} chosen by cross-validation on {groups} groups "
             f"(error {100 * fit.score / (2 * size):.2f} % of the range)"
         )
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried"
-        cost = 0.5 * fit.rss / size**2
-        chosen = (Note(Code.CHOICE, note),)
-        costs, effective = np.array([cost]), fit.effective + others.size
+        cost = 0.5 * float(fit.rss) / size**2
         return Estimate(
             x,
             cost,
-            converged,
-            message,
-            evaluations,
-            costs,
-            penalty,
-            chosen,
-            fit.score,
+            converged=True,
+            message="solved",
+            evaluations=1,
+            costs=np.array([cost]),
+            penalty=penalty,
+            notes=(Note(Code.CHOICE, note),),
+            left_out=float(fit.score),
             toward_zero=True,
-            effective=effective,
+            effective=float(fit.effective) + x.size - at.size,
         )
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
@@ -302,7 +358,7 @@ class Convex(AbstractEstimator):
             limits = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
             return search_nonlinear(problem, cost, z, others, **limits)
 
-        first = fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength
+        first = float(fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength)
         weak = min(self.strengths, key=lambda strength: abs(np.log(strength / _WEAK)))
         ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
         scores = [fit_ridge(LinearSystem.of(problem, x), self.strengths).score for x, *_ in ended] if ended[1:] else [0]

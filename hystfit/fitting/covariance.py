@@ -18,6 +18,7 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
 from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import relative_size
+from hystfit.params.space import ParameterSpace
 
 _OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
@@ -111,13 +112,16 @@ def uncertainty(
         # At the most probable point under a noise model the slope is not known.
         on_bound = at_bound & (not refined)
         slope = lambda: np.where(on_bound, linear.gradient() if on_bound.any() else 0.0, -ridge * x)
-        near = NearBounds.of(problem, x, rows, information, slope, ridge, acts)
+        space = problem.space
+        near = NearBounds.of(
+            space, x[None], at_bound[None], rows, information, lambda: slope()[None], ridge[None], acts
+        )
         if near is not None:
             shrunk = estimate.toward_zero and not refined
-            share = _ridge_share(near, problem.space.names, acts) if shrunk else np.ones(x.size)
-            inside = near.moments(share, acts)
-            information = information._replace(ridge=share * information.ridge)
-    determined = _determined(problem, x, information, live, inside)
+            share = ridge_shares(near, space.names, acts) if shrunk else np.ones((1, x.size))
+            (inside,) = near.moments(share, acts)
+            information = information._replace(ridge=share[0] * information.ridge)
+    determined = determine(problem.space, x, relative, information, live, inside)
     if inside is not None and determined["condition"] is not None:
         # Weights at a bound vary with the others, which they replace: both together leave the output as it is.
         determined["joint"] = np.where(acts & acts[:, None], inside, np.nan)
@@ -145,11 +149,11 @@ def _correlated_root(
     return root
 
 
-def _ridge_share(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Float[np.ndarray, " p"]:
+def ridge_shares(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Float[np.ndarray, "N p"]:
     """Part of the ridge of each parameter that counts as prior information, one for the weights of an array."""
-    share = np.ones(acts.size)
+    share = np.ones((len(near.x), acts.size))
     arrays = np.array([name.split("[")[0] for name in names])
-    share[acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
+    share[:, acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
     return share
 
 
@@ -177,21 +181,32 @@ def _acting(problem: Problem, x: np.ndarray, length: np.ndarray) -> np.ndarray:
     return gain > 1e-9 * max(gain.max(initial=0.0), 1e-300)
 
 
-def _determined(
-    problem: Problem, x: np.ndarray, information: Information, live: np.ndarray, inside: np.ndarray | None
+def determine(
+    space: ParameterSpace,
+    x: np.ndarray,
+    relative: np.ndarray,
+    information: Information,
+    live: np.ndarray,
+    inside: np.ndarray | None,
 ) -> dict[str, Any]:
     """Covariance, and which parameters and directions the data determine.
 
-    `inside` is the covariance where bounds are near, shape (p, p).
+    Args:
+        space: of the parameters.
+        x: estimate.
+        relative: sizes of the parameters, see `relative_size`.
+        information: about them.
+        live: which parameters act and are off their bounds, shape (p,), bool.
+        inside: covariance where bounds are near, shape (p, p).
     """
-    space, at = problem.space, np.flatnonzero(live)
+    at = np.flatnonzero(live)
     covariance, determined = np.full((x.size, x.size), np.nan), np.zeros(x.size, bool)
     joint = covariance.copy()
     if not at.size:
         nothing = {"directions": (), "reaching": (), "rank": 0, "condition": None}
         return {"covariance": covariance, "joint": joint, "determined": determined, **nothing}
     values, root, back = _spectrum(information, live, space.offsets[live])
-    kept, relative = values > RANK * values[0], relative_size(space, x)[live]
+    kept, relative = values > RANK * values[0], relative[live]
     spreads, axes = np.linalg.eigh(root[:, kept] @ root[:, kept].T / relative[:, None] / relative)
     wide, free = spreads > _OPEN**2, root[:, ~kept] / relative[:, None]
     open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
@@ -200,7 +215,7 @@ def _determined(
     joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
     touched = _touched(open_axes, spreads[wide], (space.kinds == BOTH)[live])
     # Linear weights may well be zero.
-    room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(problem, x)))
+    room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(space, x)))
     reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > room[live])
     touched |= reaching
     nonlinear = ~space.linear[live]

@@ -36,12 +36,15 @@ class FitSetup:
         method: an estimator or its name.
         points: models to start from, the best first.
         notes: of choices made on the way.
+        candidates: problems that differ in the state before the record, of which `problem` leaves the least left-out error; empty
+            without a choice. The first of equal ones is taken.
     """
 
     problem: Problem
     method: str | AbstractEstimator
     points: tuple[AbstractHysteresis, ...]
     notes: tuple[Note, ...] = ()
+    candidates: tuple[Problem, ...] = ()
 
 
 def set_up_fit(
@@ -71,10 +74,11 @@ def set_up_fit(
     else:
         problem = Problem(model, data, fix=fix, **common)
     name = choose_method(problem) if options.method == "auto" else options.method
+    candidates: tuple[Problem, ...] = ()
     if name == "convex" and start != "model" and model.has_rest:
-        problem, of_rest = _choose_rest(problem, fix, common)
+        problem, candidates, of_rest = _choose_rest(problem, fix, common)
         notes = (*notes, *of_rest)
-    return FitSetup(problem, name, points, notes)
+    return FitSetup(problem, name, points, notes, candidates)
 
 
 def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
@@ -138,20 +142,20 @@ def solve(
 
 def _choose_rest(
     problem: Problem, fix: Sequence[str] | Mapping[str, Any], common: Mapping[str, Any]
-) -> tuple[Problem, list[Note]]:
+) -> tuple[Problem, tuple[Problem, ...], list[Note]]:
     """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) <= SLACK * span for record in problem.data):
-        return problem, []
+        return problem, (), []
     first = problem.model.with_rest("first")
     if eqx.tree_equal(first, problem.model):  # chosen by the user
-        return problem, []
+        return problem, (), []
     other = Problem(first, problem.data, fix=fix, **common)
     scores = []
     for candidate in (problem, other):
         x = with_record_parameters(candidate, candidate.space.vector(candidate.model))
-        scores.append(fit_ridge(LinearSystem.of(candidate, x)).score)
+        scores.append(float(fit_ridge(LinearSystem.of(candidate, x)).score))
     best, where = (problem, "at zero input") if scores[0] <= scores[1] else (other, "at its first input")
     gain = 1 - min(scores) / max(scores)
     text = f"the device is assumed to have rested {where} before the record (cross-validation error {100 * gain:.0f} % lower)"
-    return best, [Note(Code.CHOICE, text)]
+    return best, (problem, other), [Note(Code.CHOICE, text)]

@@ -54,7 +54,7 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
         return left_out_score(problem, x)
     if result.method == "convex" and len(linear_positions(problem)):
         system = LinearSystem.of(problem, x)
-        return fit_ridge(system, Convex().strengths).score
+        return float(fit_ridge(system, Convex().strengths).score)
     return _refitted(result.method, problem, x, problem.held_out.splits())
 
 

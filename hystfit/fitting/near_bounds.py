@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hystfit.fitting.active_bounds import about_estimate
 from hystfit.inference.linearization import Linearization
-from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW
+from hystfit.params.space import ParameterSpace
 
 _MANY = (
     500  # weights without a bound nearby, from which their ridge counts in full: its share takes inverses of that size
@@ -23,18 +23,18 @@ class Information(NamedTuple):
     """Information about the parameters: R'R / variance, and that of a regularization.
 
     Attributes:
-        root: R, shape (n, p).
-        variance: of its rows.
-        ridge: added to R'R, diagonal, shape (p,).
+        root: R, shape (n, p) or (N, n, p).
+        variance: of its rows, or one for each estimate, shape (N,).
+        ridge: added to R'R, diagonal, shape (p,) or (N, p).
     """
 
     root: np.ndarray
-    variance: float
+    variance: Any
     ridge: np.ndarray
 
 
 class NearBounds(NamedTuple):
-    """A linear model with bounds and a ridge about an estimate, on centered columns of unit length.
+    """N linear models with bounds and a ridge about estimates, on the same centered columns of unit length.
 
     A ridge that was chosen for its predictions can be far stronger than what is known about the weights: as prior information it
     would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
@@ -42,13 +42,13 @@ class NearBounds(NamedTuple):
     interpolation, eq. 21), at most 1. The rest of the ridge is a known error of the estimate.
 
     Attributes:
-        x: estimate, shape (k,).
+        x: estimates, shape (N, k).
         normal: information of independent noise, which decides where the unconstrained optimum is, shape (k, k).
-        ridge: added to it, diagonal, shape (k,).
-        slope: of the cost without the ridge, shape (k,).
-        known: information about the parameters, shape (k, k).
-        prior: what the ridge adds to it, diagonal, shape (k,).
-        room: distances to the bounds, infinite without one, shape (k,).
+        ridge: added to it, diagonal, shape (N, k).
+        slope: of the cost without the ridge, shape (N, k).
+        known: information about the parameters, shape (N, k, k).
+        prior: what the ridge adds to it, diagonal, shape (N, k).
+        room: distances to the bounds, infinite without one, shape (N, k).
         sides: 1 for a lower bound, -1 for an upper bound, shape (k,).
         back: takes these parameters to physical ones, shape (k, k).
     """
@@ -66,8 +66,9 @@ class NearBounds(NamedTuple):
     @classmethod
     def of(
         cls,
-        problem: Problem,
+        space: ParameterSpace,
         x: np.ndarray,
+        on_bound: np.ndarray,
         rows: np.ndarray,
         information: Information,
         slope: Callable[[], np.ndarray],
@@ -76,58 +77,75 @@ class NearBounds(NamedTuple):
     ) -> NearBounds | None:
         """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
 
-        `rows` is the Jacobian of what was minimized, or its triangular factor; `slope` and `ridge` belong to its cost, `ridge` to
-        the normal matrix. `slope` is computed when it is needed.
+        Args:
+            space: of the parameters.
+            x: estimates, shape (N, p).
+            on_bound: which parameters have reached a bound, shape (N, p), bool.
+            rows: the Jacobian of what was minimized, or its triangular factor, shape (n, p).
+            information: about the parameters.
+            slope: of the minimized cost, shape (N, p), computed when it is needed.
+            ridge: of that cost, added to its normal matrix, diagonal, shape (N, p).
+            acts: which parameters have an influence, shape (p,), bool.
         """
-        space = problem.space
-        below, above = distances_to_bounds(problem, x)
+        below, above = distances_to_bounds(space, x)
         room = np.where(space.linear, np.minimum(below, above), np.inf)
-        room = np.where(problem.on_bound(x), 0.0, room)[acts]
-        near = np.isfinite(room).sum()
-        if near > FEW or not (near or ridge.any()) or (not near and room.size > _MANY):
+        room = np.where(on_bound, 0.0, room)[:, acts]
+        near = np.isfinite(room[0]).sum()
+        if near > FEW or not (near or ridge.any()) or (not near and room.shape[1] > _MANY):
             return None
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)
         back, unit = back / size, columns / size
-        root = information.root[:, acts] @ back
+        root, variance = information.root[..., acts] @ back, np.asarray(information.variance)
         return cls(
-            x[acts] * size,
+            x[:, acts] * size,
             unit.T @ unit,
-            ridge[acts] / size**2,
-            slope()[acts] / size,
-            root.T @ root / information.variance,
-            information.ridge[acts] / size**2 / information.variance,
+            ridge[:, acts] / size**2,
+            slope()[:, acts] / size,
+            root.swapaxes(-1, -2) @ root / variance[..., None, None] * np.ones((len(x), 1, 1)),
+            information.ridge[..., acts] / size**2 / variance[..., None] * np.ones((len(x), 1)),
             room * size,
-            np.where(below < above, 1.0, -1.0)[acts],
+            np.where(below < above, 1.0, -1.0)[0, acts],
             back,
         )
 
+    def take(self, rows: np.ndarray) -> NearBounds:
+        """Some of the models."""
+        own = {name: getattr(self, name)[rows] for name in ("x", "ridge", "slope", "known", "prior", "room")}
+        return self._replace(**own)
+
     def deviation(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and second moments of the deviation from the estimate (`active_bounds`), with some share of the ridge known."""
+        """Means and second moments of the deviations from the estimates (`active_bounds`), with some share of the ridge known, (N, k)."""
         # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
-        normal, slope = self.normal + np.diag(share * self.ridge), self.slope + share * self.ridge * self.x
-        known = self.known + np.diag(share * self.prior)
-        away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ slope
-        return about_estimate(known, known @ away, self.room, self.sides)
+        unit = np.eye(share.shape[1])
+        normal, slope = self.normal + (share * self.ridge)[..., None] * unit, self.slope + share * self.ridge * self.x
+        known = self.known + (share * self.prior)[..., None] * unit
+        away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ slope[..., None]
+        return about_estimate(known, (known @ away)[..., 0], self.room, self.sides)
 
     def share(self, array: np.ndarray) -> np.ndarray:
-        """Share of the ridge of largest evidence, shape (k,); `array` has the number of the array of each parameter."""
-        share, held = np.ones(self.x.size), self.prior > 0
-        for _ in range(_ROUNDS if held.any() else 0):
-            mean, moments = self.deviation(share)
-            power = self.prior * (self.x + mean) ** 2
-            determined = held - share * self.prior * (np.diag(moments) - mean**2)
-            number, size = (np.bincount(array, part) for part in (determined, power))
-            before, share = share, np.clip(number / np.maximum(size, 1e-300), 0.0, 1.0)[array]
-            if np.all(np.abs(share - before) <= _SETTLED * share):
+        """Shares of the ridges of largest evidence, shape (N, k); `array` has the number of the array of each parameter."""
+        share, member = np.ones(self.x.shape), (array[:, None] == np.arange(array.max(initial=-1) + 1)).astype(float)
+        moving = np.flatnonzero(self.prior.any(axis=1))
+        for _ in range(_ROUNDS if moving.size else 0):
+            some, before = self.take(moving), share[moving]
+            mean, moments = some.deviation(before)
+            power = some.prior * (some.x + mean) ** 2
+            determined = (some.prior > 0) - before * some.prior * (np.einsum("npp->np", moments) - mean**2)
+            number, size = determined @ member, power @ member
+            after = np.clip(number / np.maximum(size, 1e-300), 0.0, 1.0) @ member.T
+            share[moving] = after
+            moving = moving[~np.all(np.abs(after - before) <= _SETTLED * after, axis=1)]
+            if not moving.size:
                 break
         return share
 
     def moments(self, share: np.ndarray, acts: np.ndarray) -> np.ndarray:
-        """Second moments about the estimate in physical units, shape (p, p); zero for parameters without influence."""
-        moments = self.back @ self.deviation(share[acts])[1] @ self.back.T
-        inside = np.zeros((acts.size, acts.size))
-        inside[np.ix_(acts, acts)] = 0.5 * (moments + moments.T)  # a saved fit keeps one half
+        """Second moments about the estimates in physical units, shape (N, p, p); zero for parameters without influence."""
+        moments = self.back @ self.deviation(share[:, acts])[1] @ self.back.T
+        inside = np.zeros((len(share), acts.size, acts.size))
+        at = np.flatnonzero(acts)
+        inside[:, at[:, None], at] = 0.5 * (moments + moments.swapaxes(1, 2))  # a saved fit keeps one half
         return inside
 
 
@@ -169,6 +187,6 @@ def centered_lengths(linear: Linearization, offsets: np.ndarray) -> np.ndarray:
     return np.where(rest <= _REST * whole, whole, rest)
 
 
-def distances_to_bounds(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances of each parameter to its lower and its upper bound."""
-    return x - problem.space.lower, problem.space.upper - x
+def distances_to_bounds(space: ParameterSpace, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of each parameter to its lower and its upper bound, in the shape of x."""
+    return x - space.lower, space.upper - x

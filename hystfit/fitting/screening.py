@@ -64,7 +64,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
                 system = LinearSystem.of(problem, problem.space.vector(problem.model))
             except HystfitError:  # these records cannot start it
                 continue
-            model, error = problem.model, fit_ridge(system).score
+            model, error = problem.model, float(fit_ridge(system).score)
         weights = weights_of(model)
         noise = found is not None and residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
         yield Screened(model_name(model), error, weights, model.has_inverse, found, noise)

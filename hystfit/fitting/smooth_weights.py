@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import equinox as eqx
@@ -13,7 +14,7 @@ from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth, left_out_error
+from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothFit, fit_smooth, left_out_error
 from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -56,35 +57,48 @@ class SmoothWeights(AbstractEstimator):
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
         fit = fit_smooth(now.system, self.smoothness, fixed=now.fixed)
-        weights = now.place >= 0
-        size = problem.scales.y
-        penalty = np.zeros(x.size)
-        x[weights], penalty[weights] = fit.weights[now.place[weights]], fit.penalty[now.place[weights]] / size**2
         texts = [] if family is None else [family.words(), *family.notes]
-        texts += now.system.notes()
+        size = problem.scales.y
+        found = self.of_fit(fit, now, x, size, problem.held_out.count, texts)
+        linearized = None if others.size else problem.linearization(found.x, now.gram(found.x, size))
+        return dataclasses.replace(
+            found, converged=converged, message=message, evaluations=evaluations, linearized=linearized
+        )
+
+    def of_fit(
+        self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int, texts: Sequence[str] = ()
+    ) -> Estimate:
+        """The estimate that a solution gives.
+
+        Args:
+            fit: the solution.
+            split: of the parameters.
+            x: values of the parameters that are no weights, shape (p,).
+            size: half range of the output.
+            groups: number of those held out.
+            texts: notes on the records.
+        """
+        at = split.place >= 0
+        x, penalty = x.copy(), np.zeros(x.size)
+        x[at], penalty[at] = fit.weights[split.place[at]], fit.penalty[split.place[at]] / size**2
+        texts = [*texts, *split.system.notes()]
         if fit.error is not None:
             texts.append(
-                f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {problem.held_out.count} groups "
+                f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {groups} groups "
                 f"(error {100 * fit.error:.2g} % of the range)"
             )
-        notes = tuple(Note(Code.CHOICE, text) for text in texts)
         cost = 0.5 * fit.rss / size**2
-        left_out = None if fit.error is None else fit.error * now.system.size
-        effective = fit.effective + others.size
-        costs = np.array([cost])
-        linearized = None if others.size else problem.linearization(x, now.gram(x, size))
         return Estimate(
             x,
             cost,
-            converged,
-            message,
-            evaluations,
-            costs,
-            penalty,
-            notes,
-            left_out,
-            effective=effective,
-            linearized=linearized,
+            converged=True,
+            message="solved",
+            evaluations=1,
+            costs=np.array([cost]),
+            penalty=penalty,
+            notes=tuple(Note(Code.CHOICE, text) for text in texts),
+            left_out=None if fit.error is None else fit.error * fit.size,
+            effective=fit.effective + np.count_nonzero(~at),
         )
 
     def _search(

@@ -111,7 +111,7 @@ class Terms:
             fitted = fit_ridge(self.system(structure), _COARSE)
             forces = fitted.weights[fitted.weights.size - structure.rate :]
             against = structure.operator == "play" and bool((forces < 0).any())
-            self.scores[structure] = np.inf if against else fitted.score
+            self.scores[structure] = np.inf if against else float(fitted.score)
         return self.scores[structure]
 
     def residuals(self, structure: Structure) -> tuple[np.ndarray, ...]:

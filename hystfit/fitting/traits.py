@@ -111,4 +111,4 @@ def _counterparts(name: str, short: Dataset) -> Iterator[tuple[str, str, float]]
 def _error(model: AbstractHysteresis, data: Dataset) -> float:
     """Root mean square error on held-out samples, weights solved for [y]."""
     problem = Problem(model, data)
-    return fit_ridge(LinearSystem.of(problem, problem.space.vector(problem.model))).score
+    return float(fit_ridge(LinearSystem.of(problem, problem.space.vector(problem.model))).score)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -107,7 +108,7 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
     Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
     """
     result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
-    limit = max(POOR / 100 * span, _WORSE * result.train.rmse)
+    limit = largest_left_out(span, result.train.rmse)
     if len(result.free_names) >= result.train.n:
         text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
         if not has(result.notes, Code.MANY_WEIGHTS):
@@ -119,3 +120,8 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
         "does not predict samples that were left out of it"
     )
     return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)
+
+
+def largest_left_out(span: Any, rmse: Any) -> Any:
+    """Largest error of samples left out of usable fits, of which the outputs' ranges and the rms errors are known [y]."""
+    return np.maximum(POOR / 100 * span, _WORSE * rmse)

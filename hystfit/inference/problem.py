@@ -18,7 +18,7 @@ from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
-from hystfit.inference.blocks import chosen
+from hystfit.inference.blocks import NUMBERS, chosen
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.density import Density
 from hystfit.inference.linearization import Linearization
@@ -235,15 +235,14 @@ class Problem:
 
         Args:
             x: physical parameters of the model, shape (p,).
-            tolerance: distance in the parameter's scale, or with two bounds in the width between them.
+            tolerance: see `ParameterSpace.reached`.
         """
-        near = tolerance * self.space.width
-        low, high = x - self.space.lower < near, self.space.upper - x < near
+        low, high = self.space.reached(x, tolerance)
         return ["lower" if a else "upper" if b else None for a, b in zip(low, high, strict=True)]
 
     def on_bound(self, x: np.ndarray) -> np.ndarray:
         """Which parameters have reached a bound, shape (p,), bool."""
-        return np.array([side is not None for side in self.at_bound(x)], dtype=bool)
+        return np.logical_or(*self.space.reached(x))
 
     # -- least squares -------------------------------------------------------------------------------------------------
 
@@ -303,8 +302,8 @@ class Problem:
     def linearization(self, x: Any, gram: Float[np.ndarray, "p1 p1"] | None = None) -> Linearization:
         """`misfit` and its derivatives with respect to physical x.
 
-        Those of long records, and those by design matrices, are never in memory all at once. `gram` is their normal matrix, where it
-        is known.
+        Those of long records, and those of many weights by design matrices, are never in memory all at once. `gram` is their normal
+        matrix, where it is known.
         """
         if not self._has_design and in_stretches(self.objective):
             return linearization_by_stretches(self.objective, np.asarray(x, float))
@@ -319,6 +318,9 @@ class Problem:
                 on = used[number, part]
                 yield chosen(rows, on) * slope[number, part][on, None]
 
+        if gram is None and used.size * len(self.space) <= NUMBERS:
+            few = list(blocks())
+            return Linearization(misfit, used.reshape(-1), len(self.space), lambda: iter(few))
         return Linearization(misfit, used.reshape(-1), len(self.space), blocks, gram=gram)
 
     # -- likelihoods ---------------------------------------------------------------------------------------------------

@@ -103,17 +103,19 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
     return float(np.trace(np.linalg.solve(total, own)))
 
 
-def left_out_squares(gram: np.ndarray, weights: np.ndarray, own: np.ndarray) -> float:
-    """Sum of squared residuals of samples that were left out of a fit.
+def with_own_offsets(A: np.ndarray, b: np.ndarray, weights: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """Weights of fits, shape (N, p), with the offsets of records that were left out as a whole at their least-squares values.
+
+    Only the samples left out determine these offsets.
 
     Args:
-        gram: their normal matrix [[A'A, A'y], [y'A, y'y]], shape (p + 1, p + 1).
-        weights: of the fit, shape (p,).
-        own: offsets of records that were left out as a whole, shape (p,), bool. Only the samples left out determine them, so that they
-            take their least-squares values.
+        A, b: normal equations of the samples left out, shapes (p, p) and (N, p).
+        weights: of fits without them.
+        own: offsets of records that were left out as a whole, shape (p,), bool.
     """
-    r = np.append(-weights, 1.0)
-    at = np.flatnonzero(own & (np.diag(gram)[:-1] > 0))
-    if at.size:
-        r[at] -= np.linalg.solve(gram[np.ix_(at, at)], gram[at] @ r)
-    return max(float(r @ gram @ r), 0.0)
+    at = np.flatnonzero(own & (np.diag(A) > 0))
+    if not at.size:
+        return weights
+    weights = weights.copy()
+    weights[:, at] += np.linalg.solve(A[np.ix_(at, at)], (b - weights @ A)[:, at].T).T
+    return weights

@@ -33,18 +33,23 @@ def solve_nonnegative(
             return _by_root(A, b, bounded)
 
 
-def solve_several(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> np.ndarray:
+def solve_several(
+    A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Solutions of several small problems with the same bounds, pivoted side by side: the calls take longer than their arithmetic.
 
     Args:
-        A: positive definite, shape (K, p, p).
+        A: positive definite, shape (K, p, p), or (p, p) where all problems share it.
         b: shape (K, p).
         bounded: which unknowns are >= 0, shape (p,), bool.
+        start: which unknowns are positive at neighboring solutions, shape (K, p), bool; None for none.
 
     Returns:
-        Shape (K, p).
+        Solutions, and which unknowns are not held at zero, shapes (K, p).
     """
-    found, active, waiting = np.zeros_like(b), np.tile(~bounded, (len(b), 1)), np.arange(len(b))
+    A = np.broadcast_to(A, (len(b), *A.shape[-2:]))
+    active = np.tile(~bounded, (len(b), 1)) if start is None else start | ~bounded
+    found, waiting = np.zeros_like(b), np.arange(len(b))
     fewest, patience, unit = np.full(len(b), b.shape[1] + 1), np.full(len(b), _PATIENCE), np.eye(b.shape[1])
     for _ in range(_LIMIT):
         on, some, right = active[waiting], A[waiting], b[waiting]
@@ -63,10 +68,10 @@ def solve_several(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> np.ndarr
         active[waiting] = on ^ wrong
         waiting = waiting[count > 0]
         if not waiting.size:
-            return found
+            return found, active
     for k in waiting:
-        found[k], _ = solve_nonnegative(A[k], b[k], bounded, active[k])
-    return found
+        found[k], active[k] = solve_nonnegative(A[k], b[k], bounded, active[k])
+    return found, active
 
 
 def _wrong(w: np.ndarray, dual: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record, median_interval
 from hystfit.models.simulation import run
@@ -148,7 +149,14 @@ class BestOfGrid(NamedTuple):
 
 def grid_columns(plain: Any, fields: tuple[str, ...], grid: np.ndarray, records: Sequence[Record]) -> np.ndarray:
     """`simulated_grid` over the samples of records that count, record after record, shape (n, K)."""
-    return np.concatenate([np.asarray(simulated_grid(plain, fields, grid, r.u))[:, r.used].T for r in records])
+    runs = [np.asarray(simulated_grid(plain, fields, grid, padded_input(plain, record))) for record in records]
+    return np.concatenate([run[:, : len(r)][:, r.used].T for run, r in zip(runs, records, strict=True)])
+
+
+def padded_input(plain: Any, record: Record) -> Float[np.ndarray, " T"]:
+    """The input, held at its end so that records of similar length share one program where later samples change no output."""
+    extra = bucket(len(record)) - len(record) if plain.causal else 0
+    return np.pad(record.u, (0, extra), mode="edge")
 
 
 def best_of_grid(columns: np.ndarray, fixed: np.ndarray, y: np.ndarray) -> BestOfGrid:

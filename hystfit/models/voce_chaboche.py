@@ -19,7 +19,7 @@ from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import run
-from hystfit.models.starting import best_of_grid, input_range, thinned, used_samples
+from hystfit.models.starting import best_of_grid, input_range, padded_input, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -165,8 +165,9 @@ class VoceChaboche(AbstractHysteresis):
         ey, Q, g = np.array(list(itertools.product(*_GRID))).T
         grid = np.column_stack([1.0 / (ey * half), Q, g / half])
         plain = VoceChaboche(S=self.S, g=self.g)
-        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), jnp.asarray(r.u))) for r in short]
-        columns = np.concatenate([run[:, record.used].T for run, record in zip(runs, short, strict=True)])
+        inputs = [jnp.asarray(padded_input(plain, record)) for record in short]
+        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), u)) for u in inputs]
+        columns = np.concatenate([run[:, : len(r)][:, r.used].T for run, r in zip(runs, short, strict=True)])
         _, y = used_samples(short)
         best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))

@@ -184,14 +184,17 @@ class Coordinates(eqx.Module):
         leaves = list(self.leaves)
         for index, rows in zip(self.constant_at, self.constants, strict=True):
             leaves[index] = np.asarray(rows)[0]
+        sizes = [np.size(leaf) for leaf in leaves]
         leaves = [np.broadcast_to(leaf, (len(x), *np.shape(leaf))) for leaf in leaves]
-        flat = {k: leaves[k].reshape(len(x), -1).copy() for k in {row[0] for row in (*self.layout, *self.ties)}}
+        flat = {k: leaves[k].reshape(len(x), sizes[k]).copy() for k in {row[0] for row in (*self.layout, *self.ties)}}
         start = 0
         for index, positions, _ in self.layout:
             flat[index][:, list(positions)] = x[:, start : start + len(positions)]
             start += len(positions)
         for index, k, source, j, factor, constant in self.ties:
-            flat[index][:, k] = factor * flat.get(source, leaves[source].reshape(len(x), -1))[:, j] + constant
+            flat[index][:, k] = (
+                factor * flat.get(source, leaves[source].reshape(len(x), sizes[source]))[:, j] + constant
+            )
         rows = [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
         yield from (self.treedef.unflatten(row) for row in zip(*rows, strict=True))
 

@@ -299,6 +299,19 @@ class ParameterSpace:
         """Distance between the bounds of each free element that has two, else its scale, shape (p,)."""
         return np.where(self.kinds == BOTH, self.upper - self.lower, self.scale)
 
+    def reached(
+        self, x: np.ndarray, tolerance: float = 1e-4, scale: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which free elements have reached their lower, and their upper bound, bool.
+
+        Args:
+            x: physical values, shape (..., p), like the results.
+            tolerance: distance in the element's scale, or with two bounds in the width between them.
+            scale: natural scales that differ from those of the space, shape (..., p).
+        """
+        width = self.width if scale is None else np.where(self.kinds == BOTH, self.upper - self.lower, scale)
+        return x - self.lower < tolerance * width, self.upper - x < tolerance * width
+
     def clip(self, x: np.ndarray) -> np.ndarray:
         """x with values beyond their bounds moved onto them."""
         return np.clip(x, self.lower, self.upper)

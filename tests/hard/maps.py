@@ -35,6 +35,7 @@ MODELS: dict[str, AbstractHysteresis] = {
     "jiles-atherton": hf.JilesAtherton(Ms=1.0, a=0.4, coupling=0.5, k=0.3, c=0.2),
     "bouc-wen+lag": hf.Series(hf.Lag(tau=0.05), hf.BoucWen(mu=0.45, tau=0.6, rho=0.4)),
     "dahl": hf.Dahl(Fc=[0.3, 0.2, 0.4], d=[0.2, 0.6, 1.2], k=0.5),
+    "prandtl-ishlinskii": hf.PrandtlIshlinskii(w=[[0.1, 0.2, 0.05, 0.3]], r=[0.05, 0.2, 0.6, 1.2], rise=[1.0]),
 }
 BOUND = "bouc-wen on a bound"  # devices whose rho is 1
 SAME, ERRORS = 1e-6, 1e-3

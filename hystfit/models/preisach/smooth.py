@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from hystfit.data.record import Record
-from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, left_out_squares
+from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.quality.held_out import HeldOut, held_out
 
@@ -52,6 +53,16 @@ class Layout:
         own = tuple(block.info.per_record and offsets == "each" for block in blocks)
         widths = [block.columns.shape[1] * (records if each else 1) for block, each in zip(blocks, own, strict=True)]
         return cls(blocks, kept, own, tuple(np.cumsum([0, *widths]).tolist()))
+
+    @property
+    def levels(self) -> np.ndarray:
+        """Which weights are a constant output, shape (p,), 1 or 0."""
+        out = np.zeros(self.starts[-1])
+        for block, start, end in zip(self.blocks, self.starts, self.starts[1:], strict=False):
+            out[start:end] = (
+                _is_offset(block) and np.isneginf(block.info.bounds[0]) and bool(np.all(block.columns == 1.0))
+            )
+        return out
 
     def first(self, position: int, record: int) -> int:
         """Position of the first weight of a block that acts on a record."""
@@ -122,12 +133,8 @@ class SmoothSystem:
         grams = np.zeros((held.count + 1, p + 1, p + 1))
         sums = [_Gram(gram) for gram in grams]
         counts = np.zeros(len(grams))
-        # One level for all records; where zero is near, zero.
-        level, origin = np.mean([np.mean(record.y[record.used]) for record in records]) / size, np.zeros(p)
-        level = level if abs(level) > FAR else 0.0
-        for block, own, start in zip(blocks, layout.own, starts, strict=False):
-            if _is_offset(block) and np.isneginf(block.info.bounds[0]) and np.all(block.columns == 1.0):
-                origin[start : start + (len(records) if own else 1)] = level
+        # One level for all records.
+        origin = layout.levels * _far(np.mean([np.mean(record.y[record.used]) for record in records]) / size)
         low, high = np.full(p, np.inf), np.full(p, -np.inf)
         every = itertools.chain([design], others)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
@@ -153,6 +160,32 @@ class SmoothSystem:
                     reach[at] = np.clip((high - low)[at] / (2 * block.penalty.cells), 0.0, 1.0)
         return cls(layout, origin, grams, counts, roughness, bounded, shifts, reach, size)
 
+    def of_outputs(
+        self, design: DesignMatrix, record: Record, y: Float[np.ndarray, "N T"], held: HeldOut
+    ) -> Iterator[SmoothSystem]:
+        """The systems of other outputs over the input of the only record, whose columns are multiplied with each other once.
+
+        Args:
+            design: of the record.
+            record: has the input and the weights of the samples.
+            y: outputs.
+            held: groups of samples, as for the record.
+        """
+        on, (folds,) = record.used, held.folds
+        index, weight, y = design.index[on], record.weight[on], y[:, on]
+        columns, sizes = self.layout.columns(design, 0)[index], np.ptp(y, axis=1)
+        sizes[sizes == 0] = 1.0
+        origins = _far(y.mean(axis=1) / sizes)[:, None] * self.layout.levels
+        rest = (y - design.rest[index]) / sizes[:, None] - origins @ columns.T
+        groups = [np.flatnonzero(folds[on] == fold) for fold in (*range(held.count), -1)]
+        b = np.stack([(rest[:, at] * weight[at]) @ columns[at] for at in groups], axis=1)
+        squares = np.stack([rest[:, at] ** 2 @ weight[at] for at in groups], axis=1)
+        for k, size in enumerate(sizes.tolist()):
+            grams = self.grams.copy()
+            grams[:, -1, :-1] = grams[:, :-1, -1] = b[k]
+            grams[:, -1, -1] = squares[k]
+            yield dataclasses.replace(self, origin=origins[k], grams=grams, size=size)
+
     def notes(self) -> tuple[str, ...]:
         """Cells that the data never switched, one sentence for each array of their weights."""
         lines = []
@@ -168,6 +201,11 @@ class SmoothSystem:
                     "follow from smoothness alone, and a prediction that reaches them is extrapolation"
                 )
         return tuple(lines)
+
+
+def _far(level: Any) -> Any:
+    """Levels in parts of the output's range; zero where zero is near."""
+    return np.where(np.abs(level) > FAR, level, 0.0)
 
 
 def _is_offset(block: Block) -> bool:
@@ -222,6 +260,7 @@ class SmoothFit:
         cost: the same with the penalty added.
         effective: number of weights that the data determine, see `effective_number`.
         penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
+        size: of the output, as in the system.
     """
 
     weights: np.ndarray
@@ -232,6 +271,7 @@ class SmoothFit:
     cost: float
     effective: float
     penalty: np.ndarray
+    size: float
 
 
 def fit_smooth(
@@ -258,7 +298,7 @@ def fit_smooth(
     penalty = strength * np.diag(system.roughness)
     error, effective = (left_out[best], trials.effective(strengths[best])) if left_out else (None, np.nan)
     return SmoothFit(
-        weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, effective, penalty
+        weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, effective, penalty, system.size
     )
 
 
@@ -326,7 +366,9 @@ class _Trials:
             own = part(gram)
             others = total - own
             v, _ = _solve(others, strength * (self.n - count) * rough, bounded[at], positive[at])
-            squares += left_out_squares(own, v, self._own[at] & (np.diag(others)[:-1] == 0))
+            absent = self._own[at] & (np.diag(others)[:-1] == 0)
+            r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
+            squares += max(float(r @ own @ r), 0.0)
         return float(np.sqrt(squares / self._counts[:-1].sum()))
 
     def effective(self, strength: float) -> float:
