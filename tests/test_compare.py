@@ -23,8 +23,8 @@ from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
-from hystfit.fitting.convex import LinearSystem
 from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.ridge import LinearSystem
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.fitting.structure import Structure, build, structure_of

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting.compare import SEARCH
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, solve_normal
+from hystfit.fitting.convex import Convex
+from hystfit.fitting.ridge import LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure_search import search_structure
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.design import effective_number

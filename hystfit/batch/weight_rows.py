@@ -20,10 +20,11 @@ from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.assessment import Unknown, notes_of_errors
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridges
+from hystfit.fitting.convex import Convex
 from hystfit.fitting.covariance import determine, ridge_shares
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.near_bounds import Information, NearBounds, centered
+from hystfit.fitting.ridge import LinearSystem, fit_ridges
 from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.fitting.trial import largest_left_out
 from hystfit.inference.noise.even_noise import NUMBERS

@@ -63,7 +63,8 @@ class Uncertainty:
     @classmethod
     def unknown(cls, problem: Problem, estimate: Estimate) -> Uncertainty:
         """That of a fit whose standard errors nobody has asked for: a candidate in a comparison."""
-        p, residual = estimate.x.size, problem.misfit(estimate.x)
+        p, known = estimate.x.size, estimate.linearized
+        residual = problem.misfit(estimate.x) if known is None else known.misfit
         nothing, never = np.full((p, p), np.nan), np.zeros(p, dtype=bool)
         plain = float(np.sum(residual**2)) / max(int(np.count_nonzero(problem.used)) - p, 1)
         analysis = ResidualAnalysis.of_misfit(problem, residual, None)

@@ -11,11 +11,11 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.multistart import starting_vectors, with_record_parameters
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.inference.problem import Problem, check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note

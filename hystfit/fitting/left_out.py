@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.errors import ParameterError
-from hystfit.fitting.convex import Convex, LinearSystem, fit_ridge, linear_positions
+from hystfit.fitting.convex import Convex
 from hystfit.fitting.polish import polish
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
 from hystfit.fitting.smooth_weights import left_out_score
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.fitting.convex import LinearSystem
+from hystfit.fitting.ridge import LinearSystem
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.hypercube import spread_points

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.fit_setup import started_problem, without_faults
+from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.fitting.convex import LinearSystem, linear_positions
+from hystfit.fitting.ridge import LinearSystem, linear_positions
 from hystfit.inference.problem import Problem
 from hystfit.models.self_similar import POWERS
 

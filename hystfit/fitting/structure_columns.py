@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.convex import LinearSystem, fit_ridge
+from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.structure import Structure, falls, interval_of, output_of
 from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep

@@ -10,8 +10,8 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.convex import LinearSystem, fit_ridge
 from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.screening import Screened
 from hystfit.fitting.slip import without_slip
 from hystfit.fitting.thinning import thinned
@@ -105,7 +105,7 @@ def _counterparts(name: str, short: Dataset) -> Iterator[tuple[str, str, float]]
         largest = max(float(np.max(np.abs(record.u))) for record in short)
         unscaled = _error(dataclasses.replace(model, floor=largest), short)
         yield "peak-oriented", "over the largest input of the record", unscaled
-        yield "pinched", "with branches that only soften", fit_ridge(without_slip(Problem(model, short))).score
+        yield "pinched", "with branches that only soften", float(fit_ridge(without_slip(Problem(model, short))).score)
 
 
 def _error(model: AbstractHysteresis, data: Dataset) -> float:

@@ -106,9 +106,14 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
     at = np.flatnonzero(active)
     if at.size:
         # The factorization of NumPy, unlike that of scipy, runs beside other threads.
-        factor = np.linalg.cholesky(A.take(at, 0).take(at, 1).T)
+        factor = np.linalg.cholesky(submatrix(A, at).T)
         w[at], _ = dpotrs(factor.T, b[at])
     return w, A @ w - b
+
+
+def submatrix(A: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Rows and columns of a square matrix at rising positions; itself where these are all."""
+    return A if at.size == len(A) else A.take(at, 0).take(at, 1)
 
 
 def _by_root(A: np.ndarray, b: np.ndarray, bounded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from hystfit.data.record import Record
 from hystfit.models.design import FAR, Block, DesignMatrix, effective_number, with_own_offsets
-from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.models.nonnegative import solve_nonnegative, submatrix
 from hystfit.quality.held_out import HeldOut, held_out
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
@@ -359,11 +359,10 @@ class _Trials:
         squares, positive = 0.0, self.solved(strength).positive
         bounded = self._bounded if refitted else np.zeros_like(self._bounded)
         at = np.arange(self.free.size) if refitted else np.flatnonzero(positive)
-        part = lambda gram: gram.take(rows, 0).take(rows, 1)
         rows = np.append(at, self.free.size)
-        total, rough = part(self._total), self.rough.take(at, 0).take(at, 1)
+        total, rough = submatrix(self._total, rows), submatrix(self.rough, at)
         for gram, count in zip(self._grams[:-1], self._counts[:-1], strict=True):
-            own = part(gram)
+            own = submatrix(gram, rows)
             others = total - own
             v, _ = _solve(others, strength * (self.n - count) * rough, bounded[at], positive[at])
             absent = self._own[at] & (np.diag(others)[:-1] == 0)
