@@ -8,9 +8,8 @@ import hystfit as hf
 hf.enable_x64()
 FILE = Path(__file__).parents[2] / "data" / "stage_sweep.csv"
 MODEL = "bouc-wen"  # hf.check proposes one for your loop
-SPLIT = (
-    6.0  # samples before it are fitted, the others test the fit: seconds, or a sample number where the file has no time
-)
+# Samples before it are fitted, the others test the fit: seconds, or a sample number where the file has no time.
+SPLIT = 6.0
 OUT = Path(sys.argv[1] if len(sys.argv) > 1 else "out/one_loop")
 
 record = hf.read(FILE)

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from hystfit.results.forc_loop import ForcLoop
 
 _SHOWN = 40  # curves in the picture at most
-_CELLS = (
-    24  # along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes
-)
+# Along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes.
+_CELLS = 24
 _HOW = {
     "regression": "local regression",
     "fitted": "fitted Preisach density",

@@ -22,9 +22,8 @@ from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_on
 from hystfit.inference.objective import Objective
 
 MANY = 1024  # lanes from which a GPU is worth its programs and copies
-_CHUNK = (
-    64  # lanes that one call descends one after another: interrupts come through between calls, and arrays stay small
-)
+# Lanes that one call descends one after another: interrupts come through between calls, and arrays stay small.
+_CHUNK = 64
 _BESIDE = 256  # lanes that go together on a CPU, in the cache; a step took 0.6 of the time of one after another, at 1000 samples
 _FEW = 64  # part of the lanes on a GPU that the CPU takes over: the next smaller program would take longer to compile
 _PAYS = 4096  # lanes from which their program pays

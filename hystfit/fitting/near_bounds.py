@@ -12,9 +12,8 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.residuals import FEW
 from hystfit.params.space import ParameterSpace
 
-_MANY = (
-    500  # weights without a bound nearby, from which their ridge counts in full: its share takes inverses of that size
-)
+# Weights without a bound nearby, from which their ridge counts in full: its share takes inverses of that size.
+_MANY = 500
 _REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
 _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 

@@ -29,11 +29,8 @@ _STROKES = tuple(np.geomspace(0.002, 1.2, 16))
 _LAGS = tuple(np.geomspace(0.005, 0.9, 12))
 _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
-_STRAINS = (
-    0.0,
-    -1.0,
-    1.0,
-)  # of the stops of x at the start: free of force, or slipping, as after a movement in either direction
+# Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
+_STRAINS = (0.0, -1.0, 1.0)
 _ROUNDING = 1e-10  # of the mean of a normal matrix's diagonal, added to it: weights may be collinear
 _DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
 _LONGEST = 2**13  # samples of a record by which strain and time constant of the start are chosen

@@ -11,13 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, VISIBLE, Regressors, delayed
+from hystfit.quality.resonance import FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
+_VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y: one of 12 samples at 100 a branch leaves 0.004
 REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
 # Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
 _EQUAL = 1.1
@@ -62,7 +63,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
     branch = float(np.median(np.diff(reversals))) / stride
     without = columns.error_behind((0.0,), np.geomspace(0.02 * branch, branch, _LAGS))
-    if without < VISIBLE:
+    if without < _VISIBLE:
         return None
     behind = np.hstack([columns.hysteresis, columns.beside])
     error = lambda delay: columns.error(delayed(behind, delay))

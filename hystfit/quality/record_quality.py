@@ -19,9 +19,8 @@ WHOLE = 0.95  # part of the stiffness from which a device is whole
 WEAKER = 0.88
 SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 _CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
-FOLLOWS = (
-    0.5  # size of the correlation of output and input from which the output follows the input, or falls as it rises
-)
+# Size of the correlation of output and input from which the output follows the input, or falls as it rises.
+FOLLOWS = 0.5
 
 
 @dataclasses.dataclass(frozen=True)

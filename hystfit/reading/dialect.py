@@ -16,9 +16,8 @@ _MOST = 300_000  # characters of the sample
 _SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
-_NESTED = (
-    0.05  # share of rows with a cell before the first filled column of the others: those of tables that hold this one
-)
+# Share of rows with a cell before the first filled column of the others: those of tables that hold this one.
+_NESTED = 0.05
 _MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 

@@ -18,9 +18,8 @@ from hystfit.reading.dialect import Dialect, Text, split
 _HEAD = 200  # lines in which clean rows must begin
 _REMARKS = 2  # cells of text after the last column of a row
 _FEW = 3  # rows of numbers above a header
-_SETTINGS = (
-    12  # rows of a header that hold a number for each channel: samples, scale, offset, start and step of LabVIEW
-)
+# Rows of a header that hold a number for each channel: samples, scale, offset, start and step of LabVIEW.
+_SETTINGS = 12
 # A line that parts the header from the numbers: ***End_of_Header***, # END_HEADER, @@Data, [Data], ***DATA***.
 _MARK = re.compile(r"\W*(?:end[ _]?(?:of[ _]?)?header|(?:begin|start)?[ _]?data)\W*", re.IGNORECASE)
 _COMMENT_MARKS = ("#", "%", "//", "!")

@@ -10,9 +10,8 @@ from hystfit.results.loop_branches import Branch
 
 _WINDOWS = (0.3, 0.5, 0.7)  # of the largest field, from which the law is fitted
 _FEWEST = 8  # samples of a half-branch in a window
-_UNSETTLED = (
-    0.1  # of the value: half range over the windows from which the field does not reach the approach to saturation
-)
+# Of the value: half range over the windows from which the field does not reach the approach to saturation.
+_UNSETTLED = 0.1
 _BEYOND = 1.3  # ratio to the largest output, from which the value is an extrapolation without a measurement near it
 
 # Columns beside the constant, of the field over its largest value: the law J = Js - a/H + chi H, and those that lack one of its terms.

@@ -25,10 +25,8 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.params.param import leaves_of
 
-_HALVINGS, _NEWTONS = (
-    16,
-    4,
-)  # steps of the two searches for b: the second one begins within a hundredth, and ends with all digits
+_HALVINGS = 16  # of the search for b, until it is known to a hundredth
+_NEWTONS = 4  # steps from there to all digits
 
 
 class NoiseCoordinates(eqx.Module):

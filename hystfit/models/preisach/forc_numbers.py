@@ -23,9 +23,8 @@ NUMBERS = {
 """Label of each number, and the unit that it has: of the input, of the output, or per cent."""
 
 _POINTS = 201  # of a profile
-_TOP = (
-    0.9  # of the maximum: the part of the density whose center is the peak, so that it does not jump from cell to cell
-)
+# Of the maximum: the part of the density whose center is the peak, so that it does not jump from cell to cell.
+_TOP = 0.9
 # Integral above the sides at twice the distance of the sides: simulated ridges without interaction have 1.00 to 1.01 times as much, with
 # interactions of a fifth of the resolution 1.01 to 1.13, of the resolution 3 to 5, of twice it 7 to 8.
 _NARROW = 1.5
