@@ -84,13 +84,9 @@ class Convex(AbstractEstimator):
         if fit.strength == max(self.strengths):
             note += "; it is the largest tried"
         cost = 0.5 * float(fit.rss) / size**2
-        return Estimate(
+        return Estimate.solved(
             x,
             cost,
-            converged=True,
-            message="solved",
-            evaluations=1,
-            costs=np.array([cost]),
             penalty=penalty,
             notes=(Note(Code.CHOICE, note),),
             left_out=float(fit.score),

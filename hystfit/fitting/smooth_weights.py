@@ -88,13 +88,9 @@ class SmoothWeights(AbstractEstimator):
                 f"(error {100 * fit.error:.2g} % of the range)"
             )
         cost = 0.5 * fit.rss / size**2
-        return Estimate(
+        return Estimate.solved(
             x,
             cost,
-            converged=True,
-            message="solved",
-            evaluations=1,
-            costs=np.array([cost]),
             penalty=penalty,
             notes=tuple(Note(Code.CHOICE, text) for text in texts),
             left_out=None if fit.error is None else fit.error * fit.size,
