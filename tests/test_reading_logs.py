@@ -307,3 +307,15 @@ def test_names_above_the_label_of_a_cycle(label: str, tmp_path: Path) -> None:
 def test_dashes_and_digits_of_full_width(way: tuple[str, str], tmp_path: Path) -> None:
     header, *rows = TABLE.splitlines()
     is_loop(one(tmp_path, "\n".join([header, *(row.translate(str.maketrans(*way)) for row in rows)])))
+
+
+def test_a_signal_that_repeats_the_input_is_no_output(tmp_path: Path) -> None:
+    """A potentiostat writes the voltage that it commands beside the one that it measures; "Sig" alone could be a stress."""
+    head = "EXPLAIN\nTAG\tCV\nTITLE\tLABEL\tScan\nVLIMIT1\tQUANT\t1.0\tVertex\nCURVE1\tTABLE\t60\n\tPt\tT\tVf\tIm\tSig\tOver\n\t#\ts\tV vs. Ref.\tA\tV\tbits\n"
+    rows = (
+        f"\t{k}\t{k / 10}\t{u / 80:.5f}\t{y * 1e-6:.5g}\t{u / 80:.4f}\t.........."
+        for k, (u, y) in enumerate(zip(U, Y, strict=True))
+    )
+    record = one(tmp_path, head + "\n".join(rows) + "\n", "cv.DTA")
+    np.testing.assert_allclose(record.u, U / 80, atol=1e-5)
+    np.testing.assert_allclose(record.y, Y * 1e-6, rtol=1e-4)

@@ -16,7 +16,16 @@ from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_role, is_channel, secondary
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import explained, extent, is_held, overtones, proportional, roughness, sample
+from hystfit.reading.signal_evidence import (
+    explained,
+    extent,
+    is_held,
+    overtones,
+    proportional,
+    repeats,
+    roughness,
+    sample,
+)
 
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
@@ -57,10 +66,8 @@ _PAIRS: Mapping[tuple[str, str], float] = (
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
-HEATED, _COLD = (
-    10.0,
-    -5.0,
-)  # degrees over which a temperature must vary to be an input, and its points where it does not
+HEATED = 10.0  # degrees over which a temperature must vary to be an input
+_COLD = -5.0  # points of one that does not
 # Distinct values up to which a column of many rows is one that is set, and its points.
 _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
 # Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
@@ -69,7 +76,7 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-_COPY = -3.0  # points of a pair of one quantity that is proportional: a second sensor of the input
+_COPY = -3.0  # points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input
 _HELD = -2.5  # points of a column that stays near one value far from zero: a condition held constant, such as 300.02 K
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
@@ -173,7 +180,8 @@ class _Evidence:
                 return 0.0
             u, y = columns[reading.input], columns[reading.output]
             same = self.kinds[reading.input] == self.kinds[reading.output]
-            return _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED) + _COPY * (same and proportional(u, y))
+            copied = (same and proportional(u, y)) or repeats(u, y)
+            return _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED) + _COPY * copied
 
         return [
             dataclasses.replace(

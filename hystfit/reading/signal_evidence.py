@@ -83,6 +83,14 @@ def proportional(u: np.ndarray, y: np.ndarray) -> bool:
     return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y))) < _PROPORTIONAL
 
 
+def repeats(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether an output has the numbers of the input, but for nearly nothing of its variance."""
+    u, y = sample(u), sample(y)
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y = u[both], y[both]
+    return u.size >= _FEWEST and float(np.mean((u - y) ** 2)) < _PROPORTIONAL * float(np.var(y))
+
+
 def roughness(values: np.ndarray) -> float:
     """Median third difference over the range: the noise of a column that is sampled often."""
     values = values[np.isfinite(values)]
