@@ -22,7 +22,7 @@ from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
 from hystfit.models.preisach.signed import SignedPreisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothSystem, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothSystem, _Trials, fit_smooth
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.quality.reversal_curves import recognize_family
 
@@ -146,6 +146,34 @@ class TestWeights:
         joint = np.column_stack([A[index], np.ones(300), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-6 if level else 1e-9)
         assert system.counts.sum() == record.weight.sum()
+
+    @pytest.mark.parametrize(
+        "errors",
+        [
+            (
+                1.847,
+                1.562,
+                1.622,
+                0.599,
+                0.673,
+                0.673,
+                0.589,
+                0.283,
+                0.086,
+            ),  # three centered loops, 40 cells along each axis
+            (290.8, 43.05, 4.049, 1.400, 1.577, 1.473, 0.993, 0.309, 0.088),  # the same with masses of either sign
+            (2.562, 1.566, 0.981, 0.784, 0.694, 0.384, 0.129, 0.296, 0.424),  # the same with symmetric cells
+        ],
+    )
+    def test_the_smoothness_is_the_best_of_all_where_weak_ones_have_minima_of_their_own(self, errors):
+        class Measured(_Trials):
+            def __init__(self):
+                pass
+
+            def error(self, strength, *, refitted):
+                return errors[SMOOTHNESS.index(strength)]
+
+        assert min(Measured().left_out(SMOOTHNESS, refitted=True)) == min(errors)
 
     def test_held_parameters_stay_and_the_others_fit_around_them(self):
         model = truth("negative", n=6)

@@ -311,7 +311,8 @@ def test_dashes_and_digits_of_full_width(way: tuple[str, str], tmp_path: Path) -
 
 def test_a_signal_that_repeats_the_input_is_no_output(tmp_path: Path) -> None:
     """A potentiostat writes the voltage that it commands beside the one that it measures; "Sig" alone could be a stress."""
-    head = "EXPLAIN\nTAG\tCV\nTITLE\tLABEL\tScan\nVLIMIT1\tQUANT\t1.0\tVertex\nCURVE1\tTABLE\t60\n\tPt\tT\tVf\tIm\tSig\tOver\n\t#\ts\tV vs. Ref.\tA\tV\tbits\n"
+    above = "EXPLAIN\nTAG\tCV\nTITLE\tLABEL\tScan\nVLIMIT1\tQUANT\t1.0\tVertex\nCURVE1\tTABLE\t60\n"
+    head = f"{above}\tPt\tT\tVf\tIm\tSig\tOver\n\t#\ts\tV vs. Ref.\tA\tV\tbits\n"
     rows = (
         f"\t{k}\t{k / 10}\t{u / 80:.5f}\t{y * 1e-6:.5g}\t{u / 80:.4f}\t.........."
         for k, (u, y) in enumerate(zip(U, Y, strict=True))

@@ -245,7 +245,7 @@ class ComparisonRun:
             return None
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
-        lowered = min(self._lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
+        lowered = min([1.0, *self._lowered] if self._lowered and first.model is not None else [1 / MARGIN])
         if not np.isfinite(error) or error * lowered <= self.equal * best:
             return None
         note = (

@@ -339,13 +339,19 @@ class _Trials:
         self._positive: np.ndarray | None = None
 
     def left_out(self, strengths: Sequence[float], *, refitted: bool) -> list[float]:
-        """The error on held-out groups with each strength, from the middle one to either side until it grows; infinite beyond."""
-        errors, middle = [np.inf] * len(strengths), len(strengths) // 2
-        for way in (range(middle, -1, -1), range(middle + 1, len(strengths))):
-            for k in way:
-                errors[k] = self.error(strengths[k], refitted=refitted)
-                if errors[k] > _EQUAL * min(errors):
-                    break
+        """The error on held-out groups with each rising strength; infinite for those that are not tried.
+
+        Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
+        samples hardly determine the weights, the error has several minima.
+        """
+        errors = [np.inf] * len(strengths)
+        for k in range(len(strengths) - 1, -1, -2):
+            errors[k] = self.error(strengths[k], refitted=refitted)
+            if errors[k] > _EQUAL * min(errors):
+                break
+        best = int(np.argmin(errors))
+        for k in range(max(best - 1, 0), min(best + 2, len(strengths))):
+            errors[k] = self.error(strengths[k], refitted=refitted)
         return errors
 
     def error(self, strength: float, *, refitted: bool) -> float:
