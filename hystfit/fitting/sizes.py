@@ -38,7 +38,7 @@ class SizeSearch:
     """
 
     def __init__(self, data: Dataset, spacing: int = 1, progress: Callable[[str], object] = lambda _: None):
-        self._data, self._progress = thinned(data, _SAMPLES, least=0), progress
+        self._data, self._progress = thinned(data, _SAMPLES), progress
         # The spacing is that of samples, of which fewer are left.
         self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
         self._scores: dict[str, float] = {}

@@ -59,15 +59,14 @@ def kept_samples(
     return [_kept_samples(len(record), turn, length) for record, turn in zip(records, turns, strict=True)], length
 
 
-def thinned(data: Dataset, samples: int = _SAMPLES, *, least: int = _LEAST) -> Dataset:
+def thinned(data: Dataset, samples: int = _SAMPLES) -> Dataset:
     """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are.
 
     Args:
         data: records.
         samples: that all records together keep, see `thin`.
-        least: samples of each record.
     """
-    turns, length = _plan(data, samples, least)
+    turns, length = _plan(data, samples)
     pairs = zip(data, turns, strict=True)
     return Dataset(
         tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
@@ -75,11 +74,11 @@ def thinned(data: Dataset, samples: int = _SAMPLES, *, least: int = _LEAST) -> D
     )
 
 
-def _plan(data: Iterable[Record], samples: int, least: int = _LEAST) -> tuple[list[np.ndarray], int]:
+def _plan(data: Iterable[Record], samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)
-    return turns, bucket(max(samples // len(turns), least, _A_BRANCH * most))
+    return turns, bucket(max(samples // len(turns), _LEAST, _A_BRANCH * most))
 
 
 def _kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:
