@@ -31,6 +31,7 @@ from hystfit.fitting.structure import Structure, build, structure_of
 from hystfit.fitting.structure_columns import Terms
 from hystfit.fitting.structure_search import max_plays, search_structure
 from hystfit.fitting.thinning import thinned
+from hystfit.fitting.trial import with_left_out
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -337,6 +338,27 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
         comparing = beside(rival, name, data)
         assert (comparing.rows[1].score_percent is not None) == validated
         assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
+
+
+def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(monkeypatch):
+    """`preisach` errs ten times more when it is validated than at first; `preisach-magnetic` begins below that."""
+    begun = {"preisach": 0.1, "preisach-magnetic": 0.2}
+
+    def first(run, one, progress):
+        one.first = First(begun[one.name] * run.span / 100, 9, make_model(one.name))
+
+    def validated(run, one, progress):
+        one.result, one.solved = with_left_out(fit, run.span / 100), fit
+        one.row = Row(one.name, one.name, 1.0, 1.0, 1.0, 9, 0.0, Status.OK, obstacles={})
+
+    fit = hf.fit("duhem", stepped_loops())
+    for name, stub in (("_first_fit", first), ("_fit", lambda run, one, progress: None), ("_validate", validated)):
+        monkeypatch.setattr(ComparisonRun, name, stub)
+    monkeypatch.setattr(ComparisonRun, "_beaten_row", lambda run, one: None)
+    shown = ShownProgress(lambda *_: None, list(begun))
+    run = ComparisonRun(stepped_loops(), "auto", "prediction", FitOptions(), {}, shown, Workers(1))
+    run.run(list(begun))
+    assert {row.asked: row.score_percent for row in run.rows} == dict.fromkeys(begun, 1.0)
 
 
 def _numbers(comparison):

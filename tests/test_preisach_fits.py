@@ -22,7 +22,8 @@ from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach
 from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
 from hystfit.models.preisach.signed import SignedPreisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothSystem, _Trials, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, _Trials, fit_smooth
+from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.quality.reversal_curves import recognize_family
 

@@ -160,7 +160,7 @@ class ComparisonRun:
                 self.fits[one.name], self._solved[one.name] = one.result, one.solved
                 self._correlated[one.name] = correlation_of(one.result)
                 if one.first is not None and one.first.model is not None and one.result.left_out is not None:
-                    self._lowered.append(one.result.left_out / one.first.error)
+                    self._lowered.append(min(one.result.left_out / one.first.error, 1.0))
             self._shown.done(one.name)
         return [one for one in candidates if one.row is None]
 
@@ -245,7 +245,7 @@ class ComparisonRun:
             return None
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
-        lowered = min([1.0, *self._lowered] if self._lowered and first.model is not None else [1 / MARGIN])
+        lowered = min(self._lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
         if not np.isfinite(error) or error * lowered <= self.equal * best:
             return None
         note = (

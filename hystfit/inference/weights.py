@@ -14,7 +14,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
 from hystfit.models.design import DesignMatrix
-from hystfit.models.preisach.smooth import Layout, Offsets, SmoothSystem
+from hystfit.models.preisach.smooth_system import Layout, Offsets, SmoothSystem
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut
 

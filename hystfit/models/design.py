@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from hystfit.models.nonnegative import submatrix
 from hystfit.params.param import ParamInfo, leaves_of
 
 COLUMNS = 2**24  # numbers in a design matrix (128 MiB) above which programs that scan the samples are used instead
@@ -98,7 +99,7 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
         free: which weights are not held at zero, shape (p,), bool.
     """
     at = np.flatnonzero(free)
-    own, total = (matrix.take(at, 0).take(at, 1) for matrix in (gram, gram + penalty))
+    own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
     return float(np.trace(np.linalg.solve(total, own)))
 

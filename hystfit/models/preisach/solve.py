@@ -13,7 +13,8 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.smooth import SMOOTHNESS, Offsets, SmoothSystem, fit_smooth
+from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
+from hystfit.models.preisach.smooth_system import Offsets, SmoothSystem
 
 
 @dataclasses.dataclass(frozen=True)
