@@ -139,7 +139,7 @@ def descend_lanes(
     left = left[~lane.ended & (lane.steps < steps)]
     size = _chunk(stack.samples)
     for part in _parts(left, size):
-        lane.put(part, _one_byobjective_at(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
+        lane.put(part, _one_by_one(stack, numbers[part], lane.rows(part), size, gain=tolerance, steps=steps))
     good = lane.last & lane.ended & np.isfinite(lane.best.cost)
     return Ends(lane.best, good, lane.steps)
 
@@ -160,7 +160,7 @@ def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
         yield lanes[begin : begin + size]
 
 
-def _one_byobjective_at(
+def _one_by_one(
     stack: Stack, records: np.ndarray, lane: _Lane, capacity: int, *, gain: Any, steps: int
 ) -> _Lane:
     """Lanes at their ends, on the CPU; there is room for `capacity`, so that any number of lanes takes one program."""
