@@ -12,8 +12,8 @@ import hystfit as hf
 from hystfit.config import set_compiler_flags
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
+from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.least_squares import LeastSquares
-from hystfit.fitting.levenberg_marquardt import descend
 from hystfit.models import starting
 from hystfit.models.registry import make_model
 from hystfit.params.hypercube import latin_hypercube
@@ -121,25 +121,27 @@ def test_descents_side_by_side_end_where_each_ends_alone_and_at_the_minimum_of_s
     problem = hf.Problem(hf.BoucWen(c=1.1, mu=0.5, tau=0.7, rho=0.3), hf.Record(u, y))
     z = problem.space.unconstrained(problem.space.vector(problem.model))
     starts = z + 0.2 * np.random.default_rng(1).normal(size=(10, z.size))  # more than one program has room for
-    together = descend(problem.objective, starts, rtol=1e-8, atol=1e-10, steps=60)
-    assert (together.converged != together.given_up).all()
-    alone = [descend(problem.objective, start[None], rtol=1e-8, atol=1e-10, steps=60) for start in starts]
+    stack, of = Stack.of([problem.objective]), np.zeros(10, int)
+    together = descend_lanes(stack, of, starts, gain=1e-12, steps=60)
+    assert (together.converged != together.beaten).all()
+    alone = [descend_lanes(stack, of[:1], start[None], gain=1e-12, steps=60) for start in starts]
+    least = together.normal.cost[together.converged].min()
     for number, each in enumerate(alone):
         assert each.converged[0]
         if together.converged[number]:
-            np.testing.assert_array_equal(together.z[number], each.z[0])
-        else:  # others of its group of eight came to as low a cost first
-            group = slice(number // 8 * 8, number // 8 * 8 + 8)
-            assert each.cost[0] > (1 - 1e-4) * together.cost[group][together.converged[group]].min()
-            assert together.evaluations[number] < each.evaluations[0]
+            np.testing.assert_array_equal(together.normal.z[number], each.normal.z[0])
+        else:  # others came to as low a cost first
+            assert each.normal.cost[0] > (1 - 1e-4) * least
+            assert together.steps[number] < each.steps[0]
     oracle = hf.fit(problem.model, hf.Record(u, y), method="trf", starts=1)
-    best = problem.space.physical(together.z[np.argmin(together.cost)])
+    best = problem.space.physical(together.normal.z[np.argmin(together.normal.cost)])
     np.testing.assert_allclose(best, oracle.x, rtol=1e-5, atol=1e-7)
 
 
 def test_a_descent_from_a_simulation_that_is_not_finite_does_not_converge():
     u = np.sin(np.linspace(0, 20, 100))
     problem = hf.Problem(hf.BoucWen(), hf.Record(u, u + 0.1 * np.sign(np.cos(np.linspace(0, 20, 100)))))
-    ended = descend(problem.objective, np.full((1, len(problem.space)), 600.0), rtol=1e-8, atol=1e-10, steps=10)
+    far = np.full((1, len(problem.space)), 600.0)
+    ended = descend_lanes(Stack.of([problem.objective]), np.zeros(1, int), far, gain=1e-12, steps=10)
     assert not ended.converged[0]
-    assert ended.cost[0] > 1
+    assert ended.normal.cost[0] > 1

@@ -102,10 +102,10 @@ def test_lanes_end_where_scipy_does(way: str, together: Side, monkeypatch: pytes
 
 def test_both_kinds_of_devices_agree_and_converged_lanes_leave(together: Side, monkeypatch: pytest.MonkeyPatch) -> None:
     _, stack, starts = lanes_of(6)
-    starts[3] += 1.0
+    starts[3] += 3.0
     records, sizes, advanced = np.arange(6), [], lanes._advance_all
     one_by_one = descend_lanes(stack, records, starts, gain=1e-13, steps=60)
-    monkeypatch.setattr(lanes, "_ROUND", 4)
+    monkeypatch.setattr(lanes, "_ROUND", 2)
     monkeypatch.setattr(lanes, "_advance_all", lambda *a: sizes.append(len(a[1])) or advanced(*a))
     side_by_side = descend_lanes(stack, records, starts, gain=1e-13, steps=60, device=together)
     error = np.sqrt(np.stack([np.diag(np.linalg.inv(m)) for m in one_by_one.normal.matrix]) * 1e-4)

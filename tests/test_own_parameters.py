@@ -8,7 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
-from hystfit.fitting.levenberg_marquardt import descend
+from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 
@@ -65,9 +65,10 @@ def test_derivatives_by_record_are_those_of_all_parameters(problem):
 def test_a_descent_that_eliminates_by_record_ends_where_the_gradient_vanishes(loss):
     problem, points = started_problem(hf.BoucWen(), loops(4), loss=loss)
     start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))
-    found = descend(problem.objective, start[None] + 0.05, rtol=1e-10, atol=1e-10, steps=60)
+    stack = Stack.of([problem.objective])
+    found = descend_lanes(stack, np.zeros(1, int), start[None] + 0.05, gain=1e-13, steps=60)
     assert found.converged.all()
-    misfit = np.asarray(problem.objective.misfit_at(jnp.asarray(found.z[0])))
-    J = dense(problem.objective.misfit_at, found.z[0])
+    misfit = np.asarray(problem.objective.misfit_at(jnp.asarray(found.normal.z[0])))
+    J = dense(problem.objective.misfit_at, found.normal.z[0])
     slope = np.abs(J.T @ misfit) / (np.linalg.norm(J, axis=0) * np.linalg.norm(misfit))
     assert slope.max() < 1e-6

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,11 +11,11 @@ from hystfit.batch.alike import Group, Loops
 from hystfit.config import first_device
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.lanes import Stack, objective_at, placed, room
+from hystfit.fitting.lanes import Stack, placed, room
 from hystfit.inference.noise.even_noise import NUMBERS
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
-from hystfit.inference.objective import Objective, flat
+from hystfit.inference.objective import flat
 from hystfit.inference.residuals import ResidualAnalysis, curves
 
 _NUMBERS = 2**22  # derivatives computed in one call
@@ -92,16 +90,16 @@ def _linearized(
     for begin in range(0, len(z), size):
         at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
         part = stack.take(at)
-        rows = _linearize_rows(*placed((part.objective, z[at]), first_device("cpu")), part.own)
+        rows = _linearize_rows(*placed((part, z[at]), first_device("cpu")))
         pieces.append([np.asarray(values)[: len(z) - begin] for values in rows])
     residual, jacobian = (np.concatenate(column) for column in zip(*pieces, strict=True))
     return residual, jacobian
 
 
-@functools.partial(jax.jit, static_argnums=2)
-def _linearize_rows(objective: Objective, z: Array, own: tuple[bool, ...]) -> tuple[Array, Array]:
+@jax.jit
+def _linearize_rows(stack: Stack, z: Array) -> tuple[Array, Array]:
     def one(k: Array) -> tuple[Array, Array]:
-        single = objective_at(objective, own, k)
+        single = stack.at(k)
         residual, jacobian = single.linearize(single.coordinates.physical(z[k]))
         return residual[0], jacobian[0]
 

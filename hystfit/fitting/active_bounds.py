@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
-from hystfit.fitting.polish import ROUNDING
+from hystfit.fitting.levenberg_marquardt import ROUNDING
 
 _STEPS, _SETTLED, _DAMPED = 60, 1e-5, 0.7
 

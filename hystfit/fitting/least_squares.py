@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.levenberg_marquardt import Descents, descend
+from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.polish import EXACT, polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
@@ -19,8 +19,9 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
-_ROUGH = 1e-4  # relative tolerance on z of starts that are polished later, and of a first look
-_ROUGH_GAIN = 1e-6  # decrease of the cost, relative to it, that is left to the polish
+_ROUGH = 1e-6  # decrease of the cost that the linear model promises, relative to it, which is left to the polish
+_TOLERANCES = 1e-8, 1e-10  # of the dogleg: relative and absolute, on z and on the cost
+_ROUND, _ROUNDS = 25, 4  # steps of every start, and how many times as many more for the best and the first
 _STEPS = 200  # at most, of the polish of a fit of few samples
 _ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
@@ -35,41 +36,26 @@ class LeastSquares(AbstractEstimator):
 
     Attributes:
         method: "lm" or "dogleg".
-        rtol, atol: relative and absolute tolerance on z and on the cost.
-        gain: decrease of the cost promised by the linear model, relative to it, below which "lm" has converged too.
-        max_steps: in a round.
-        rounds: of further steps for the best start and the first.
         brief: a first look at a model: no polish, and no trust region for what has not converged.
     """
 
     needs_starts: ClassVar[bool] = True
     method: Literal["lm", "dogleg"] = eqx.field(static=True, default="lm")
-    rtol: float = eqx.field(static=True, default=1e-8)
-    atol: float = eqx.field(static=True, default=1e-10)
-    gain: float = eqx.field(static=True, default=0.0)
-    max_steps: int = eqx.field(static=True, default=25)
-    rounds: int = eqx.field(static=True, default=4)
     brief: bool = eqx.field(static=True, default=False)
 
     def quick(self) -> LeastSquares:
         """See the base class."""
-        return dataclasses.replace(self._rough(), brief=True)
-
-    def _rough(self) -> LeastSquares:
-        """With the tolerances of points that are polished later."""
-        return dataclasses.replace(self, rtol=_ROUGH, atol=0.1 * _ROUGH, gain=_ROUGH_GAIN)
+        return dataclasses.replace(self, brief=True)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
         short = thin(problem)
-        objective, settings = problem.objective, self
-        if short is not None:
-            objective, settings = short, self._rough()
-        ended = settings._run(objective, starts)
+        objective = problem.objective if short is None else short
+        ended = self._run(objective, starts)
         # The first start continues too: another basin may be ahead after few steps.
         for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
-            settings._continue(objective, ended, number)
-        costs, steps = ended.cost, int(ended.evaluations.sum())
+            self._continue(objective, ended, number)
+        costs, steps = ended.cost, int(ended.steps.sum())
         number = int(np.argmin(costs))
         z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
         if self.brief:
@@ -89,26 +75,34 @@ class LeastSquares(AbstractEstimator):
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
 
-    def _continue(self, objective: Objective, ended: Descents, number: int) -> None:
+    def _continue(self, objective: Objective, ended: _Ended, number: int) -> None:
         """Further rounds for one start, in place."""
-        for _ in range(self.rounds):
-            if ended.converged[number] or ended.given_up[number] or not np.isfinite(ended.cost[number]):
+        for _ in range(_ROUNDS):
+            if ended.converged[number] or ended.beaten[number] or not np.isfinite(ended.cost[number]):
                 return
             again = self._run(objective, ended.z[number][None])
             if again.cost[0] <= ended.cost[number]:
-                ended.z[number], ended.cost[number], ended.converged[number] = (
-                    again.z[0],
-                    again.cost[0],
-                    again.converged[0],
-                )
-            ended.evaluations[number] += int(again.evaluations[0])
+                for mine, new in zip(ended[:3], again[:3], strict=True):
+                    mine[number] = new[0]
+            ended.steps[number] += again.steps[0]
 
-    def _run(self, objective: Objective, starts: np.ndarray) -> Descents:
+    def _run(self, objective: Objective, starts: np.ndarray) -> _Ended:
         if self.method == "lm":
-            return descend(objective, starts, rtol=self.rtol, atol=self.atol, steps=self.max_steps, gain=self.gain)
-        runs = [_dogleg(self, objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
+            ends = descend_lanes(Stack.of([objective]), np.zeros(len(starts), int), starts, gain=_ROUGH, steps=_ROUND)
+            return _Ended(ends.normal.z, ends.normal.cost, ends.converged, ends.steps, ends.beaten)
+        runs = [_dogleg(objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
         parts = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
-        return Descents(*parts, np.zeros(len(starts), bool))
+        return _Ended(*parts, np.zeros(len(starts), bool))
+
+
+class _Ended(NamedTuple):
+    """End points of S descents: unconstrained z, half the squared misfits, which converged, steps, and which were given up."""
+
+    z: Float[np.ndarray, "S p"]
+    cost: Float[np.ndarray, " S"]
+    converged: np.ndarray
+    steps: np.ndarray
+    beaten: np.ndarray
 
 
 def dogleg() -> LeastSquares:
@@ -117,16 +111,16 @@ def dogleg() -> LeastSquares:
 
 
 @eqx.filter_jit
-def _dogleg(settings: LeastSquares, objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
+def _dogleg(objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array]:
     import optimistix as optx  # its import takes 0.2 s, which no other fit needs
 
     solution = optx.least_squares(
         lambda z, objective: objective.misfit_at(z),
-        optx.Dogleg(settings.rtol, settings.atol),
+        optx.Dogleg(*_TOLERANCES),
         z0,
         args=objective,
         options={"jac": "fwd"},
-        max_steps=settings.max_steps,
+        max_steps=_ROUND,
         throw=False,
     )
     cost = 0.5 * jnp.sum(objective.misfit_at(solution.value) ** 2)

@@ -10,19 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystfit.fitting.levenberg_marquardt import LEAST_DAMPING, LONGEST_STEP, MOST_DAMPING, NOTHING, ROUNDING
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
 NEAR, EXACT = 1e-3, 3e-7  # standard errors from the minimum, in the linear model, at which a fit has converged
-# Relative size of rounding errors: of the output, whose square no cost can fall below for each sample, and of what is left of a column of
-# the Jacobian, or of the information, once the others are taken out of it.
-ROUNDING = 1e-14
 _BLUR = 0.01  # rounding error of an output over ROUNDING
-LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10
-LONGEST_STEP = 4.0  # step in z of parameters with bounds, infinity norm
-# Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
-_NOTHING = 1e-8
 
 
 class Polished(NamedTuple):
@@ -126,7 +120,7 @@ def _linearize(
         factor = linear.factor(order)
         columns = factor[:, :-1]
         columns *= problem.space.slope(z)[order]
-        columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < _NOTHING * np.sqrt(samples))] = 0.0
+        columns[:, bounded[order] & (np.linalg.norm(columns, axis=0) < NOTHING * np.sqrt(samples))] = 0.0
         if held is not None:
             columns[:, held[order]] = 0.0
     return _Linearized(z, x, cost, factor, linear)

@@ -39,8 +39,15 @@ class Normal(NamedTuple):
 
 def normal_at(objective: Objective, z: Float[Array, " p"]) -> Normal:
     """From the derivatives of all samples, which are in memory at once: the faster form where one lane follows another."""
-    residual, columns = objective.linearize_at(z)
-    return Normal(z, 0.5 * residual @ residual, columns @ residual, columns @ columns.T).checked()
+    if not objective.apart:
+        residual, columns = objective.linearize_at(z)
+        return Normal(z, 0.5 * residual @ residual, columns @ residual, columns @ columns.T).checked()
+    misfit, slopes = objective.linearize_records_at(z)  # the others are zero
+    own, p = objective.coordinates.own, z.shape[0]
+    gradient = jnp.zeros(p).at[own].add(jnp.einsum("rmt,rt->rm", slopes, misfit))
+    blocks = jnp.einsum("rmt,rnt->rmn", slopes, slopes)
+    matrix = jnp.zeros((p, p)).at[own[:, :, None], own[:, None, :]].add(blocks)
+    return Normal(z, 0.5 * jnp.sum(misfit**2), gradient, matrix).checked()
 
 
 def suits_one_scan(objective: Objective) -> bool:
