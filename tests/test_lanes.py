@@ -7,8 +7,11 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.config import first_device
+from hystfit.data.dataset import Dataset
 from hystfit.fitting import lanes
+from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.lanes import Stack, descend_lanes
+from hystfit.fitting.multistart import starting_vectors
 from hystfit.inference.normal import normal_at, normal_in_scan, suits_one_scan
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -129,3 +132,21 @@ def test_a_call_on_a_cpu_holds_few_samples() -> None:
         parts = list(lanes._parts(np.arange(500), lanes._chunk(samples)))
         np.testing.assert_array_equal(np.concatenate(parts), np.arange(500))
         assert max(map(len, parts)) * samples <= max(samples, 2**20)
+
+
+def test_a_shortened_step_is_no_sign_of_convergence() -> None:
+    """Parameters run away where the model does not describe the data; steps were shortened for them, which promised nothing any more."""
+    phase = np.linspace(0, 20, 400)
+    u = 4 * np.sin(phase) * np.linspace(0.4, 1, 400)
+    y = 1.2 * u + np.sin(phase - 0.3) + 0.01 * np.random.default_rng(0).normal(size=400)
+    posed = started_problem(hf.BoucWen(), Dataset((hf.Record(u=u, y=y),)))[0]
+    starts = starting_vectors(posed, 8, 0)
+    ends = descend_lanes(Stack.of([posed.objective]), np.zeros(8, int), starts, gain=1e-6, steps=25)
+    misfit = jax.jit(lambda objective, z: objective.misfit_at(z))
+    for z, cost in zip(ends.normal.z[ends.converged], ends.normal.cost[ends.converged], strict=True):
+        further = scipy.optimize.least_squares(lambda z: np.asarray(misfit(posed.objective, z)), z, max_nfev=20)
+        assert further.cost > 0.99 * cost
+    assert ends.normal.cost.min() < 1.1 * min(
+        scipy.optimize.least_squares(lambda z: np.asarray(misfit(posed.objective, z)), z, max_nfev=30).cost
+        for z in starts[:3]
+    )
