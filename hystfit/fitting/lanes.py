@@ -143,7 +143,7 @@ def _on_host(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: in
     """Lanes at their ends, and which were given up; their program has room for any number of lanes of a chunk."""
     room_for, samples, bounded = _chunk(stack.samples), stack.samples, stack.bounded
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
-    data = stack.take(padded(records)) if any(stack.own) else stack
+    data = placed(stack.take(padded(records)), first_device("cpu")) if any(stack.own) else stack
     given_up, count = np.zeros(len(records), bool), len(records)
     going = np.arange(count)
     while going.size:
