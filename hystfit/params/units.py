@@ -249,6 +249,7 @@ def _named() -> dict[tuple[tuple[str, float], ...], str]:
     return {unit.powers: name for name, unit in units.items() if unit is not None}
 
 
+@functools.cache
 def quantity(unit: str) -> str:
     """Physical quantity of a column with this unit: "field" for "kA/m", "polarization" for "uC/cm2", ...; "" if unknown."""
     for pattern, name in _BY_SYMBOL.items():

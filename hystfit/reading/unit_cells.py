@@ -15,7 +15,7 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?([^\W\d_][\w/^²³·*-]*|°[CF]|%)")
+_CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?(?![eE][+-]?\d)([^\W\d_][\w/^²³·*-]*|°[CF]|%)")
 _ROW = re.compile(r"[\s\"']*[+-]?[.,]?\d")
 _MARKS = (";", "\t", "|", ",", None)  # between cells, the first one of which there are several
 _FEWEST = 4  # rows
@@ -29,9 +29,10 @@ def read_unit_cells(text: TextFile) -> Table | None:
         return None
     sample = text.head[rows[-1]]
     mark = text.opening.delimiter or next(mark for mark in _MARKS if mark is None or mark in sample)
-    units = _units(split(sample, mark))
+    if not _units(split(sample, mark)):
+        return None
     first = next((k for k in rows if _units(split(text.head[k], mark))), 0)
-    units = _units(split(text.head[first], mark)) if any(units) else []
+    units = _units(split(text.head[first], mark))
     if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(_FEWEST, len(rows) // 2):
         return None
     join = (mark or " ").join
