@@ -552,6 +552,19 @@ def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
         assert report.determines[0].model in parts
 
 
+def test_no_model_is_advised_for_a_record_without_a_loop():
+    """Half a cycle with a hold in which the output relaxes, as a battery's discharge: a model of loops was said to predict the loop."""
+    t = np.arange(1200.0)
+    u = np.interp(t, [0, 100, 600, 700, 1200], [0, 0, 0.5, 0.5, 1.0])
+    relaxed = (
+        0.05 * np.where(t > 600, 1 - np.exp(-np.minimum(t - 600, 100) / 20), 0) * np.exp(-np.maximum(t - 700, 0) / 20)
+    )
+    y = np.tanh(3 * u) + 0.3 * u**3 - relaxed + 1e-4 * np.random.default_rng(0).normal(size=t.size)
+    report = check(Record(u, y, t))
+    assert has(report.findings, Code.NO_LOOP)
+    assert report.advice is None
+
+
 @pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 3e-4])
 def test_the_advice_for_one_loop_of_plays_predicts_a_loop_of_half_the_size(noise):
     """Scattered samples do not test other amplitudes, where a Preisach density errs by half a percent."""

@@ -50,7 +50,7 @@ def _checked(records: Dataset) -> QualityReport:
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
     damaged = any(note.code is Code.DEGRADING for note in report.findings)
-    every = () if charge else _screened(records)
+    every = () if charge or has(report.findings, Code.NO_LOOP) else _screened(records)
     shown = _traits(records, every) if every else ()
     screened = () if damaged else every
     advice = _advice(records, screened) if screened else None
