@@ -10,6 +10,7 @@ import numpy as np
 
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.lanes import Ends, Stack, descend_lanes
+from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, gain_within
 from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
@@ -18,7 +19,6 @@ from hystfit.inference.problem import Problem
 _SHORT = 256  # samples of the short form on which starts are compared
 STEPS, _MORE = 25, 60  # of every start, of the best one
 _ROUGH = 1e-5  # predicted decrease of the cost, relative to it, at which starts have converged
-_ON_BOUND = 1e-6  # relative distance below which a bounded solver decides whether a parameter is on its bound
 
 
 class Task(NamedTuple):
@@ -84,7 +84,7 @@ def _estimate(task: Task, z: np.ndarray, cost: Any, converged: Any, costs: np.nd
     if not (converged and np.isfinite(z).all()):
         return None
     x = task.problem.space.physical(z)
-    if any(task.problem.at_bound(x, _ON_BOUND)):
+    if any(task.problem.at_bound(x, ON_BOUND)):
         return None
     best = float(np.min(costs))
     return Estimate(x, float(cost), True, "converged", int(steps), costs * (float(cost) / best) if best else costs)

@@ -25,6 +25,7 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
+from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity, Status
@@ -229,16 +230,19 @@ def _examples(
 
 
 def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Estimate]:
-    """Estimates of loops that are not plain, but close, by their numbers: from every start to its end."""
+    """Estimates of loops that are not plain, but close, by their numbers: from every start to its end, which is on no bound."""
     if not rest.size:
         return {}
     ends, stack, costs = solve_alike(common, loops.take(rest), STEPS)
-    x = stack.objective.coordinates.physical(ends.normal.z, np)
-    ended = zip(rest.tolist(), x, ends.normal.cost, ends.converged, costs, strict=True)
+    coordinates, space = stack.objective.coordinates, common.setup.problem.space
+    x = coordinates.physical(ends.normal.z, np)
+    on_bound = np.logical_or(*space.reached(x, ON_BOUND, np.asarray(coordinates.scale))).any(axis=1)
+    good = ends.converged & np.isfinite(x).all(axis=1) & ~on_bound
+    ended = zip(rest.tolist(), x, ends.normal.cost, good, costs, strict=True)
     return {
         k: Estimate(x, float(cost), True, "converged", 1, costs * (float(cost) / costs.min()))
-        for k, x, cost, converged, costs in ended
-        if converged and np.isfinite(x).all()
+        for k, x, cost, good, costs in ended
+        if good
     }
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.lanes import Stack, descend_lanes
+from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
@@ -23,7 +24,6 @@ _ROUGH = 1e-6  # decrease of the cost that the linear model promises, relative t
 _TOLERANCES = 1e-8, 1e-10  # of the dogleg: relative and absolute, on z and on the cost
 _ROUND, _ROUNDS = 25, 4  # steps of every start, and how many times as many more for the best and the first
 _STEPS = 200  # at most, of the polish of a fit of few samples
-_ON_BOUND = 1e-6  # relative distance below which the bounded solver decides whether a parameter is on its bound
 
 
 class LeastSquares(AbstractEstimator):
@@ -68,7 +68,7 @@ class LeastSquares(AbstractEstimator):
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
         x = problem.space.physical(z)
-        if success and np.isfinite(z).all() and not any(problem.at_bound(x, _ON_BOUND)):
+        if success and np.isfinite(z).all() and not any(problem.at_bound(x, ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)
         finished = TrustRegion().estimate(problem, np.asarray(z)[None])
         message = "finished by the bounded trust region" if finished.converged else finished.message

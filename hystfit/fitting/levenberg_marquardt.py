@@ -26,6 +26,7 @@ NOTHING = 1e-8
 # damping alone sends parameters of little effect far away. Of 40 descents of five models that do not describe the data, the best ended
 # lowest with 0.1, of 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
 _LITTLE = 0.1
+ON_BOUND = 1e-6  # relative distance below which a bounded solver decides whether a parameter is on its bound: z would not converge
 _FIRST = 1e-3  # damping
 _EQUAL = 1e-12  # relative difference of two costs that rounding may cause, below which the linear model decides
 # At a crease of the cost, as the limits of a branch make them, no step is shorter than what the linear model promises. A hundredth of a

@@ -7,7 +7,9 @@ Half of the loops share one input, as those of a map do; the others have inputs 
 its bound. Estimates must agree to 1e-6 of their standard errors, errors to 1e-3, and status and notes exactly. Exit status 1 otherwise.
 
 The step of a model may have limits, at which the cost of a fit has a crease. Where its minimum lies on one, the gradient does not vanish at
-the estimate, the derivatives on either side differ, and a solver ends within a hundredth of a standard error. These loops are counted.
+the estimate, the derivatives on either side differ, and a solver ends within a hundredth of a standard error. The cost may also have a
+minimum on either side of a crease: on the line between the two fits it rises above both, and each is the minimum of its side. The limit for
+these is a tenth of a standard error, which no decision depends on. Loops of both kinds are counted.
 """
 
 from __future__ import annotations
@@ -40,24 +42,27 @@ MODELS: dict[str, AbstractHysteresis] = {
 BOUND = "bouc-wen on a bound"  # devices whose rho is 1
 SAME, ERRORS = 1e-6, 1e-3
 ON_CREASE = 1e-2  # of either, where the minimum lies on a crease
+BESIDE_CREASE = 0.1  # of either, where there is a minimum on both sides of one
 STATIONARY = 1e-5  # standard errors that a Gauss-Newton step from a minimum is long, at most
 
 
 class Difference(NamedTuple):
     """Between two rows: of estimates, in standard errors; of errors, relative; whether status, notes and reason are the same.
 
-    `crease` says whether the minimum lies on a crease of the cost.
+    `crease` says whether the minimum lies on a crease of the cost, and `two` whether both fits are minima of their own.
     """
 
     estimates: float
     errors: float
     same: bool
     crease: bool
+    two: bool
 
     @property
     def wrong(self) -> bool:
         """Whether it is too large."""
         limits = (ON_CREASE, ON_CREASE) if self.crease else (SAME, ERRORS)
+        limits = (BESIDE_CREASE, BESIDE_CREASE) if self.two else limits
         return self.estimates > limits[0] or self.errors > limits[1] or not self.same
 
 
@@ -97,6 +102,12 @@ def on_crease(result: hf.FitResult) -> bool:
     return float(np.linalg.norm(step)) > STATIONARY * float(np.linalg.norm(misfit)) / np.sqrt(misfit.size)
 
 
+def two_minima(result: hf.FitResult, other: np.ndarray) -> bool:
+    """Whether the cost rises on the line from an estimate to another one, and falls again."""
+    costs = [np.sum(result.problem.misfit(result.x + part * (other - result.x)) ** 2) for part in np.linspace(0, 1, 41)]
+    return bool(max(costs) > (1 + 1e-9) * max(costs[0], costs[-1]))
+
+
 def difference(row: Row, result: hf.FitResult, record: hf.Record) -> Difference:
     """Between a row and that of `hystfit.fit`."""
     wanted = row_of(row.name, "", record, result)
@@ -109,7 +120,8 @@ def difference(row: Row, result: hf.FitResult, record: hf.Record) -> Difference:
         apart = max(apart, abs(row.values[name] - value) / error)
         errors = max(errors, abs(mine / error - 1))
     same = (row.status, row.codes, row.reason) == (wanted.status, wanted.codes, wanted.reason)
-    return Difference(apart, errors, same, on_crease(result))
+    two = apart > SAME and two_minima(result, np.array([*row.values.values()]))
+    return Difference(apart, errors, same, on_crease(result), two)
 
 
 def compared(name: str, count: int, seed: int, *, common: bool) -> list[Difference]:
@@ -129,7 +141,8 @@ def main(names: list[str], loops: int) -> int:
     for number, name in enumerate(names):
         for common in (True, False):
             rows = compared(name, -(-loops // (2 * len(names))), 2 * number + common, common=common)
-            creased, others = [row for row in rows if row.crease], [row for row in rows if not row.crease]
+            creased = [row for row in rows if row.crease or row.two]
+            others = [row for row in rows if not (row.crease or row.two)]
             largest = [
                 f"{max((getattr(row, part) for row in some), default=0.0):.1e}"
                 for some in (others, creased)
