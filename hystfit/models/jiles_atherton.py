@@ -238,7 +238,11 @@ class JilesAthertonStep(AbstractStepInverse):
 
 
 def search_in_c(
-    model: Any, law: JilesAtherton, to_input: tuple[Scalar | float, ...], to_output: tuple[Scalar | float, ...]
+    model: Any,
+    law: JilesAtherton,
+    to_input: tuple[Scalar | float, ...],
+    to_output: tuple[Scalar | float, ...],
+    dynamic: Mapping[str, Scalar] | None = None,
 ) -> CPart:
     """C code that searches for the effective field at each input.
 
@@ -247,10 +251,12 @@ def search_in_c(
         law: how it magnetizes.
         to_input: factors of the effective field and of M / Ms in the input; the first is positive.
         to_output: factors of the input, the effective field and M / Ms in the output.
+        dynamic: `eddy`, `excess` and `e` of a `JilesAthertonDynamic`.
     """
     second = law.p.size > 0
     values = {"tanh": law.curve == "tanh", "q": law.q[0] if law.q.size else 0.0, "double": second}
     values |= {"p": law.p[0] if second else 1.0, "r": law.r[0] if second else 1.0, "first_curve": FIRST_CURVE}
+    values |= {"eddy": 0.0, "excess": 0.0, "e": 1.0} | dict(dynamic or {}) | {"dynamic": dynamic is not None}
     values |= dict(zip(("rise", "lift", "of_input", "of_field", "of_total"), (*to_input, *to_output), strict=True))
     return CPart.of(model, "jiles_atherton", **values)
 
