@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hystfit.population.hierarchy import Hierarchy, draw_hierarchy
+from hystfit.population.hierarchy import Hierarchy
 from hystfit.population.preposterior import Beliefs
 
 MEANS = np.array([0.9, -0.4, 0.35, -0.8, 0.15, 0.6, -1.0, 0.5])
@@ -67,10 +67,13 @@ def test_the_expected_fall_is_that_of_simulated_estimates(beliefs: Beliefs, devi
 
 
 def test_what_an_estimate_leaves_open_stays_open() -> None:
-    """Of two independent parameters, one is measured: what is known about the other does not change."""
+    """Of two parameters that are independently known, one is measured: what is known about the other does not change."""
     rng = np.random.default_rng(4)
-    means, precisions, ones = 0.5 * rng.normal(size=(9, 2)), np.tile(25.0 * np.eye(2), (9, 1, 1)), np.ones((9, 1))
-    beliefs = Beliefs.of(draw_hierarchy(means, precisions, ones, chains=2, draws=1000), means, precisions, ones)
+    effects = 0.2 * rng.normal(size=(1, 2000, 1, 2))
+    sd, correlation = np.exp(0.4 * rng.normal(size=(2000, 2)) - 1.0), rng.uniform(-0.9, 0.9, 2000)
+    covariance = sd[:, :, None] * sd[:, None, :] * np.where(np.eye(2) > 0, 1.0, correlation[:, None, None])
+    nine = np.zeros((9, 2)), np.tile(25.0 * np.eye(2), (9, 1, 1)), np.ones((9, 1))
+    beliefs = Beliefs.of(Hierarchy(effects, covariance[None], np.zeros((1, 2000, 9, 2))), *nine)
     nothing = beliefs.expected_fall(beliefs.of_new(), np.zeros((2, 2)))
     np.testing.assert_allclose(nothing, 0.0, atol=1e-12)
     first = beliefs.expected_fall(beliefs.of_new(), np.diag([25.0, 0.0]))
