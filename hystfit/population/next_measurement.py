@@ -105,20 +105,17 @@ class PopulationDesign(WithStatus):
 
     def _medians(self, errors: Mapping[str, float | None]) -> Iterator[float | None]:
         """Error of the standard deviations [%], of the correlations, and of the mean over the standard deviation."""
-        names, sd = self.population.names, np.median(self._sd, axis=0)
-        sizes = {"sd of ": 0.01, "correlation of ": 1.0, "mean of ": 1.0}
-        for kind, size in sizes.items():
-            scale = lambda name, kind=kind, size=size: sd[names.index(name)] if kind == "mean of " else size
-            values = [
-                None if errors[label] is None else errors[label] / scale(label.removeprefix(kind))
-                for label in errors
-                if label.startswith(kind) and set(label.removeprefix(kind).split(", ")) <= set(self.aim)
-            ]
-            yield None if not values or None in values else float(np.median(values))
-
-    @property
-    def _sd(self) -> np.ndarray:
-        return np.sqrt(np.einsum("cnii->cni", self.population.drawn.covariance)).reshape(-1, len(self.population.names))
+        variances = np.median(np.einsum("cnii->cni", self.population.drawn.covariance), axis=(0, 1))
+        sizes = dict(zip(self.population.names, np.sqrt(variances), strict=True))
+        for kind in ("sd", "correlation", "mean"):
+            values = []
+            for label, error in errors.items():
+                what, _, of = label.partition(" of ")
+                if what == kind and set(of.split(", ")) <= set(self.aim):
+                    size = {"sd": 0.01, "correlation": 1.0}.get(kind) or sizes[of]
+                    values.append(np.nan if error is None else error / size)
+            middle = float(np.median(values)) if values else np.nan
+            yield middle if np.isfinite(middle) else None
 
     def __str__(self) -> str:
         lines = [f"{self.population.model}: next measurement for the {self.goal} of {', '.join(self.aim)}"]
