@@ -61,6 +61,8 @@ from .models import simulate as simulate
 from .params.param import param as param
 from .params.space import ParameterSpace as ParameterSpace
 from .population.fit_population import fit_population as fit_population
+from .population.next_measurement import PopulationDesign as PopulationDesign
+from .population.next_measurement import design_population as design_population
 from .population.population_fit import PopulationFit as PopulationFit
 from .reading import datasets as datasets
 from .reading.read import read as read

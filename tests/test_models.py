@@ -40,6 +40,7 @@ from hystfit.models import (
     simulate,
 )
 from hystfit.models.bracketed import Root
+from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess
 from hystfit.models.simulation import run
@@ -109,6 +110,12 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         hystfit.JilesAtherton(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1),
         {},
     ),
+    "jiles-atherton with losses": (
+        JilesAthertonDynamic(
+            Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1, eddy=1e-3, excess=0.02, e=0.5
+        ),
+        {},
+    ),
     "jiles-atherton driven by B": (
         JilesAthertonField(Ms=1.3, a=0.2, coupling=0.6, k=0.15, c=0.3, q=[1.0], slope=0.5, offset=0.1),
         {},
@@ -148,7 +155,14 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 
 
 # The relays and `jiles-atherton` keep the laws in the quick form.
-SLOW = ("density", "cells", "cells of either sign", "everett table", "jiles-atherton driven by B")
+SLOW = (
+    "density",
+    "cells",
+    "cells of either sign",
+    "everett table",
+    "jiles-atherton driven by B",
+    "jiles-atherton with losses",
+)
 
 
 @pytest.mark.parametrize(

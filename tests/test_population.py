@@ -145,6 +145,43 @@ def test_a_device_apart_is_outlying(population):
     assert drawn.outlying == ("odd",)
 
 
+def test_the_precision_predicted_for_the_measured_input_is_that_of_the_fit(population):
+    """From derivatives of the model, beside the curvature at the maximum of the likelihood."""
+    fit, _ = population
+    proposal = hf.design_population(fit, {"the same": U})
+    for device in fit.devices[:2]:
+        same, measured = (
+            next(c for c in proposal.candidates if (c.device, c.name) == (device.name, name))
+            for name in ("the same", "as measured")
+        )
+        assert same.errors == pytest.approx(measured.errors, rel=1e-3)
+
+
+def test_the_next_measurement_is_the_one_that_tells_most(population):
+    """Small strokes tell little about tau, for a new device and for every one measured again."""
+    fit, _ = population
+    proposal = hf.design_population(fit, {"full": U, "small": 0.1 * U}, aim=["tau"])
+    falls = {(c.device, c.name): c.fall for c in proposal.candidates}
+    assert falls[None, "full"] > 3 * falls[None, "small"]
+    assert all(falls[f"device {k}", "full"] > falls[f"device {k}", "small"] for k in range(COUNT))
+    assert proposal.best.fall == max(falls.values())
+    assert proposal.counted == ("sd of tau",)
+    assert proposal.best.errors["sd of tau"] == pytest.approx(
+        proposal.present["sd of tau"] * np.sqrt(1 - proposal.best.fall)
+    )
+    assert proposal.best.label in str(proposal)
+    of_mean = hf.design_population(fit, {"full": U}, goal="mean")
+    assert of_mean.best.device is None  # another device tells more about the mean than any one known better
+    for change, words in (
+        ({"aim": ["rho"]}, "those are: c, tau"),
+        ({"goal": "sd"}, "scatter or mean"),
+        ({"low": 1.0, "high": 0.0}, "low < high"),
+        ({"inputs": {"two": np.zeros((2, 3))}}, "'two'"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            hf.design_population(fit, **change)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

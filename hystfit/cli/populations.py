@@ -11,10 +11,11 @@ from hystfit.cli.batches import FEW
 from hystfit.cli.fitting_options import FITTING, Fitting
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading
-from hystfit.cli.write import finish, progress
+from hystfit.cli.write import finish, named, progress, write_csv
 from hystfit.errors import DataError
 
 if TYPE_CHECKING:
+    from hystfit.population.next_measurement import PopulationDesign
     from hystfit.population.population_fit import PopulationFit
     from hystfit.results.webpage import Page
 
@@ -26,6 +27,7 @@ def population(
     device: str | None = None,
     draws: int = 1000,
     chains: int = 4,
+    next_measurement: bool = False,
     fitting: Fitting = FITTING,
     workers: int | None = None,
     reading: Reading = DEFAULT_READING,
@@ -44,6 +46,7 @@ def population(
         device: regular expression whose first group in a loop's name is its device, where a device has several loops.
         draws: draws per chain.
         chains: chains.
+        next_measurement: also rank what to measure next, a new device or one of these again, and with which input (next.csv).
         workers: processes (default: one for each core where there are many loops).
     """
     output.check("hystfit.population")
@@ -68,6 +71,7 @@ def population(
             progress=update,
             **fitting.keywords(),
         )
+        proposal = _ranked(result, update) if next_measurement else None
 
     def save(folder: Path) -> None:
         from hystfit.population.population_files import write_devices
@@ -75,8 +79,28 @@ def population(
         write_devices(result, folder / "devices.csv")
         for kind in ("forest", "correlation", "shrinkage"):
             result.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
+        if proposal is not None:
+            _write_input(proposal, folder / "next.csv")
 
-    return finish(str(result), result.to_dict(), output, save, page=lambda folder: _page(result, folder))
+    text, content = str(result), result.to_dict()
+    if proposal is not None:
+        text, content = f"{text}\n\n{proposal}", content | {"next_measurement": proposal.to_dict()}
+    return finish(text, content, output, save, page=lambda folder: _page(result, folder, proposal))
+
+
+def _ranked(result: PopulationFit, update: Any) -> PopulationDesign:
+    """What to measure next."""
+    from hystfit.population.next_measurement import design_population
+
+    update("ranking the next measurement", 0.0)
+    return design_population(result)
+
+
+def _write_input(proposal: PopulationDesign, file: Path) -> None:
+    """The input of the best measurement."""
+    record, u, step = proposal.population.devices[0].result.data[0], proposal.best.u, proposal.dt
+    time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
+    write_csv(file, time | {named(record.u_name, record.u_unit): u}, ".9g")
 
 
 def _named_by(pattern: str) -> Any:
@@ -99,10 +123,11 @@ def _named_by(pattern: str) -> Any:
     return of
 
 
-def _page(result: PopulationFit, folder: Path) -> Page:
+def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None) -> Page:
     """The page of `hystfit population`."""
     from hystfit.cli.pages import notes_of, page_of
     from hystfit.outcome import Column, Table
+    from hystfit.population.next_measurement import COLUMNS
     from hystfit.population.population_fit import MEANING
     from hystfit.results.webpage import Picture
 
@@ -135,6 +160,11 @@ def _page(result: PopulationFit, folder: Path) -> Page:
         ("Pictures", [shown]),
         ("Correlations whose interval excludes zero", [result.correlation_table()]),
         ("Devices", [devices]),
-        ("Notes", [notes_of(result.notes)]),
     ]
+    notes = result.notes
+    if proposal is not None:
+        answer.append(("Measure next", proposal.best.label))
+        sections.append(("Next measurement", [proposal.table(most=20), COLUMNS]))
+        notes = (*notes, *proposal.notes)
+    sections.append(("Notes", [notes_of(notes)]))
     return page_of(f"Population of {result.model}", result.status, "population", answer, sections)

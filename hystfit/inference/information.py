@@ -133,12 +133,16 @@ class LikelihoodInformation(AbstractInformation):
         p = J.shape[-1]
         return e[:, :p].T @ e[:, :p], e[:, :p].T @ e[:, p:], e[:, p:].T @ e[:, p:]
 
-    def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
-        """Inverse of the information after elimination of the shapes."""
+    def matrix(self, moments: Moments) -> Float[Array, "p p"]:
+        """The information after elimination of the shapes."""
         square, cross, shapes = moments
         if cross.shape[1]:
             square = square - cross @ jnp.linalg.solve(jnp.eye(cross.shape[1]) + shapes, cross.T)
-        return jnp.linalg.inv(square + prior)
+        return square
+
+    def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
+        """Inverse of the information after elimination of the shapes."""
+        return jnp.linalg.inv(self.matrix(moments) + prior)
 
 
 def _curves(setting: Setting, length: Any) -> Float[Array, "R T k"]:

@@ -121,6 +121,10 @@ MODELS: dict[str, Entry] = {
         "Jiles-Atherton M(H) or B(H) of magnetic materials; 6 parameters, and alpha; variants of its curve and pinning",
         tried=("jiles-atherton:pinning=yes",),
     ),
+    "jiles-atherton-dynamic": Entry(
+        "jiles_atherton_dynamic:JilesAthertonDynamic.of", "core",
+        "Jiles-Atherton with eddy currents and excess loss, driven by the field; needs time at two rates or more; 8 parameters",
+    ),
     "jiles-atherton-b": Entry(
         "jiles_atherton_field:JilesAthertonField.of", "core",
         "Jiles-Atherton driven by the flux density: H over B, for solvers and, with viscous and excess, for losses; 6 parameters",

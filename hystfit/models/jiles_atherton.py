@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import equinox as eqx
 import jax
@@ -193,7 +193,7 @@ class JilesAtherton(AbstractHysteresis):
         """The mean field parameter in the form of the literature."""
         return (Derived("alpha", "u/y", "mean field parameter, He = H + alpha M", lambda m: m.mean_field / m.Ms),)
 
-    def start(self, records: Sequence[Record]) -> JilesAtherton:
+    def start(self, records: Sequence[Record]) -> Self:
         """The best of a grid over a, coupling, k and c, with Ms and the offset by least squares."""
         half, short = input_range(records).half, thinned(records, 300)
         given = {(record.u_unit, record.y_unit) for record in records}
@@ -238,7 +238,11 @@ class JilesAthertonStep(AbstractStepInverse):
 
 
 def search_in_c(
-    model: Any, law: JilesAtherton, to_input: tuple[Scalar | float, ...], to_output: tuple[Scalar | float, ...]
+    model: Any,
+    law: JilesAtherton,
+    to_input: tuple[Scalar | float, ...],
+    to_output: tuple[Scalar | float, ...],
+    dynamic: Mapping[str, Scalar] | None = None,
 ) -> CPart:
     """C code that searches for the effective field at each input.
 
@@ -247,10 +251,12 @@ def search_in_c(
         law: how it magnetizes.
         to_input: factors of the effective field and of M / Ms in the input; the first is positive.
         to_output: factors of the input, the effective field and M / Ms in the output.
+        dynamic: `eddy`, `excess` and `e` of a `JilesAthertonDynamic`.
     """
     second = law.p.size > 0
     values = {"tanh": law.curve == "tanh", "q": law.q[0] if law.q.size else 0.0, "double": second}
     values |= {"p": law.p[0] if second else 1.0, "r": law.r[0] if second else 1.0, "first_curve": FIRST_CURVE}
+    values |= {"eddy": 0.0, "excess": 0.0, "e": 1.0} | dict(dynamic or {}) | {"dynamic": dynamic is not None}
     values |= dict(zip(("rise", "lift", "of_input", "of_field", "of_total"), (*to_input, *to_output), strict=True))
     return CPart.of(model, "jiles_atherton", **values)
 

@@ -58,6 +58,11 @@ class Common:
         full[self.at] = z
         return np.asarray(self.space.coordinates.slope(full, np))[self.at]
 
+    def precision(self, information: Float[np.ndarray, "q q"], z: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
+        """Precision in z, about z, from the information about all parameters of a device, physical: the others are integrated out."""
+        slope = self.slope(z)
+        return slope[:, None] * marginal(information, self.at) * slope[None, :]
+
     def _mapped(self, way: str, values: np.ndarray) -> np.ndarray:
         space = self.space
         full = np.broadcast_to(space.vector(space.template), (*values.shape[:-1], len(space))).copy()
@@ -112,14 +117,8 @@ class Device:
         noise = result.noise.name if result.noise.refines else "ou" if result.noise.parameters else "iid"
         refined = refine(result.problem.with_loss("linear"), result.x, noise)
         mean = common.z_of(refined.x[common.at])
-        information = refined.root.T @ refined.root
-        others = np.setdiff1d(np.arange(refined.x.size), common.at)
-        inner = information[np.ix_(common.at, common.at)]
-        if others.size:
-            cross = information[np.ix_(common.at, others)]
-            inner = inner - cross @ np.linalg.pinv(information[np.ix_(others, others)], hermitian=True) @ cross.T
-        slope = common.slope(mean)
-        return cls(name, result, refined.problem, noise, refined.x, mean, slope[:, None] * inner * slope[None, :])
+        precision = common.precision(refined.root.T @ refined.root, mean)
+        return cls(name, result, refined.problem, noise, refined.x, mean, precision)
 
     def log_weights(self, z: Float[np.ndarray, "n p"], common: Common) -> Float[np.ndarray, " n"]:
         """Log likelihood at draws less that of the normal approximation."""
@@ -148,6 +147,16 @@ class Device:
         flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
         z = common.z_of(flat)
         return Pool(z, -0.5 * np.sum(((z - mean) / (_WIDER * sd)) ** 2, axis=1))
+
+
+def marginal(information: Float[np.ndarray, "q q"], at: np.ndarray) -> Float[np.ndarray, "p p"]:
+    """Information about the parameters at these positions, with the others integrated out."""
+    others = np.setdiff1d(np.arange(len(information)), at)
+    inner = information[np.ix_(at, at)]
+    if others.size:
+        cross = information[np.ix_(at, others)]
+        inner = inner - cross @ np.linalg.pinv(information[np.ix_(others, others)], hermitian=True) @ cross.T
+    return inner
 
 
 def _values(problem: Problem) -> np.ndarray:

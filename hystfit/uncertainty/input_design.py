@@ -204,7 +204,7 @@ def design(
     plan = Plan.of(result)
     now = plan.present(problem, x)
     counted = jnp.asarray([name in chosen for name in names])
-    inputs = _families(low, high, samples, seed)
+    inputs = input_families(low, high, samples, seed)
     if method == "gradient":
         inputs["optimized turning points"] = _optimize(plan, now, counted, low, high, samples, steps, seed)
     covariances = {name: covariance_with(plan, now, jnp.asarray(u)) for name, u in inputs.items()}
@@ -262,8 +262,14 @@ def _score(covariance: Array, counted: Array) -> Array:
     return 0.5 * jnp.sum(jnp.where(counted, jnp.log(variance), 0.0)) / jnp.sum(counted)
 
 
-def _families(low: float, high: float, samples: int, seed: int) -> dict[str, np.ndarray]:
-    """Signals of `samples` samples within the limits."""
+def input_families(low: float, high: float, samples: int, seed: int) -> dict[str, np.ndarray]:
+    """Signals within the limits, by name.
+
+    Args:
+        low, high: limits of the input.
+        samples: length.
+        seed: of the random one.
+    """
     phase = np.arange(samples) / samples
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     wave = lambda cycles: np.sin(2 * np.pi * cycles * phase)

@@ -14,6 +14,7 @@ from hystfit.inference.information import (
     LikelihoodInformation,
     Moments,
 )
+from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.white import White
@@ -106,10 +107,14 @@ class Plan(eqx.Module):
 def _information(result: FitResult) -> AbstractInformation:
     """The noise behind the standard errors of a fit."""
     if result.noise.refines:
-        noise = NOISES.find(result.noise.name)(**result.noise.parameters)  # type: ignore[operator]
-        return LikelihoodInformation(noise if noise.gaussian else White(noise_white=noise.gaussian_scale()))
+        return likelihood_information(NOISES.find(result.noise.name)(**result.noise.parameters))  # type: ignore[operator]
     slow = analyze(result.problem, result.x).of_errors if result.noise.name == "auto" else None
     return LeastSquaresInformation.of(result.sigma**2, slow, 1.0 if slow else result.error_ratio)
+
+
+def likelihood_information(noise: AbstractNoise) -> LikelihoodInformation:
+    """That of a noise model with values; of noise that is not Gaussian that of white noise of its scale."""
+    return LikelihoodInformation(noise if noise.gaussian else White(noise_white=noise.gaussian_scale()))
 
 
 @eqx.filter_jit

@@ -1,4 +1,4 @@
-/* Jiles-Atherton, driven by the field or by the flux density. State: effective field He = H + alpha M, and irreversible magnetization over Ms. */
+/* Jiles-Atherton, driven by the field or by the flux density, with or without dynamic fields. State: effective field He = H + alpha M, and irreversible magnetization over Ms. */
 static double @f@_langevin(double x)
 {
     const double square = x * x;
@@ -52,14 +52,27 @@ static double @f@_total(const double *s, double sign, double field)
     return @M@_C * @f@_anhysteretic(field) + (1 - @M@_C) * @f@_irreversible(s, sign, field);
 }
 
-/* The input at an effective field, less u: rising. */
-static double @f@_miss(const double *s, double sign, double field, double u)
+/* Output without its offset and its part of the input. */
+static double @f@_flux(double field, double total)
 {
-    return @M@_RISE * field + @M@_LIFT * @f@_total(s, sign, field) - u;
+    return @M@_OF_FIELD * field + @M@_OF_TOTAL * total;
+}
+
+/* Field of eddy currents and of excess loss at a rate of the output. */
+static double @f@_dynamic(double rate)
+{
+    return @M@_EDDY * rate + @M@_EXCESS * rate / sqrt(hypot(rate, @M@_E));
+}
+
+/* The input at an effective field, less u: rising. The flux was `before` a time dt ago; dt is 0 where the rate has no effect. */
+static double @f@_miss(const double *s, double sign, double field, double u, double before, double dt)
+{
+    const double total = @f@_total(s, sign, field), miss = @M@_RISE * field + @M@_LIFT * total - u;
+    return dt > 0 ? miss + @f@_dynamic((@f@_flux(field, total) - before) / dt) : miss;
 }
 
 /* The new effective field: regula falsi with halving, in a bracket that cannot lose the root. */
-static double @f@_field(const double *s, double sign, double u)
+static double @f@_field(const double *s, double sign, double u, double before, double dt)
 {
     double low = fmin((u - fabs(@M@_LIFT)) / @M@_RISE, s[0]), high = fmax((u + fabs(@M@_LIFT)) / @M@_RISE, s[0]);
     double below, above;
@@ -69,14 +82,14 @@ static double @f@_field(const double *s, double sign, double u)
         low = s[0];
     else
         high = s[0];
-    below = @f@_miss(s, sign, low, u);
-    above = @f@_miss(s, sign, high, u);
+    below = @f@_miss(s, sign, low, u, before, dt);
+    above = @f@_miss(s, sign, high, u, before, dt);
     for (int i = 0; i < 200 && high - low > 4e-16 * fmax(fabs(low), fabs(high)); i++) {
         double middle = i % 3 == 2 || !(above > below) ? 0.5 * (low + high) : low - below * (high - low) / (above - below);
         double miss;
         if (!(middle > low && middle < high))
             middle = 0.5 * (low + high);
-        miss = @f@_miss(s, sign, middle, u);
+        miss = @f@_miss(s, sign, middle, u, before, dt);
         if (miss == 0)
             return middle;
         if (miss < 0)
@@ -87,9 +100,10 @@ static double @f@_field(const double *s, double sign, double u)
     return fabs(below) < fabs(above) ? low : high;
 }
 
-static void @f@_move(const double *s, double u0, double u1, double *next)
+/* From the input u0, with which the state is in equilibrium, to u1. */
+static void @f@_move(const double *s, double u0, double u1, double before, double dt, double *next)
 {
-    const double sign = u1 > u0 ? 1 : u1 < u0 ? -1 : 0, field = @f@_field(s, sign, u1);
+    const double sign = u1 > u0 ? 1 : u1 < u0 ? -1 : 0, field = @f@_field(s, sign, u1, before, dt);
     next[1] = @f@_irreversible(s, sign, field);
     next[0] = field;
 }
@@ -98,18 +112,29 @@ static void @f@_init(double *s, double u0)
 {
     s[0] = s[1] = 0;
     for (int i = 0; i < @M@_FIRST_CURVE; i++)
-        @f@_move(s, u0 * i / @M@_FIRST_CURVE, u0 * (i + 1) / @M@_FIRST_CURVE, s);
+        @f@_move(s, u0 * i / @M@_FIRST_CURVE, u0 * (i + 1) / @M@_FIRST_CURVE, 0, 0, s);
+}
+
+static double @f@_magnetized(const double *s)
+{
+    return @M@_C * @f@_anhysteretic(s[0]) + (1 - @M@_C) * s[1];
 }
 
 static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 {
-    double moved[2], total;
+    double moved[2] = {s[0], s[1]};
+#if @M@_DYNAMIC
+    const double total = @f@_magnetized(s);
+    (void)u0;
+    if (dt > 0)
+        @f@_move(s, @M@_RISE * s[0] + @M@_LIFT * total, u1, @f@_flux(s[0], total), dt, moved);
+#else
     (void)dt;
-    @f@_move(s, u0, u1, moved);
-    total = @M@_C * @f@_anhysteretic(moved[0]) + (1 - @M@_C) * moved[1];
+    @f@_move(s, u0, u1, 0, 0, moved);
+#endif
     if (next) {
         next[0] = moved[0];
         next[1] = moved[1];
     }
-    return @M@_OFFSET + @M@_OF_INPUT * u1 + @M@_OF_FIELD * moved[0] + @M@_OF_TOTAL * total;
+    return @M@_OFFSET + @M@_OF_INPUT * u1 + @f@_flux(moved[0], @f@_magnetized(moved));
 }
