@@ -4,7 +4,7 @@
 
 Assembles the pages of docs/ and those generated from the package in OUT/source, and has Sphinx make OUT/site from them. The full form
 executes the notebooks (in their short form, where there is no newer run of them) and the scripts of the gallery. `--quick` shows both
-without outputs and draws only pictures that do not exist yet. Scripts of measured loops whose data are neither in the folder named by
+without outputs, and one picture for all models. Scripts of measured loops whose data are neither in the folder named by
 HYSTFIT_DATA nor in the user's cache are left out of the full form, unless `--download` fetches the data.
 """
 
@@ -41,23 +41,23 @@ def main(arguments: list[str] | None = None) -> int:
     shutil.copytree(HERE, source, ignore=skip)
     shutil.copy2(HERE / "conf.py", source)
     copy_gallery(source / "gallery_scripts", chosen.quick, chosen.download)
-    generate(source, chosen.out / "pictures", redraw=not chosen.quick)
+    generate(source, chosen.quick)
     copy_results(source)
     copy_notebooks(source, chosen.quick)
     quick = ["-D", "plot_gallery=0"] if chosen.quick else []
-    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", *quick, str(source), str(site)]
-    status = subprocess.run(command, check=False).returncode
+    from sphinx.cmd.build import build_main
+
+    status = build_main(["-W", "--keep-going", "-q", *quick, str(source), str(site)])  # hystfit is imported once
     print(f"site: {site / 'index.html'}" if status == 0 else "the site has errors", flush=True)
     return status
 
 
-def generate(source: Path, pictures: Path, redraw: bool) -> None:
+def generate(source: Path, quick: bool) -> None:
     """Write the pages and parts of pages that follow from the package.
 
     Args:
         source: folder that Sphinx reads.
-        pictures: folder of the pictures of models, kept between runs.
-        redraw: draw pictures that exist, too.
+        quick: one picture for all models.
     """
     import hystfit as hf
 
@@ -66,8 +66,7 @@ def generate(source: Path, pictures: Path, redraw: bool) -> None:
     from generate.markdown import write
     from generate.model_pages import draw_pictures, write_model_pages
 
-    draw_pictures(pictures, redraw)
-    shutil.copytree(pictures, source / "models")
+    draw_pictures(source / "models", quick)
     write_model_pages(source / "models")
     for make in (
         lists.statuses,

@@ -403,7 +403,7 @@ EVIL = "<script>alert('a & b')</script>"
 def test_notebooks_show_tables_with_all_text_escaped(y: np.ndarray) -> None:
     record = hf.Record(U, y, t=T, name=EVIL, u_name=EVIL, u_unit=EVIL, y_unit=EVIL)
     result = hf.fit(MODEL, record, starts=1).with_notes(Note(Code.CHOICE, EVIL))
-    posterior = hf.sample(result, sampler="emcee", draws=50, walkers=18)
+    posterior = hf.sample(result, sampler="emcee", noise="iid", draws=50, walkers=18)
     comparison = hf.compare(record, ["bouc-wen"])
     for item in (result, posterior, comparison, hf.check(record)):
         page = shown(item)

@@ -241,7 +241,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def site() -> Path:
-    """The folder of the built site; pictures of an earlier run are kept."""
+    """The folder of the built site."""
     pytest.importorskip("sphinx")
     out = ROOT / "build" / "docs-quick"
     command = [sys.executable, str(DOCS / "build.py"), "--quick", "--out", str(out)]

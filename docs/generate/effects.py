@@ -21,20 +21,23 @@ DT = 0.01  # sampling interval of the pictures [s]
 Curve = tuple[np.ndarray, np.ndarray]
 
 
-def draw_effects(entry: Facts, target: Path) -> None:
-    """Write the pictures of a model; nothing for a model whose entry varies no parameter.
-
-    Args:
-        entry: facts of the model.
-        target: path of the pictures without a suffix.
-    """
-    if not entry.vary:
-        return
+def effects(entry: Facts) -> dict[str, list[Curve]]:
+    """The curves of a model by varied parameter; none where its entry varies no parameter."""
     model = entry.model()
-    curves = {
+    return {
         name: [_curve(model.replace(**{name: value}), entry.view) for value in values]
         for name, values in entry.vary.items()
     }
+
+
+def draw_effects(entry: Facts, curves: dict[str, list[Curve]], target: Path) -> None:
+    """Write the pictures of a model.
+
+    Args:
+        entry: facts of the model.
+        curves: from `effects`.
+        target: path of the pictures without a suffix.
+    """
     save_both(lambda: _figure(entry, curves), target)
 
 

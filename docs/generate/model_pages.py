@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import inspect
+import shutil
 from pathlib import Path
 
 import numpy as np
 
-from generate.effects import draw_effects
+from generate.effects import draw_effects, effects
 from generate.markdown import docstring, interval, plain, table, write
 from generate.model_facts import Facts, facts
-from generate.style import both
+from generate.style import SCHEMES, both
 from hystfit.cli.catalog import PLACES
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.entries import MODELS, Entry
@@ -24,17 +25,24 @@ _DIRECTIONS = {
 }
 
 
-def draw_pictures(folder: Path, redraw: bool) -> None:
+def draw_pictures(folder: Path, quick: bool) -> None:
     """Draw what the parameters of every model do.
 
     Args:
         folder: of the pictures.
-        redraw: draw pictures that exist, too.
+        quick: simulate every model, and draw only the picture of the first one, which stands for the others.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True)
+    drawn: Path | None = None
     for name, known in facts().items():
-        if redraw or not (folder / f"{name}.light.svg").exists():
-            draw_effects(known, folder / name)
+        if not (curves := effects(known)):
+            continue
+        if quick and drawn is not None:
+            for color in SCHEMES:
+                shutil.copy2(f"{drawn}.{color}.svg", folder / f"{name}.{color}.svg")
+            continue
+        drawn = folder / name
+        draw_effects(known, curves, drawn)
 
 
 def write_model_pages(folder: Path) -> None:

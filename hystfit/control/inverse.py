@@ -5,18 +5,19 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from hystfit.config import verb
-from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
+from hystfit.control.online_inverse import InverseStep, Limits, Status, equilibrium, fitted_inputs
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import solve_rising
 from hystfit.models.simulation import Resume, simulate
 from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.host_arrays import compiled, to_device
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -161,7 +162,7 @@ def prepare(
     times = np.broadcast_to(given, wanted.shape) if given.ndim == 0 else given
     if times.shape != wanted.shape:
         raise DataError(f"dt must be a number or have the shape of the reference {wanted.shape}, got {times.shape}")
-    targets, steps = jnp.asarray(wanted), jnp.asarray(times)
+    targets, steps = to_device(wanted), to_device(times)
     resonance = inverted.output_resonance()
     if resonance is not None and resonance.model is not None:
         if resume is not None:
@@ -175,7 +176,7 @@ def prepare(
     if resume is not None:
         start = resume
     else:
-        start = _start(inverse, targets[0], steps[0]) if rest is None else inverse.init(rest)
+        start = _start(inverse, float(wanted[0]), to_device(times[0])) if rest is None else inverse.init(rest)
     return Task(inverse, start, targets, steps)
 
 
@@ -189,7 +190,7 @@ def _invert_resonant(model: Any, task: Task, rest: float | None, limits: Any) ->
     leading = lead(wanted, times, omega=resonant.omega, zeta=resonant.zeta)
     inner = invert(resonant.model, leading, times, rest=rest, limits=edges)
     u0 = jnp.asarray(inner.u[0] if rest is None else rest, dtype=float)
-    start = Resume(inverted.init(u0), u0)
+    start = Resume(equilibrium(inverted, u0), u0)
     y, end = simulate(inverted, inner.u, times, resume=start)
     codes = inner.codes
     if limits is None:
@@ -197,34 +198,38 @@ def _invert_resonant(model: Any, task: Task, rest: float | None, limits: Any) ->
     return Inverse(inner.u, np.asarray(y), codes, start, end)
 
 
-@eqx.filter_jit
 def _at_rest(solver: AbstractStepInverse, u: Array, dt: Array) -> Array:
     return solver.advance(solver.model.init(u), u, u, dt)[1]
 
 
-@eqx.filter_jit
-def _rest_on(inverse: InverseStep, target: Array, dt: Array, middle: Array, edges: Array) -> Array:
-    miss = lambda u: _at_rest(inverse.solver, u, dt) - target
-    sign = jnp.where(miss(edges[1]) < miss(edges[0]), -1.0, 1.0)
-    return solve_rising(lambda u: sign * miss(u), middle, edges[0], edges[1]).x
+@compiled
+def _both_at_rest(solver: AbstractStepInverse, inputs: Array, dt: Array) -> Array:
+    """Outputs at rest on two inputs, in one loop, so that the model is compiled once."""
+    return jax.lax.map(lambda u: _at_rest(solver, u, dt), inputs)
 
 
-def _start(inverse: InverseStep, target: Array, dt: Array) -> Resume:
+@compiled
+def _rest_on(solver: AbstractStepInverse, target: Array, dt: Array, sign: Array, where: Array) -> Array:
+    """The input at rest on which the output is the target; `where`: a first guess, and the lowest and highest input."""
+    return solve_rising(lambda u: sign * (_at_rest(solver, u, dt) - target), *where).x
+
+
+def _start(inverse: InverseStep, target: float, dt: Array) -> Resume:
     """The state at rest whose output is the first sample; where there is none, in equilibrium at the input nearest zero."""
     low, high = float(inverse.low), float(inverse.high)
     middle = float(np.clip(0.0, low, high))
-    if not bool(jnp.isfinite(target)):
+    if not np.isfinite(target):
         return inverse.init(middle)
-    miss = lambda u: float(_at_rest(inverse.solver, jnp.asarray(u), dt)) - float(target)
-    edges = low, high
-    width = 1.0
-    while not np.isfinite(edges).all() or (width > 1.0 and miss(edges[0]) * miss(edges[1]) > 0 and width < 1e12):
+    misses = lambda *inputs: np.asarray(_both_at_rest(inverse.solver, np.array(inputs), dt)) - target
+    edges, width = (low, high), 1.0
+    while not np.isfinite(edges).all() or (width > 1.0 and np.prod(misses(*edges)) > 0 and width < 1e12):
         edges = max(low, middle - width), min(high, middle + width)
         width *= 4.0
-    u = _rest_on(inverse, target, dt, jnp.asarray(middle), jnp.asarray(edges))
-    met = abs(miss(u)) <= float(inverse.tolerance)
-    flat = miss(edges[0]) == miss(edges[1])
-    return inverse.init(u if met and not flat else middle)
+    first, last = misses(*edges)
+    sign = np.asarray(-1.0 if last < first else 1.0)
+    u = float(_rest_on(inverse.solver, np.asarray(target), dt, sign, np.array([middle, *edges])))
+    met = abs(misses(u, u)[0]) <= float(inverse.tolerance)
+    return inverse.init(u if met and first != last else middle)
 
 
 def lead(reference: Any, dt: Any, *, omega: float, zeta: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shapes import Scalar, Signal
 from hystfit.models.simulation import Resume
 from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.params.host_arrays import compiled
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -132,7 +133,7 @@ class InverseStep(AbstractRunningInverse):
     def init(self, u0: Any = 0.0) -> Resume:
         """The model in equilibrium at an input."""
         u0 = jnp.asarray(u0, dtype=jnp.result_type(float))
-        return Resume(self.model.init(u0), u0)
+        return Resume(equilibrium(self.model, u0), u0)
 
     def step(self, memory: Resume, target: Any, dt: Any = 0.0) -> tuple[Resume, Answer]:
         """The input for the next sample of the reference, `dt` after the last.
@@ -175,6 +176,12 @@ class InverseStep(AbstractRunningInverse):
             dt: time between its samples, shape (T,) [s].
         """
         return _run(self, memory, targets, dt)
+
+
+@compiled
+def equilibrium(model: AbstractHysteresis, u0: Array) -> Array:
+    """State of a model in equilibrium at an input, by one program; its operations one by one would each compile one."""
+    return model.init(u0)
 
 
 @eqx.filter_jit

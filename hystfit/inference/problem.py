@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -364,7 +363,7 @@ class Problem:
 
     def log_prior(self, z: Any) -> float:
         """Log prior density over z."""
-        return float(self.density.log_prior(jnp.asarray(z)))
+        return float(_run(self.density, "log_prior", to_device(z)))
 
 
 @compiled

@@ -13,13 +13,13 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.params.host_arrays import to_device
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.self_contained import refuse_outside
 from hystfit.sampling.setup import Setup
@@ -92,7 +92,7 @@ class Ensemble(AbstractSampler):
     ) -> Raw:
         burn = min(int(np.ceil(5 * tau)) if np.isfinite(tau) else len(chain) // 2, len(chain) // 2)
         q = np.swapaxes(chain[burn:], 0, 1)
-        z = np.asarray(target.unwhitened(jnp.asarray(q)))
+        z = np.asarray(target.unwhitened(q))
         rate = np.broadcast_to((accepted / len(chain))[:, None], q.shape[:2])
         notes = [Note(Code.CHAINS, f"emcee: autocorrelation time {tau:.3g} steps; the first {burn} steps are left out")]
         if not settled:
@@ -133,7 +133,7 @@ def walk(target: Target, walkers: int) -> Any:
     """The emcee sampler over whitened coordinates: differential evolution, and now and then a jump from mode to mode."""
     import emcee
 
-    density = lambda q: np.asarray(_many(target, jnp.asarray(q)))
+    density = lambda q: np.asarray(_many(target, to_device(q)))
     moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     return emcee.EnsembleSampler(walkers, target.center.shape[0], density, vectorize=True, moves=moves)
 
@@ -147,13 +147,14 @@ def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)
     q = away * rng.normal(size=(walkers, d))
-    logs = np.asarray(_many(target, jnp.asarray(q)))
+    density = lambda q: np.concatenate([_many(target, to_device(half)) for half in np.split(q, 2)])  # as emcee calls it
+    logs = density(q)
     for _ in range(60):
         bad = ~np.isfinite(logs)
         if not bad.any():
             break
         q[bad] *= 0.7
-        logs = np.asarray(_many(target, jnp.asarray(q)))
+        logs = density(q)
     legacy = np.random.RandomState(seed).get_state()
     return emcee.State(q, log_prob=logs, random_state=legacy)
 

@@ -20,9 +20,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.density import Density
+from hystfit.params.host_arrays import to_device
 from hystfit.params.param import leaves_of
 
 _HALVINGS = 16  # of the search for b, until it is known to a hundredth
@@ -47,15 +49,16 @@ class NoiseCoordinates(eqx.Module):
     @classmethod
     def of(cls, density: Density) -> NoiseCoordinates | None:
         """Those of the noise of a density; None where it has no white and slow parts."""
-        noise = density.noise.tree(jnp.zeros(len(density.noise.kinds)))
+        coordinates = density.noise
+        noise = coordinates.assemble(coordinates.physical(np.zeros(len(coordinates.kinds)), np), place=np.asarray)
         if noise.parts is None:
             return None
         names = [leaf.path[-1] for leaf in leaves_of(noise)]
         white, slow, time = (names.index(name) for name in noise.parts)
-        least, scale = jnp.log(jnp.asarray(density.noise.lower)), jnp.log(jnp.asarray(density.noise.scale))
+        scale, least = np.log(np.asarray(coordinates.scale)), np.log(np.asarray(coordinates.lower)[time])
         places = (density.p + white, density.p + slow, density.p + time)
-        ends = (least[time], scale[time])
-        return cls(places, scale[slow] - scale[white], ends, jnp.asarray(density.setting.count))
+        ends = (to_device(least), to_device(scale[time]))
+        return cls(places, to_device(scale[slow] - scale[white]), ends, to_device(density.setting.count))
 
     def of_z(self, z: Float[Array, "... d"]) -> Float[Array, "... d"]:
         """w from z."""

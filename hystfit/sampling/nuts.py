@@ -204,7 +204,7 @@ class _Chain:
             if collect({name: rows[: draws - first] for name, rows in self.chunks[k].items()}):
                 break
         rows = {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in self.chunks[0]}
-        rows["z"] = np.asarray(adapted(self.target, self.warm).unwhitened(jnp.asarray(rows.pop("q"))))
+        rows["z"] = np.asarray(adapted(self.target, self.warm).unwhitened(rows.pop("q")))
         return rows
 
     def _chunk(self, k: int) -> dict[str, np.ndarray]:

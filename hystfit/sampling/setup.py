@@ -26,6 +26,7 @@ from hystfit.inference.residuals import ResidualAnalysis, analyze, diagnose
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
+from hystfit.params.host_arrays import to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
@@ -73,7 +74,7 @@ class Setup:
 
     def physical(self, z: np.ndarray) -> np.ndarray:
         """x of draws z, shape (chains, draws, d)."""
-        return np.asarray(_physical(self.problem.density, jnp.asarray(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
+        return np.asarray(_physical(self.problem.density, to_device(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
 
 
 @eqx.filter_jit
@@ -149,11 +150,11 @@ def prepare(
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    target = Target.about(problem.density, jnp.asarray(z), jnp.asarray(_widths(problem, refined.root)))
+    target = Target.about(problem.density, to_device(z), to_device(_widths(problem, refined.root)))
     center, factor, value = whiten_by_curvature(_mode(target))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
-    target = checked(target.whitened(jnp.asarray(center), jnp.asarray(factor)))
+    target = checked(target.whitened(to_device(center), to_device(factor)))
     return Setup(problem, NOISES.label(choice), target, tuple(notes))
 
 
@@ -202,12 +203,14 @@ def checked(target: Target) -> Target:
         times = np.minimum(times, np.maximum(_WIDEST / np.linalg.norm(factor, axis=0), 1.0))
         if np.all(times == 1.0):
             break
-        target = target.whitened(target.center, jnp.asarray(factor * times))
+        target = target.whitened(target.center, to_device(factor * times))
     return target
 
 
 @eqx.filter_jit
 def _fall(target: Target) -> Array:
     """Fall of the log posterior from the center to the ends of each axis, mean of either side, shape (d,)."""
-    ends = jax.lax.map(target.log_density, target.center + jnp.concatenate([target.factor.T, -target.factor.T]))
-    return target.log_density(target.center) - ends.reshape(2, -1).mean(axis=0)
+    # One loop over the center and the ends, so that the density is compiled once.
+    steps = jnp.concatenate([jnp.zeros_like(target.center)[None], target.factor.T, -target.factor.T])
+    at = jax.lax.map(target.log_density, target.center + steps)
+    return at[0] - at[1:].reshape(2, -1).mean(axis=0)

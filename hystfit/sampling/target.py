@@ -41,10 +41,9 @@ class Target(eqx.Module):
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
         """Centered on z, not whitened."""
         kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
-        bend = Bend(jnp.asarray([kind == BOTH for kind in kinds]), jnp.zeros(z.shape) if widths is None else widths)
-        noise, z = NoiseCoordinates.of(density), jnp.asarray(z)
-        center = bend.bent(z if noise is None else noise.of_z(z))
-        return cls(density, bend, center, jnp.eye(z.shape[0]), noise=noise)
+        widths = to_device(np.zeros(z.shape)) if widths is None else widths
+        bend, noise = Bend(to_device([kind == BOTH for kind in kinds]), widths), NoiseCoordinates.of(density)
+        return cls(density, bend, _v_of(bend, noise, z), to_device(np.eye(z.shape[0])), noise=noise)
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q."""
@@ -72,12 +71,7 @@ class Target(eqx.Module):
 
     def unwhitened(self, q: Float[Array | np.ndarray, "... d"]) -> Float[Array, "... d"]:
         """z from q."""
-        return self._z_of(self.v_of(q))
-
-    def _z_of(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:
-        """z from v."""
-        w = self.bend.unbent(v)
-        return w if self.noise is None else self.noise.z_of(w)
+        return _unwhitened(self, to_device(q) if isinstance(q, np.ndarray) else q)
 
     def physical(self, q: Float[Array, " d"]) -> Float[Array, " d"]:
         """x from q."""
@@ -117,3 +111,15 @@ class Target(eqx.Module):
 
         value.defvjp(both, lambda gradient, cotangent: (cotangent * gradient,))
         return value(q)
+
+
+# Operations of JAX outside compiled code are one program each: 30 of 20 ms or more, and loops that are compiled again in every call.
+@eqx.filter_jit
+def _v_of(bend: Bend, noise: NoiseCoordinates | None, z: Array) -> Array:
+    return bend.bent(z if noise is None else noise.of_z(z))
+
+
+@eqx.filter_jit
+def _unwhitened(target: Target, q: Array) -> Array:
+    w = target.bend.unbent(target.v_of(q))
+    return w if target.noise is None else target.noise.z_of(w)
