@@ -20,6 +20,7 @@ from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.header import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
+from hystfit.reading.signal_evidence import proportional
 
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
@@ -180,8 +181,9 @@ def _guess_pair(
             kinds[k] = "time"
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
-    if len(ordered) > 1 and best.points - ordered[1].points < TIE:
-        raise _undecided(table, ordered)
+    near = [reading for reading in ordered[1:] if best.points - reading.points < TIE]
+    if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
+        raise _undecided(table, best, other)
     nameless = not (table.named or given)
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
@@ -212,10 +214,16 @@ def _guess_pair(
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
-def _undecided(table: Table, ordered: Sequence[Reading]) -> DataError:
+def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
+    """Whether two readings differ by the scale of their columns, as those of a moment and of the moment per mass."""
+    pairs = ((one.input, other.input), (one.output, other.output))
+    return all(a == b or proportional(table.columns[a], table.columns[b]) for a, b in pairs)
+
+
+def _undecided(table: Table, *equal: Reading) -> DataError:
     """The question that remains where two readings are equally likely."""
     shown = []
-    for reading in ordered[:2]:
+    for reading in equal:
         i, o = (_as_option(table, k) for k in (reading.input, reading.output))
         shown.append(f"--input {i} --output {o}")
     return DataError(

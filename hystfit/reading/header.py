@@ -89,6 +89,9 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
         closed = not re.search(r"[\])>]", unit)
         if base.upper() in _OF_CIRCUITS and not (closed and is_unit(unit)):  # V(out), I(L1)
             return name, _OF_CIRCUITS[base.upper()]
+        inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
+        if base and closed and not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
+            return f"{base} {inner}", of_inner  # 1-1(位移/mm)
         if base and closed and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
             return base, unit
         if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
@@ -164,7 +167,8 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
 def _cut(text: str, mark: str | None) -> list[str]:
     if mark is None:  # a bracketed unit belongs to the word before it
         text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
-        parts = re.findall(r"\"[^\"]*\"|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
+        parts = re.findall(r"\"[^\"]*\"|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
+        parts = [part[1:-1] if part.startswith("{") and part.endswith("}") else part for part in parts]
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:
@@ -199,7 +203,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     place = next((k for k, row in enumerate(bare) if _are_units(row, rows[k])), None)
     if place is None and len(rows) > 1:  # a line of units beside words, such as "segments", has names above it
         place = next(
-            (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not any(map(is_unit, bare[k + 1]))), None
+            (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not _mostly_units(bare[k + 1])), None
         )
     units = None if place is None else [cell if is_unit(cell) else "" for cell in bare[place]]
     distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
@@ -265,8 +269,9 @@ def titled_names(above: Sequence[str], width: int) -> tuple[list[str], list[str]
     found = {}
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
-        if fitting := next((parts for parts in cut if len(parts) == width and all(parts)), None):
-            found[match["word"][0].lower() == "u"] = fitting  # the last of several
+        is_units = match["word"][0].lower() == "u"
+        if fitting := next((parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None):
+            found[is_units] = fitting  # the last of several
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []

@@ -218,6 +218,7 @@ def _table(
     return dataclasses.replace(
         table.select(positions).take(np.concatenate(rows)),
         names=tuple(names),
+        units=tuple(table.units[k] or split_unit(name)[1] for k, name in zip(positions, names, strict=True)),
         columns=tuple(loop.T),
         curve=zeros,
         section=zeros,
