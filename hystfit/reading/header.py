@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import parse_unit, quantity
 from hystfit.reading import cells
+from hystfit.reading.scaled_units import factor_of
 
 _BASE = (
     r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
@@ -63,6 +64,9 @@ _LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )
+# "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
+_NAME_CELL = re.compile(r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?)|CH名称|信号名|通道名称?|Kanalname", re.IGNORECASE)
+_UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -72,6 +76,7 @@ def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
         return True
+    text = factor_of(text)[1]
     return len(text) > 1 and text.lower() not in _NAMES_TOO and (parse_unit(text) is not None or quantity(text) != "")
 
 
@@ -222,11 +227,13 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
 
 
 def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> list[str]:
-    """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
+    """Units in a line of the header that is called so ("Y_Unit_Label", "VUnit", not "HUnit"), for the columns after the first."""
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         known = [is_unit(unit) for unit in units if unit]
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
+            if all(quantity(unit) == "time" for unit in units):
+                continue
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
 
@@ -264,9 +271,13 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
-def titled_names(above: Sequence[str], width: int) -> tuple[list[str], list[str]]:
-    """Names and units behind words that say so ("# columns: height force", "# units: m N"); none of other lines."""
+def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
+    """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
+    for line in above if delimiter else ():
+        title, *names = _cut(line, delimiter)
+        if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
+            found[False] = [title, *names]
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
         is_units = match["word"][0].lower() == "u"
@@ -311,6 +322,9 @@ def read_header(
         [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
         for _, parts in headers
     ]
+    for row in bare:
+        if match := _UNIT_CELL.fullmatch(row[0]):
+            row[0] = match["unit"] or ""
     names, of_row, used = _names_and_units([parts for _, parts in headers], bare)
     units = of_row or [""] * width
     of_names = [split_unit(name, names)[1] for name in names]

@@ -30,6 +30,7 @@ from hystfit.reading.matlab import read_matlab
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
+from hystfit.reading.scaled_units import unscaled
 from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
 from hystfit.reading.specimens import divided
@@ -138,7 +139,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 )
 
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
-ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_throughput, divided)
+ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (unscaled, with_throughput, divided)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
 REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 
