@@ -99,6 +99,8 @@ def _legacy_encoding(raw: bytes, source: str) -> str:
     first, second = sorted(shares, key=lambda name: -shares[name])[:2]
     if shares[first] > 2 * shares[second]:
         return first
+    if b"\n" not in raw:  # lines end as on a Macintosh of that time
+        return "mac_roman"
     if _is_western(sample):
         return "cp1252"
     if shares[first] > 0 or any(_is_common(sample, name) for name in _COMMON):

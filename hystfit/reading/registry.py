@@ -18,9 +18,11 @@ from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.bracket_rows import read_bracketed
 from hystfit.reading.charge_throughput import with_throughput
+from hystfit.reading.console_log import read_console_log
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.igor_text import read_igor
 from hystfit.reading.json_text import read_json
 from hystfit.reading.key_values import read_key_values
 from hystfit.reading.long_format import widened
@@ -40,6 +42,7 @@ from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
+from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 from hystfit.reading.workbook import read_workbook
 
 _HDF = b"\x89HDF"
@@ -130,6 +133,9 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_easyexpert,
     read_assigned_arrays,
     read_key_values,
+    read_console_log,
+    read_igor,
+    read_wrapped_blocks,
     read_sections,
     read_tables,
     read_transposed,
