@@ -15,7 +15,7 @@ _DOCUMENTS = {
     "word/document.xml": "a Word document (export the numbers as CSV)",
     "ppt/presentation.xml": "a presentation (export the numbers as CSV)",
     "xl/workbook.bin": "a binary Excel file (save it as .xlsx)",
-    "content.xml": "an OpenDocument file (save a spreadsheet as .xlsx)",
+    "content.xml": "an OpenDocument text or drawing (save the numbers as a spreadsheet)",
 }
 _BESIDE = frozenset({".md", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".tif", ".tiff", ".svg", ".docx", ".pptx"})
 _NOTES = ("readme", "license", "licence")  # what names of texts about the data begin with
@@ -35,6 +35,8 @@ def member_of(raw: bytes, source: str, most: int) -> tuple[str, bytes] | None:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             members = {one.filename: one for one in archive.infolist() if not one.is_dir()}
             if any(name == _WORKBOOK or name.endswith(_ARRAYS) for name in members):
+                return None
+            if "content.xml" in members and b"spreadsheet" in archive.read("mimetype"):
                 return None
             if kind := next((what for name, what in _DOCUMENTS.items() if name in members), ""):
                 raise DataError(f"{source} is not text but {kind}")

@@ -43,7 +43,7 @@ from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
 from hystfit.reading.wrapped_blocks import read_wrapped_blocks
-from hystfit.reading.workbook import read_workbook
+from hystfit.reading.workbook import read_open_document, read_workbook
 
 _HDF = b"\x89HDF"
 
@@ -77,6 +77,10 @@ def _is_matlab(file: FileBytes) -> bool:
 
 def _is_workbook(file: FileBytes) -> bool:
     return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
+
+
+def _is_spreadsheet(file: FileBytes) -> bool:
+    return _holds(file, "content.xml", ".ods")
 
 
 def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
@@ -121,6 +125,7 @@ FORMATS = (
         _is_workbook,
         read_workbook,
     ),
+    Format((".ods",), "sheets of LibreOffice and OpenOffice, as those of Excel", _is_spreadsheet, read_open_document),
 )
 
 # Each gives None for text of another layout; the last one reads any.
