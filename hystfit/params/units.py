@@ -137,7 +137,7 @@ _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "hr": "h", "inch": "in", "°": "deg", "°C": "degC", "°F": "degF",
     "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "newton": "N", "newtons": "N",
     "meter": "m", "meters": "m", "kelvin": "K", "Kelvin": "K", "tesla": "T", "gauss": "G", "torr": "Torr", "ohm": "Ohm",
-    "ohms": "Ohm", "Ohms": "Ohm", "\u03a9": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
+    "ohms": "Ohm", "Ohms": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
     "count": "counts", "msec": "ms", "metre": "m", "metres": "m", "oersted": "Oe", "oersteds": "Oe", "pascal": "Pa", "pascals": "Pa",
     "joule": "J", "joules": "J", "watt": "W", "watts": "W", "hertz": "Hz", "coulomb": "C", "coulombs": "C", "gram": "g",
     "grams": "g", "gramme": "g", "henry": "H", "farad": "F", "weber": "Wb", "degree": "deg", "degrees": "deg", "radian": "rad",
@@ -170,7 +170,7 @@ _BY_SYMBOL = {
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
     r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
-_MARKS = str.maketrans("\u00b5\u03bc\u2126\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu\u03a9**231-")
+_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(map(ord, "\u2126\u03a9"), "Ohm")
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")

@@ -51,6 +51,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     named = kinds[-1] if kinds else ""
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
+    if named == "wavelength" and base.lower() in ("λ", "lambda"):
+        return "strain"  # of a magnetostrictive material
     return by_unit or named or ("velocity" if base == "v" else "")
 
 

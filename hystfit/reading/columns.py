@@ -175,6 +175,8 @@ def _guess_pair(
         free = _without_copies(table, free, given, notes)
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
+    if any(kinds[k] == "capacitance" for k in free):  # D beside C is a loss
+        kinds.update({k: "" for k in free if table.names[k] == "D"})
     _find_velocities(table, free, kinds)
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):

@@ -60,7 +60,7 @@ _LONGEST_SETTING = 1000  # characters of a line
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
+_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>.*[A-Za-z].*)")
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )

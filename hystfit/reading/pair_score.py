@@ -47,7 +47,7 @@ _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
 _PARTIAL, _OF_LARGEST = -1.0, 0.3
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
-_MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance", "resistance")
+_MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
@@ -66,8 +66,13 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}  # less than a displacement and its force beside a gauge in volts
     | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, "displacement", "strain", "force", "stress", "current", ""]), 3.0)
     | dict.fromkeys(  # sensors, and converters of a current to a pressure
-        [*itertools.product(["force", "stress", "pressure", "strain", "displacement", "temperature"], _SENSED), ("current", "pressure")], 3.0
+        [
+            *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),
+            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"),
+        ],
+        3.0,
     )
+    | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
