@@ -115,7 +115,9 @@ def _of_groups(
     tables = [table_of_arrays(group, source, sha256, notes) for group in groups.values()]
     if len({tuple(sorted(table.names)) for table in tables}) > 1:
         return None
-    parts = tuple(Part(name=re.split(r"[./]", name)[-1]) for name in groups)
+    paths = [re.split(r"[./]", name) for name in groups]
+    shared = set(paths[0]).intersection(*paths)
+    parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
     text = f"{len(groups)} groups of columns of the same names, each a record"
     return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
 

@@ -76,7 +76,9 @@ def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
         return True
-    text = factor_of(text)[1]
+    factor, scaled = factor_of(text)
+    if factor != 1.0:
+        return not scaled or is_unit(scaled)
     return len(text) > 1 and text.lower() not in _NAMES_TOO and (parse_unit(text) is not None or quantity(text) != "")
 
 
@@ -110,13 +112,13 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     # H_kA/m is H in kA/m; of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
     if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
+    # Moment / A m2, Force, kN, Field in kA/m
+    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
+        return match[1].strip(), match[2]
     # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A.
     if (match := re.fullmatch(r"(.*[^\W\d_]{2,}\.?) (\S{2,})", name)) and is_unit(match[2]):
         if match[2] not in _NOT_SUFFIX and not _is_role(match[1], match[2], siblings):
             return match[1], match[2]
-    # Moment / A m2, Force, kN, Field in kA/m
-    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
-        return match[1].strip(), match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
         others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
         labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)

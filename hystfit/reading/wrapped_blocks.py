@@ -11,6 +11,8 @@ import re
 from collections.abc import Sequence
 
 from hystfit.outcome import Code, Note
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.text import plain_text
@@ -30,9 +32,11 @@ class _Block:
 
     @property
     def title(self) -> str:
-        """The first line above that has words and does not state the number of samples."""
+        """The line above that names a quantity, else the last one with words that does not state the number of samples."""
         lines = [line.strip(" \t#%*") for line in self.above if re.search(r"[^\W\d]{2}", line)]
-        return next((line for line in lines if str(len(self.cells)) not in _WHOLE.findall(line)), "")
+        lines = [line for line in lines if str(len(self.cells)) not in _WHOLE.findall(line)]
+        named = [line for line in lines if column_quantity(line, split_unit(line)[1]) not in ("", "index", "time")]
+        return next(iter([*named, *lines[::-1]]), "")
 
 
 def read_wrapped_blocks(text: TextFile) -> Table | None:
@@ -59,6 +63,8 @@ def _blocks(lines: Sequence[str]) -> list[_Block] | None:
             rows.append(line.split())
             continue
         if rows and (line.strip() or len(rows) >= _FEWEST):
+            if above and len(rows) > 1 and len(rows[0]) < min(_FEWEST, len(rows[1])):  # the number of samples and their interval
+                above, rows = [*above, " ".join(rows[0])], rows[1:]
             cells = [cell for row in rows for cell in row]
             widths = [len(row) for row in rows]
             even = len({*widths[:-1]}) == 1 and widths[-1] <= widths[0] and widths[0] >= _FEWEST
