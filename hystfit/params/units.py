@@ -131,7 +131,6 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
     "ppm": (1e-6, "1", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
     "Vs": (1.0, "V*s", True), "arcmin": (math.pi / 10800, "rad", False), "arcsec": (math.pi / 648000, "rad", False),
-    "L": (1e-3, "m^3", True),
 }  # fmt: skip
 _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "hr": "h", "inch": "in", "°": "deg", "°C": "degC", "°F": "degF",

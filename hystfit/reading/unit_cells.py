@@ -60,9 +60,9 @@ def _without_prefixes(text: TextFile, rows: Sequence[int], mark: str | None) -> 
     columns = [*zip(*(row for row in cells if len(row) == len(cells[-1])), strict=True)]
     found = [[_PREFIXED.fullmatch(cell) for cell in column] for column in columns]
     prefixes = [{match[2] for match in column if match} if all(column) else set() for column in found]
-    prefixed = [k for k, marks in enumerate(prefixes) if marks - {"", "m", "G"}]  # these are units too
-    if not prefixed:
+    if not set().union(*prefixes) - {"", "m", "G"}:  # these are units too
         return text
+    prefixed = [k for k, marks in enumerate(prefixes) if marks - {""}]
     lines = list(text.lines)
     for number in range(rows[0], len(lines)):
         row = [clean(cell) for cell in split(lines[number], mark)]

@@ -33,7 +33,7 @@ class _Block:
     @property
     def title(self) -> str:
         """The line above that names a quantity, else the last one with words that does not state the number of samples."""
-        lines = [line.strip(" \t#%*") for line in self.above if re.search(r"[^\W\d]{2}", line)]
+        lines = [line.strip(" \t#%*") for line in self.above if re.search(r"[^\W\d]", line)]
         lines = [line for line in lines if str(len(self.cells)) not in _WHOLE.findall(line)]
         named = [line for line in lines if column_quantity(line, split_unit(line)[1]) not in ("", "index", "time")]
         return next(iter([*named, *lines[::-1]]), "")
