@@ -984,7 +984,11 @@ def test_what_drives_sensors_converters_and_joints(header: str, pair: tuple[int,
     names, k = header.split(","), np.arange(80)
     columns = {pair[0]: 1 + np.sin(0.2 * k), pair[1]: 1500 + np.sin(0.2 * k - 0.3)}
     counted = {j: k for j, name in enumerate(names) if "time" in name.lower() or name.endswith("seq")}
-    columns = {j: 0.3 * columns[pair[1]] if "Mass" in name else 0.02 + 0.001 * np.cos(7 * k) for j, name in enumerate(names)} | columns | counted
+    columns = (
+        {j: 0.3 * columns[pair[1]] if "Mass" in name else 0.02 + 0.001 * np.cos(7 * k) for j, name in enumerate(names)}
+        | columns
+        | counted
+    )
     text = "\n".join([header, *(",".join(f"{columns[j][n]:.6f}" for j in range(len(names))) for n in k)])
     record = read(_write(tmp_path, text))
     assert isinstance(record, Record)
@@ -993,7 +997,10 @@ def test_what_drives_sensors_converters_and_joints(header: str, pair: tuple[int,
 
 def test_a_field_that_is_held_is_not_the_input(tmp_path: Path) -> None:
     k = np.arange(80)
-    rows = [f"{1000 + 0.01 * np.cos(5 * n):.3f},{250 + 60 * np.sin(0.1 * n):.3f},{np.tanh(3 * np.sin(0.1 * n - 0.3)):.5f}" for n in k]
+    rows = [
+        f"{1000 + 0.01 * np.cos(5 * n):.3f},{250 + 60 * np.sin(0.1 * n):.3f},{np.tanh(3 * np.sin(0.1 * n - 0.3)):.5f}"
+        for n in k
+    ]
     record = read(_write(tmp_path, "\n".join(["Magnetic Field (Oe),Temperature (K),Moment (emu)", *rows])))
     assert isinstance(record, Record)
     assert record.u_name == "Temperature (K)"

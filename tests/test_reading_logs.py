@@ -92,7 +92,8 @@ def test_sheets_of_an_open_document(tmp_path: Path) -> None:
     cells = lambda row: "".join(f"<t:table-cell><x:p>{cell}</x:p></t:table-cell>" for cell in row.split(","))
     rows = "".join(f"<t:table-row>{cells(row)}</t:table-row>" for row in TABLE.splitlines())
     spaces = " ".join(
-        f'xmlns:{mark}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"' for mark, name in (("t", "table"), ("x", "text"))
+        f'xmlns:{mark}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"'
+        for mark, name in (("t", "table"), ("x", "text"))
     )
     content = f'<a {spaces}><t:table t:name="S1">{rows}<t:table-row t:number-rows-repeated="99999"/></t:table></a>'
     members = {"mimetype": "application/vnd.oasis.opendocument.spreadsheet", "content.xml": content}
@@ -110,7 +111,11 @@ def test_groups_of_arrays_are_records(mark: str, tmp_path: Path) -> None:
     assert [record.name for record in data] == ["S1", "S2"]
     np.testing.assert_array_equal(data[1].u, 2 * U)
     assert (data[1].u_unit, data[1].y_unit) == ("mm", "kN")
-    channels = {f"{channel}{mark}{name}": v for channel in ("a", "b") for name, v in (("time", np.arange(U.size)), ("force_kN", Y))}
+    channels = {
+        f"{channel}{mark}{name}": v
+        for channel in ("a", "b")
+        for name, v in (("time", np.arange(U.size)), ("force_kN", Y))
+    }
     np.savez(tmp_path / "channels.npz", **channels, disp_mm=U)  # each channel has its time: no loops of their own
     assert isinstance(read(tmp_path / "channels.npz", input="disp_mm", output=f"a{mark}force_kN"), Record)
 
@@ -147,7 +152,15 @@ def test_json_list_of_one_record(tmp_path: Path) -> None:
 HALF = np.linspace(0, 100, 50)
 UP = np.round(0.04 * HALF + np.sin(HALF / 32), 6)
 DOWN = np.round(UP + 0.5 * np.sin(np.pi * HALF / 100), 6)
-PAIRS = [("trace", "retrace"), ("Ex", "Rt"), ("auf", "ab"), ("Hin", "Rück"), ("montée", "descente"), ("加载", "卸载"), ("press", "release")]
+PAIRS = [
+    ("trace", "retrace"),
+    ("Ex", "Rt"),
+    ("auf", "ab"),
+    ("Hin", "Rück"),
+    ("montée", "descente"),
+    ("加载", "卸载"),
+    ("press", "release"),
+]
 
 
 @pytest.mark.parametrize("words", [*PAIRS, ("↑", "↓"), ("north", "south")])

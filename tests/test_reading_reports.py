@@ -1,4 +1,4 @@
-"""Tables of notes, spreadsheets and simulators: drawn with rules, names in lists, behind labels and for LaTeX, numbers in other notations."""
+"""Tables of notes, spreadsheets and simulators: rules, names in lists, behind labels and for LaTeX, and other notations of numbers."""
 
 from pathlib import Path
 
@@ -29,12 +29,31 @@ DRAWN = {
     "listed": ["VSM record", "@Column 0: H, [kA/m]", "@Column 1: B, [T]", "@@Data", *ROWS],
     "listed behind tabs": ["Nsig\t2", "Sig1\tH (kA/m)", "Sig2\tB (T)", "StartOfData", *ROWS],
     "braces": ["# Columns: {Driver::Field H} {Driver::B}", "# Units: {kA/m} {T}", *ROWS],
-    "behind a label": ['"Trace","2"', '"TraceName","H","B"', '"VUnit","kA/m","T"', '"Step",1,1', '"HUnit","s","s"', "", *LEADING],
-    "some units": ["Pt,H,B,Over", "#,kA/m,T,bits", *(f"{k},{row.replace(' ', ',')},...." for k, row in enumerate(ROWS))],
+    "behind a label": [
+        '"Trace","2"',
+        '"TraceName","H","B"',
+        '"VUnit","kA/m","T"',
+        '"Step",1,1',
+        '"HUnit","s","s"',
+        "",
+        *LEADING,
+    ],
+    "some units": [
+        "Pt,H,B,Over",
+        "#,kA/m,T,bits",
+        *(f"{k},{row.replace(' ', ',')},...." for k, row in enumerate(ROWS)),
+    ],
     "LaTeX": ["$H$ ($\\mathrm{kA/m}$),$\\mathrm{B}$ (T)", *(row.replace(" ", ",") for row in ROWS)],
     "LaTeX powers": ["$\\mathbf{H}\\,(\\mathrm{kA/m})$;$B\\,(\\mathrm{T})$", *(row.replace(" ", ";") for row in ROWS)],
-    "powers of ten": ["H (10^1 kA/m),B (×10⁻³ T)", *(f"{h / 10:.9g},{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True))],
-    "a row of powers": ["H;B", "x10^-1 kA/m;10-3 T", *(f"{h * 10:.9g};{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True))],
+    "powers of ten": [
+        "H (10^1 kA/m),B (×10⁻³ T)",
+        *(f"{h / 10:.9g},{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True)),
+    ],
+    "a row of powers": [
+        "H;B",
+        "x10^-1 kA/m;10-3 T",
+        *(f"{h * 10:.9g};{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True)),
+    ],
     "SI prefixes": ["H (kA/m),B (T)", *(f"{h * 1e3:.1f}m,{m * 1e6:.0f}u" for h, m in zip(*PAIR, strict=True))],
     "without E": ["H (kA/m)  B (T)", *(f"{h:.4f}  {1e5 * m:.4f}-005" for h, m in zip(*PAIR, strict=True))],
     "Igor": ["IGOR", "WAVES/D H, B", "BEGIN", *ROWS, "END", 'X SetScale d 0,0,"kA/m", H', 'X SetScale d 0,0,"T", B'],

@@ -155,8 +155,8 @@ _QUANTITIES = {
     "current density": "A/m^2", "displacement": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s",
     "acceleration": "m/s^2", "force": "N", "torque": "N*m", "stiffness": "N/m", "stress": "Pa", "power": "W", "mass": "kg",
     "moment": "A*m^2", "magnetization": "A*m^2/kg", "molar moment": "A*m^2/mol", "induction": "T", "flux": "Wb",
-    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "capacitance": "F", "inductance": "H", "temperature": "K", "temperature in degC": "degC",
-    "temperature in degF": "degF", "counts": "counts",
+    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "capacitance": "F", "inductance": "H", "temperature": "K",
+    "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
@@ -169,7 +169,9 @@ _BY_SYMBOL = {
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
     r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
-_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(map(ord, "\u2126\u03a9"), "Ohm")
+_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
+    map(ord, "\u2126\u03a9"), "Ohm"
+)
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")

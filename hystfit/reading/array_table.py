@@ -18,7 +18,9 @@ from hystfit.reading.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text_file import Opening
 
 _MOST_COLUMNS = 5000
-_PATH = re.compile(r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)")  # of an array in groups: run1/H [A/m], test.S1.disp
+_PATH = re.compile(
+    r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
+)  # of an array in groups: run1/H [A/m], test.S1.disp
 
 
 def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: FileBytes, opening: Opening) -> Table:

@@ -65,8 +65,12 @@ _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
-_NAME_CELL = re.compile(r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?)|CH名称|信号名|通道名称?|Kanalname", re.IGNORECASE)
-_UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
+_NAME_CELL = re.compile(
+    r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?)|CH名称|信号名|通道名称?|Kanalname", re.IGNORECASE
+)
+_UNIT_CELL = re.compile(
+    r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
+)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -283,7 +287,9 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
         is_units = match["word"][0].lower() == "u"
-        if fitting := next((parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None):
+        if fitting := next(
+            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
+        ):
             found[is_units] = fitting  # the last of several
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):

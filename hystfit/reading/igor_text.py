@@ -12,7 +12,9 @@ from hystfit.reading.text_file import TextFile
 
 _WAVES = re.compile(r"\s*WAVES\s*(?:/\S+\s+)*(?P<names>\S.*)", re.IGNORECASE)
 _NAME = re.compile(r"'([^']+)'|([^\s,]+)")
-_UNIT = re.compile(r"\s*X\s+SetScale\s*(?:/\w+\s+)?[dy]\s+[^\"]*\"(?P<unit>[^\"]*)\"\s*,\s*(?P<names>\S.*)", re.IGNORECASE)
+_UNIT = re.compile(
+    r"\s*X\s+SetScale\s*(?:/\w+\s+)?[dy]\s+[^\"]*\"(?P<unit>[^\"]*)\"\s*,\s*(?P<names>\S.*)", re.IGNORECASE
+)
 
 
 def read_igor(text: TextFile) -> Table | None:
@@ -26,7 +28,9 @@ def read_igor(text: TextFile) -> Table | None:
     alike = [(names, rows) for names, rows in blocks if len(rows) == size]
     names = [name for of_block, _ in alike for name in of_block]
     titles = [f"{name} [{units[name]}]" if units.get(name) else name for name in names]
-    rows = ["\t".join("\t".join(row.split()) for row in cells) for cells in zip(*(rows for _, rows in alike), strict=True)]
+    rows = [
+        "\t".join("\t".join(row.split()) for row in cells) for cells in zip(*(rows for _, rows in alike), strict=True)
+    ]
     table = plain_text(text.of("\n".join(["\t".join(titles), *rows])))
     left = sum(len(of_block) for of_block, _ in blocks) - len(names)
     more = f"; {left} waves of another length are left out" if left else ""

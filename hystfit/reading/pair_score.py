@@ -40,7 +40,9 @@ _RESPONSE = {
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
 _STATED, _CONTRARY = 3.2, -1.0
-_BARE = -1.0  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
+_BARE = (
+    -1.0
+)  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
 # Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
@@ -63,7 +65,8 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         ],
         3.0,
     )
-    | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}  # less than a displacement and its force beside a gauge in volts
+    # A voltage and a force are worth less than a displacement and its force beside a gauge in volts.
+    | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}
     | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, "displacement", "strain", "force", "stress", "current", ""]), 3.0)
     | dict.fromkeys(  # sensors, and converters of a current to a pressure
         [

@@ -42,8 +42,8 @@ from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
-from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 from hystfit.reading.workbook import read_open_document, read_workbook
+from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 
 _HDF = b"\x89HDF"
 

@@ -63,7 +63,9 @@ def _blocks(lines: Sequence[str]) -> list[_Block] | None:
             rows.append(line.split())
             continue
         if rows and (line.strip() or len(rows) >= _FEWEST):
-            if above and len(rows) > 1 and len(rows[0]) < min(_FEWEST, len(rows[1])):  # the number of samples and their interval
+            if (
+                above and len(rows) > 1 and len(rows[0]) < min(_FEWEST, len(rows[1]))
+            ):  # the number of samples and their interval
                 above, rows = [*above, " ".join(rows[0])], rows[1:]
             cells = [cell for row in rows for cell in row]
             widths = [len(row) for row in rows]

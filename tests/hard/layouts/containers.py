@@ -43,7 +43,11 @@ def archive(draw: Draw) -> Layout:
     specimens = _specimens(draw, draw.whole(2, 4))
     folder, dialect = draw.pick("", "data/", "tests/cyclic/"), Dialect(draw.pick(",", "\t", ";"), style="brackets")
     members = {f"{folder}S{k}.csv": packed(draw, table(draw, c, dialect)) for k, c in enumerate(specimens, start=1)}
-    beside = {"README.txt": b"Tests of March", "meta.json": json.dumps({"lab": "A"}).encode(), "__MACOSX/._S1.csv": b"\0\5"}
+    beside = {
+        "README.txt": b"Tests of March",
+        "meta.json": json.dumps({"lab": "A"}).encode(),
+        "__MACOSX/._S1.csv": b"\0\5",
+    }
     members |= {name: content for name, content in beside.items() if draw.chance(0.5)}
     return Layout("", {"tests.zip": _zipped(members)}, loops([loop(u, y, t) for t, u, y in specimens]))
 
@@ -60,10 +64,15 @@ def _sheet(title: str, lines: Sequence[Sequence[str]]) -> str:
         try:
             return f'<table:table-cell office:value-type="float" office:value="{float(text)!r}"><text:p>{text}</text:p></table:table-cell>'
         except ValueError:
-            return f"<table:table-cell><text:p>{escape(text)}</text:p></table:table-cell>" if text else "<table:table-cell/>"
+            return (
+                f"<table:table-cell><text:p>{escape(text)}</text:p></table:table-cell>"
+                if text
+                else "<table:table-cell/>"
+            )
 
     body = "".join(f"<table:table-row>{''.join(map(cell, line))}</table:table-row>" for line in lines)
-    rest = '<table:table-row table:number-rows-repeated="1048000"><table:table-cell table:number-columns-repeated="1024"/></table:table-row>'
+    rest = '<table:table-cell table:number-columns-repeated="1024"/>'
+    rest = f'<table:table-row table:number-rows-repeated="1048000">{rest}</table:table-row>'
     return f'<table:table table:name="{title}">{body}{rest}</table:table>'
 
 
@@ -79,7 +88,9 @@ def open_document(draw: Draw) -> Layout:
         "mimetype": b"application/vnd.oasis.opendocument.spreadsheet",
         "content.xml": f'<?xml version="1.0" encoding="UTF-8"?>{content}</office:document-content>'.encode(),
     }
-    return Layout("", {draw.pick("loops.ods", "tests.ods"): _zipped(members)}, loops([loop(u, y, t) for t, u, y in specimens]))
+    return Layout(
+        "", {draw.pick("loops.ods", "tests.ods"): _zipped(members)}, loops([loop(u, y, t) for t, u, y in specimens])
+    )
 
 
 @kind("groups of arrays")

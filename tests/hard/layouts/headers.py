@@ -17,7 +17,11 @@ def _magnetized(draw: Draw) -> tuple[list[Column], list[Column]]:
     n = 2 * draw.whole(60, 150)
     x = major_loop(n)
     size = draw.size(20, 400)
-    field = [Column("x", size * x, "mT", ".9g"), Column("y", 0.01 * size * x, "mT", ".9g"), Column("z", 0 * x, "mT", ".9g")]
+    field = [
+        Column("x", size * x, "mT", ".9g"),
+        Column("y", 0.01 * size * x, "mT", ".9g"),
+        Column("z", 0 * x, "mT", ".9g"),
+    ]
     m = [saturating(draw, x, begin=1), 0.01 * x + draw.rng.normal(0, 1e-5, n), draw.rng.normal(0, 1e-6, n)]
     return field, [Column(axis, values, "", ".9g") for axis, values in zip("xyz", m, strict=True)]
 
@@ -27,11 +31,20 @@ def simulator(draw: Draw) -> Layout:
     field, m = _magnetized(draw)
     n = m[0].values.size
     if draw.chance(0.5):
-        names = ["{Oxs_MinDriver::Iteration}", "{Oxs_CGEvolve::Total energy}", *(f"{{Oxs_UZeeman::B{c.name}}}" for c in field)]
+        names = [
+            "{Oxs_MinDriver::Iteration}",
+            "{Oxs_CGEvolve::Total energy}",
+            *(f"{{Oxs_UZeeman::B{c.name}}}" for c in field),
+        ]
         names += [f"{{Oxs_MinDriver::m{c.name}}}" for c in m]
         steps = Column("steps", 10.0 + np.cumsum(draw.rng.integers(1, 50, n)), "", ".0f")
         energy = Column("energy", 1e-19 * draw.rng.normal(size=n), "J", ".9g")
-        lines = ["# ODT 1.0", "# Table Start", f"# Columns: {' '.join(names)}", "# Units: {} {J} {mT} {mT} {mT} {} {} {}"]
+        lines = [
+            "# ODT 1.0",
+            "# Table Start",
+            f"# Columns: {' '.join(names)}",
+            "# Units: {} {J} {mT} {mT} {mT} {} {} {}",
+        ]
         lines += [" " + row for row in rows([steps, energy, *field, *m], Dialect("   "))] + ["# Table End"]
         return Layout("", {"hysteresis.odt": packed(draw, lines)}, loops(loop(field[0], m[0])))
     t = Column("t", 1e-9 * np.arange(n), "s", ".6g")
@@ -45,15 +58,28 @@ def igor(draw: Draw) -> Layout:
     _, u, y = measured(draw, draw.whole(100, 400))
     units = draw.chance(0.7)
     if draw.chance(0.5):
-        lines = ["IGOR", f"WAVES/D\t{u.name}, {y.name}", "BEGIN", *("\t" + row for row in rows([u, y], Dialect("\t"))), "END"]
+        lines = [
+            "IGOR",
+            f"WAVES/D\t{u.name}, {y.name}",
+            "BEGIN",
+            *("\t" + row for row in rows([u, y], Dialect("\t"))),
+            "END",
+        ]
     else:
         lines = ["IGOR"]
         for column in (u, y):
-            lines += [f"WAVES/D/N=({len(column.cells)})\t'{column.name}'", "BEGIN", *(f"\t{cell}" for cell in column.cells), "END"]
+            lines += [
+                f"WAVES/D/N=({len(column.cells)})\t'{column.name}'",
+                "BEGIN",
+                *(f"\t{cell}" for cell in column.cells),
+                "END",
+            ]
     for column in (u, y) if units else ():
         lines.append(f'X SetScale d 0,0,"{column.unit}", {column.name}')
     bare = [Column(c.name, c.values, "", c.form) for c in (u, y)]
-    return Layout("", {draw.pick("loop.itx", "waves.txt"): packed(draw, lines)}, loops(loop(u, y) if units else loop(*bare)))
+    return Layout(
+        "", {draw.pick("loop.itx", "waves.txt"): packed(draw, lines)}, loops(loop(u, y) if units else loop(*bare))
+    )
 
 
 @kind("settings and names behind a label")
@@ -64,7 +90,14 @@ def labeled(draw: Draw) -> Layout:
     u, y = Column("CH-2", 20 * x, "mm", ".4f"), Column("CH-1", 80 * draw.noise(rubbing(draw, x), 2e-3), "kN", ".4f")
     t = Column("", 0.01 * np.arange(n), "s", ".4f")
     if draw.chance(0.5):
-        head = ['"ID","DCS-100A"', f'"Data",{n}', '"CH名称","CH-1","CH-2"', '"CHNo","1","2"', '"Range","5000","5000"', '"Coef","0.01","0.02"']
+        head = [
+            '"ID","DCS-100A"',
+            f'"Data",{n}',
+            '"CH名称","CH-1","CH-2"',
+            '"CHNo","1","2"',
+            '"Range","5000","5000"',
+            '"Coef","0.01","0.02"',
+        ]
         lines = [*head, '"単位(sec)","kN","mm"', *rows([t, y, u], Dialect(","))]
         return Layout("", {"strain.csv": packed(draw, lines, ("utf-8", "cp932"))}, loops(loop(u, y, t)))
     names = draw.pick(("Displacement", "Force"), ("disp", "load"))
@@ -91,7 +124,20 @@ def some_units(draw: Draw) -> Layout:
     u, y = Column("drive", 10 * x, "V", "+.3f"), Column("gap", 3 * draw.noise(lagging(draw, x), 1e-3), "mm", "+.4f")
     number = Column("Number", 1.0 + np.arange(n), "", ".0f")
     stamps = np.array([f"2016/04/27 13:{k // 60:02d}:{k % 60:02d}" for k in range(n)])
-    columns = [number, Column("Date&Time", stamps), Column("ms", np.full(n, "000")), u, y, Column("Alarm", np.full(n, "LLLL"))]
-    lines = ["Vendor,Maker", f"Total data points,{n}", "Data", "Number,Date&Time,ms,drive,gap,Alarm", "NO.,Time,ms,V,mm,A1234"]
+    columns = [
+        number,
+        Column("Date&Time", stamps),
+        Column("ms", np.full(n, "000")),
+        u,
+        y,
+        Column("Alarm", np.full(n, "LLLL")),
+    ]
+    lines = [
+        "Vendor,Maker",
+        f"Total data points,{n}",
+        "Data",
+        "Number,Date&Time,ms,drive,gap,Alarm",
+        "NO.,Time,ms,V,mm,A1234",
+    ]
     lines += rows(columns, Dialect(","))
     return Layout("", {"logger.CSV": packed(draw, lines)}, loops(loop(u, y)))

@@ -35,12 +35,11 @@ def powers(draw: Draw) -> Layout:
     return Layout("", {draw.pick("scaled.csv", "fig2.txt"): packed(draw, lines, ("utf-8",))}, loops(truth))
 
 
-def _prefixed(value: float, unit: str = "") -> str:
+def _prefixed(value: float) -> str:
     """A number with an SI prefix, of six digits."""
-    for prefix, size in (("k", 1e3), ("", 1.0), ("m", 1e-3), ("u", 1e-6)):
-        if abs(value) >= size:
-            break
-    return f"{value / size:.6g}{' ' if unit else ''}{prefix}{unit}"
+    prefixes = (("k", 1e3), ("", 1.0), ("m", 1e-3), ("u", 1e-6))
+    prefix, size = next((one for one in prefixes if abs(value) >= one[1]), prefixes[-1])
+    return f"{value / size:.6g}{prefix}"
 
 
 @kind("SI prefixes in cells")
@@ -83,7 +82,9 @@ def latex(draw: Draw) -> Layout:
     form = draw.pick("${name}$ ({unit})", "${name}$ [{unit}]", "${name}\\,(\\mathrm{{{unit}}})$", "{title} $({unit})$")
     mark = draw.pick(",", "\t", ";")
     names = [
-        form.format(name=symbols[c.name], title=c.name, unit=f"${_LATEX[c.unit]}$" if c.unit in _LATEX else c.unit).replace("$$", "")
+        form.format(
+            name=symbols[c.name], title=c.name, unit=f"${_LATEX[c.unit]}$" if c.unit in _LATEX else c.unit
+        ).replace("$$", "")
         if form.startswith("${name}$")
         else form.format(name=symbols[c.name], title=c.name, unit=_LATEX.get(c.unit, c.unit))
         for c in (u, y)
@@ -108,7 +109,7 @@ def wrapped(draw: Draw) -> Layout:
 
 @kind("console with the time of day")
 def console(draw: Draw) -> Layout:
-    t, u, y = measured(draw, draw.whole(100, 400))
+    _, u, y = measured(draw, draw.whole(100, 400))
     seconds = np.arange(len(u.cells)) * 0.1
     clock = [f"10:{20 + int(s) // 60:02d}:{int(s) % 60:02d}.{round(1000 * s) % 1000:03d}" for s in seconds]
     mark = draw.pick(",", "\t", ";", " ")

@@ -35,7 +35,9 @@ def calibration(draw: Draw) -> Layout:
     pair = [u, y] if "utput" in signal or draw.chance(0.6) else [y, u]
     columns = [*([t] if draw.chance(0.5) else []), *pair, *([room] if draw.chance(0.3) else [])]
     lines = table(draw, columns, any_dialect(draw))
-    return Layout("", {draw.pick("calibration.csv", "FBG 3.txt", "sensor_up_down"): packed(draw, lines)}, loops(loop(u, y)))
+    return Layout(
+        "", {draw.pick("calibration.csv", "FBG 3.txt", "sensor_up_down"): packed(draw, lines)}, loops(loop(u, y))
+    )
 
 
 @kind("current to pressure converter")
@@ -56,7 +58,9 @@ def sweep(draw: Draw) -> Layout:
     n = 2 * draw.whole(80, 200)
     x = triangle(n, 1, 0.75)
     u = Column("Temperature", 250 + draw.between(20, 100) * x, "K", ".3f")
-    y = Column(draw.pick("Moment", "Long Moment"), 1e-3 * (2 - draw.noise(saturating(draw, x, begin=-1), 1e-3)), "emu", ".6e")
+    y = Column(
+        draw.pick("Moment", "Long Moment"), 1e-3 * (2 - draw.noise(saturating(draw, x, begin=-1), 1e-3)), "emu", ".6e"
+    )
     field = Column("Magnetic Field", draw.pick(100.0, 1000.0, 50000.0) * (1 + draw.rng.normal(0, 1e-5, n)), "Oe", ".3f")
     t = Column("Time Stamp", 20.0 * np.arange(n), "s", ".1f", "sec")
     lines = table(draw, [*([t] if draw.chance(0.5) else []), *draw.shuffled([u, field]), y], any_dialect(draw))
