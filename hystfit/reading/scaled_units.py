@@ -16,7 +16,7 @@ _FACTOR = re.compile(
 
 
 def factor_of(unit: str) -> tuple[float, str]:
-    """The power of ten before a unit, and the unit without it; 1 where there is none. "10-3" is a thousandth that has lost its superscript."""
+    """The power of ten before a unit, and the unit without it; 1 where there is none. "10-3" has lost its superscript."""
     match = _FACTOR.match(unit)
     if match is None:
         return 1.0, unit

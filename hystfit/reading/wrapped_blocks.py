@@ -35,8 +35,11 @@ class _Block:
         """The line above that names a quantity, else the last one with words that does not state the number of samples."""
         lines = [line.strip(" \t#%*") for line in self.above if re.search(r"[^\W\d]", line)]
         lines = [line for line in lines if str(len(self.cells)) not in _WHOLE.findall(line)]
-        named = [line for line in lines if column_quantity(line, split_unit(line)[1]) not in ("", "index", "time")]
-        return next(iter([*named, *lines[::-1]]), "")
+        kinds = {line: column_quantity(line, split_unit(line)[1]) for line in lines[::-1]}
+        lines = sorted(
+            (line for line, kind in kinds.items() if kind not in ("index", "time")), key=lambda line: kinds[line] == ""
+        )
+        return next(iter(lines), "")
 
 
 def read_wrapped_blocks(text: TextFile) -> Table | None:
