@@ -41,7 +41,8 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
         return files
     if not glob.has_magic(str(path)) or exists(path):
         inside = members_of(Path(path)) if exists(path) else []
-        return [path] if len(inside) < 2 else [f"{path}/{name}" for name in sorted(inside, key=_by_number)]
+        members: list[str | Path] = [f"{path}/{name}" for name in sorted(inside, key=_by_number)]
+        return [path] if len(inside) < 2 else members
     try:
         found = [file for file in glob.glob(str(path), recursive=True) if Path(file).is_file()]
     except (OSError, ValueError, RecursionError, re.error):  # names that the system does not take

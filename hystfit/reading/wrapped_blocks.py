@@ -21,6 +21,7 @@ from hystfit.reading.text_file import TextFile
 _NUMBERS = re.compile(r"(?:\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?(?=\s|$))+\s*")
 _WHOLE = re.compile(r"(?<![\d.])\d+(?![\d.])")
 _FEWEST = 3  # lines of a block, and numbers of a line
+_LONGEST = 9  # digits of a number of samples
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,7 +45,7 @@ class _Block:
 
 def read_wrapped_blocks(text: TextFile) -> Table | None:
     """Signals one after the other, each of as many numbers as the lines above it state, with several in a line; None for other text."""
-    if not any(_NUMBERS.fullmatch(line) for line in text.head) or (blocks := _blocks(text.lines)) is None:
+    if not _ends_as_stated(text) or (blocks := _blocks(text.lines)) is None:
         return None
     if len({len(block.cells) for block in blocks}) > 1:
         return None
@@ -54,6 +55,22 @@ def read_wrapped_blocks(text: TextFile) -> Table | None:
     words = f"{len(blocks)} signals of {len(rows)} samples, each in lines of several"
     interval = stated_interval([part for block in blocks for line in block.above for part in line.split(",")])
     return dataclasses.replace(table, interval=interval).noted(Note(Code.FILE_FORMAT, words))
+
+
+def _ends_as_stated(text: TextFile) -> bool:
+    """Whether the first block of numbers ends where the number of samples in the lines above it says; nothing else is looked at."""
+    first = next((k for k, line in enumerate(text.head) if _NUMBERS.fullmatch(line)), len(text.head))
+    begins = [
+        k for k in (first, first + 1) if 0 < k < len(text.lines)
+    ]  # the number of samples may be in a line of numbers
+    stated = {k: {int(n) for line in text.head[:k] for n in _WHOLE.findall(line) if len(n) < _LONGEST} for k in begins}
+    for k in begins:
+        width = len(text.lines[k].split())
+        for end in {k - (-n // width) for n in stated[k] if n > _FEWEST * width} if width >= _FEWEST else ():
+            block = text.lines[end - 1 : end + 1]
+            if block and _NUMBERS.fullmatch(block[0]) and not any(map(_NUMBERS.fullmatch, block[1:])):
+                return True
+    return False
 
 
 def _blocks(lines: Sequence[str]) -> list[_Block] | None:
