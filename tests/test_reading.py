@@ -1105,6 +1105,16 @@ def test_a_matrix_of_inputs_and_one_of_outputs_are_loops_column_by_column(tmp_pa
     _check_loops(read(tmp_path / "wide.csv"), H, B)
 
 
+def test_waveforms_in_the_rows_of_two_files_are_loops(tmp_path: Path) -> None:
+    """As libraries of power magnetics write them: a waveform a line, without names."""
+    H, B = _matrices()
+    for name, matrix in (("H", H), ("B", B)):
+        np.savetxt(tmp_path / f"{name}.csv", matrix.T, delimiter=",", fmt="%.17g")
+    _check_loops(read(f"{tmp_path}/H.csv+{tmp_path}/B.csv"), H, B)
+    with pytest.raises(DataError, match=r"INPUT_FILE\+OUTPUT_FILE"):
+        read(tmp_path / "H.csv")
+
+
 def test_matrices_with_a_time_are_the_channels_of_one_record(tmp_path: Path) -> None:
     """Two oscilloscope channels, each a matrix of time and voltage; two files of time and signal without names."""
     H, B = _matrices()

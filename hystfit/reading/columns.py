@@ -22,6 +22,7 @@ from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import proportional
 
+_MANY_SIGNALS = 8  # columns without names above which they are likely those of several loops
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -228,9 +229,11 @@ def _undecided(table: Table, *equal: Reading) -> DataError:
     for reading in equal:
         i, o = (_as_option(table, k) for k in (reading.input, reading.output))
         shown.append(f"--input {i} --output {o}")
+    many = not table.named and len(table.names) > _MANY_SIGNALS
+    apart = "; if the outputs are in a file of their own, INPUT_FILE+OUTPUT_FILE reads both" if many else ""
     return DataError(
         f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
-        f"{shown[1]} (input=, output=). The columns are {table.describe()}"
+        f"{shown[1]} (input=, output=){apart}. The columns are {table.describe()}"
     )
 
 
