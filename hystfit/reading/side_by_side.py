@@ -22,7 +22,9 @@ _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name
 _FEWEST_ROWS = 4
-_SMOOTHER = 0.3  # of the mean step from row to row, below which the samples of a loop follow each other from column to column
+# Part of the mean step from row to row below which the samples of a loop follow each other from column to column, where there are more rows;
+# its reciprocal where there are more columns.
+_SMOOTHER = 0.3
 
 
 def stacked(table: Table) -> Table | None:
@@ -109,7 +111,8 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
         return None
     drives, sensors = np.column_stack(table.columns[:inputs]), np.column_stack(table.columns[inputs:])
     change = lambda axis: sum(float(np.nanmean(np.abs(np.diff(side, axis=axis)))) for side in (drives, sensors))
-    if not table.named and not table.labels and table.rows > 1 and change(1) < _SMOOTHER * change(0):
+    ratio = 1 / _SMOOTHER if table.rows < inputs else _SMOOTHER  # a loop has more samples than there are loops
+    if not table.named and not table.labels and table.rows > 1 and change(1) < ratio * change(0):
         number = np.repeat(np.arange(table.rows), inputs)
         loops = dataclasses.replace(
             table.select([0, inputs]).take(number), columns=(drives.ravel(), sensors.ravel()), curve=number
