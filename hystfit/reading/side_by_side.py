@@ -22,7 +22,7 @@ _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name
 _FEWEST_ROWS = 4
-# Part of the mean step from row to row below which the samples of a loop follow each other from column to column, where there are more rows;
+# Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
 
