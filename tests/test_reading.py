@@ -567,6 +567,9 @@ def test_units_of_the_user_are_no_assumption(tmp_path: Path) -> None:
         ("x_min", ("x_min", "")),
         ("v_in", ("v_in", "")),
         ("x_in", ("x", "in")),
+        ("Load in kN", ("Load", "kN")),
+        ("1-1(位移/mm)", ("1-1 位移", "mm")),
+        ("Ewe (V vs. SCE)", ("Ewe", "V vs. SCE")),
         ("Kraft / kN", ("Kraft", "kN")),
         ("x[0]", ("x[0]", "")),
         ("x[1]", ("x[1]", "")),
@@ -961,6 +964,48 @@ def test_measured_ferroelectric(measured: Path) -> None:
     assert sum(note.code is Code.LEFT_OUT for note in first.notes) == 5  # kinds of lines, unused columns, the copy
 
 
+@pytest.mark.parametrize(
+    ("header", "pair"),
+    [
+        ("Wavelength (nm),Force (N)", (1, 0)),
+        ("Capacitance (pF),Pressure (kPa)", (1, 0)),
+        ("Time (s),Force (N),Resistance (kΩ)", (1, 2)),
+        ("Torque (Nm),Output (mV/V)", (0, 1)),
+        ("Load (N),Output voltage (mV)", (0, 1)),
+        ("Displacement (mm),Output (V)", (0, 1)),
+        ("Pressure (bar),Current (mA)", (1, 0)),
+        ("Bias (V),Cp (pF),D", (0, 1)),
+        ("time,field.header.seq,field.position0,field.effort0", (2, 3)),
+        ("Moment (emu),Moment/Mass (emu/g),Field (Oe)", (2, 0)),
+    ],
+)
+def test_what_drives_sensors_converters_and_joints(header: str, pair: tuple[int, int], tmp_path: Path) -> None:
+    """By quantities alone, whatever the order of the columns; a column in other units is no second reading."""
+    names, k = header.split(","), np.arange(80)
+    columns = {pair[0]: 1 + np.sin(0.2 * k), pair[1]: 1500 + np.sin(0.2 * k - 0.3)}
+    counted = {j: k for j, name in enumerate(names) if "time" in name.lower() or name.endswith("seq")}
+    columns = (
+        {j: 0.3 * columns[pair[1]] if "Mass" in name else 0.02 + 0.001 * np.cos(7 * k) for j, name in enumerate(names)}
+        | columns
+        | counted
+    )
+    text = "\n".join([header, *(",".join(f"{columns[j][n]:.6f}" for j in range(len(names))) for n in k)])
+    record = read(_write(tmp_path, text))
+    assert isinstance(record, Record)
+    assert (record.u_name, record.y_name) == (names[pair[0]], names[pair[1]])
+
+
+def test_a_field_that_is_held_is_not_the_input(tmp_path: Path) -> None:
+    k = np.arange(80)
+    rows = [
+        f"{1000 + 0.01 * np.cos(5 * n):.3f},{250 + 60 * np.sin(0.1 * n):.3f},{np.tanh(3 * np.sin(0.1 * n - 0.3)):.5f}"
+        for n in k
+    ]
+    record = read(_write(tmp_path, "\n".join(["Magnetic Field (Oe),Temperature (K),Moment (emu)", *rows])))
+    assert isinstance(record, Record)
+    assert record.u_name == "Temperature (K)"
+
+
 def test_the_temperature_of_a_shape_memory_alloy_is_the_input(tmp_path: Path) -> None:
     """Beside its strain and resistance; not a room temperature, and not beside a drive."""
     k = np.arange(60)
@@ -1058,6 +1103,16 @@ def test_a_matrix_of_inputs_and_one_of_outputs_are_loops_column_by_column(tmp_pa
         tmp_path / "wide.csv", np.hstack([H, B]), delimiter=",", fmt="%.17g", header=",".join(names), comments=""
     )
     _check_loops(read(tmp_path / "wide.csv"), H, B)
+
+
+def test_waveforms_in_the_rows_of_two_files_are_loops(tmp_path: Path) -> None:
+    """As libraries of power magnetics write them: a waveform a line, without names."""
+    H, B = _matrices()
+    for name, matrix in (("H", H), ("B", B)):
+        np.savetxt(tmp_path / f"{name}.csv", matrix.T, delimiter=",", fmt="%.17g")
+    _check_loops(read(f"{tmp_path}/H.csv+{tmp_path}/B.csv"), H, B)
+    with pytest.raises(DataError, match=r"INPUT_FILE\+OUTPUT_FILE"):
+        read(tmp_path / "H.csv")
 
 
 def test_matrices_with_a_time_are_the_channels_of_one_record(tmp_path: Path) -> None:

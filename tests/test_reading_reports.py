@@ -1,4 +1,4 @@
-"""Tables of notes, spreadsheets and simulators: drawn with rules, a row for each quantity, names listed by number, SPICE names."""
+"""Tables of notes, spreadsheets and simulators: rules, names in lists, behind labels and for LaTeX, and other notations of numbers."""
 
 from pathlib import Path
 
@@ -12,6 +12,9 @@ FIELD = 10 * np.sin(PHASE)
 MOMENT = np.round(0.7 * np.tanh(FIELD / 4 - 0.5 * np.cos(PHASE)), 5)
 ROWS = [f"{h:.4f} {m:.5f}" for h, m in zip(FIELD, MOMENT, strict=True)]
 BARS = [f"| {row.replace(' ', ' | ')} |" for row in ROWS]
+PAIR = tuple(np.array([float(row.split()[k]) for row in ROWS]) for k in (0, 1))
+LEADING = ["," + row.replace(" ", ",") for row in ROWS]
+WRAPPED = [[" ".join(row.split()[k] for row in ROWS[n : n + 8]) for n in range(0, 61, 8)] for k in (0, 1)]
 NAMES = ("H (kA/m)", "B (T)")
 DRAWN = {
     "Markdown": ["# Loop 7", "", "| H (kA/m) | B (T) |", "| ---: | ---: |", *BARS],
@@ -24,6 +27,38 @@ DRAWN = {
         "Date,12.3.2024",
     ],
     "listed": ["VSM record", "@Column 0: H, [kA/m]", "@Column 1: B, [T]", "@@Data", *ROWS],
+    "listed behind tabs": ["Nsig\t2", "Sig1\tH (kA/m)", "Sig2\tB (T)", "StartOfData", *ROWS],
+    "braces": ["# Columns: {Driver::Field H} {Driver::B}", "# Units: {kA/m} {T}", *ROWS],
+    "behind a label": [
+        '"Trace","2"',
+        '"TraceName","H","B"',
+        '"VUnit","kA/m","T"',
+        '"Step",1,1',
+        '"HUnit","s","s"',
+        "",
+        *LEADING,
+    ],
+    "some units": [
+        "Pt,H,B,Over",
+        "#,kA/m,T,bits",
+        *(f"{k},{row.replace(' ', ',')},...." for k, row in enumerate(ROWS)),
+    ],
+    "LaTeX": ["$H$ ($\\mathrm{kA/m}$),$\\mathrm{B}$ (T)", *(row.replace(" ", ",") for row in ROWS)],
+    "LaTeX powers": ["$\\mathbf{H}\\,(\\mathrm{kA/m})$;$B\\,(\\mathrm{T})$", *(row.replace(" ", ";") for row in ROWS)],
+    "powers of ten": [
+        "H (10^1 kA/m),B (×10⁻³ T)",
+        *(f"{h / 10:.9g},{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True)),
+    ],
+    "a row of powers": [
+        "H;B",
+        "x10^-1 kA/m;10-3 T",
+        *(f"{h * 10:.9g};{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True)),
+    ],
+    "SI prefixes": ["H (kA/m),B (T)", *(f"{h * 1e3:.1f}m,{m * 1e6:.0f}u" for h, m in zip(*PAIR, strict=True))],
+    "without E": ["H (kA/m)  B (T)", *(f"{h:.4f}  {1e5 * m:.4f}-005" for h, m in zip(*PAIR, strict=True))],
+    "Igor": ["IGOR", "WAVES/D H, B", "BEGIN", *ROWS, "END", 'X SetScale d 0,0,"kA/m", H', 'X SetScale d 0,0,"T", B'],
+    "console": [f"10:00:{k / 10:06.3f} -> {row.replace(' ', ',')}" for k, row in enumerate(["H_kA/m B_T", *ROWS])],
+    "wrapped": ["H (kA/m)", "61 points", *WRAPPED[0], "B (T)", "61 0.01", *WRAPPED[1]],
     "listed from 1": ["# 1 = H (kA/m)", "# 2 = B (T)", *["# a remark of several words"] * 15, *ROWS],
 }
 
@@ -78,3 +113,13 @@ def test_a_missing_number_of_a_table_on_its_side_loses_no_row(tmp_path: Path) ->
     assert record.y_unit == "T"
     used = np.arange(len(ROWS)) != 30
     np.testing.assert_allclose(record.y[record.used], MOMENT[used], atol=1e-9)
+
+
+def test_text_of_an_old_macintosh(tmp_path: Path) -> None:
+    """Its lines end in carriage returns alone, and its signs are at other places than those of Windows."""
+    path = tmp_path / "loop.txt"
+    rows = [f"{row.replace(' ', chr(9))}\t23.4" for row in ROWS]
+    path.write_bytes("\r".join(["H (kA/m)\tDehnung (µm/m)\tKühlung (°C)", *rows]).encode("mac_roman"))
+    record = hf.read(path)
+    assert (record.u_unit, record.y_unit) == ("kA/m", "µm/m")
+    assert "Kühlung (°C)" in record.metadata

@@ -130,13 +130,13 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "inHg": (3386.38815789, "Pa", False), "atm": (101325.0, "Pa", False), "dyn": (1e-5, "N", False),
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
     "ppm": (1e-6, "1", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
-    "Vs": (1.0, "V*s", True),
+    "Vs": (1.0, "V*s", True), "arcmin": (math.pi / 10800, "rad", False), "arcsec": (math.pi / 648000, "rad", False),
 }  # fmt: skip
 _SPELLINGS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "hr": "h", "inch": "in", "°": "deg", "°C": "degC", "°F": "degF",
     "volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A", "newton": "N", "newtons": "N",
     "meter": "m", "meters": "m", "kelvin": "K", "Kelvin": "K", "tesla": "T", "gauss": "G", "torr": "Torr", "ohm": "Ohm",
-    "ohms": "Ohm", "Ohms": "Ohm", "\u03a9": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
+    "ohms": "Ohm", "Ohms": "Ohm", "lb": "lbf", "lbs": "lbf", "kips": "kip", "angstrom": "Angstrom",
     "count": "counts", "msec": "ms", "metre": "m", "metres": "m", "oersted": "Oe", "oersteds": "Oe", "pascal": "Pa", "pascals": "Pa",
     "joule": "J", "joules": "J", "watt": "W", "watts": "W", "hertz": "Hz", "coulomb": "C", "coulombs": "C", "gram": "g",
     "grams": "g", "gramme": "g", "henry": "H", "farad": "F", "weber": "Wb", "degree": "deg", "degrees": "deg", "radian": "rad",
@@ -155,8 +155,8 @@ _QUANTITIES = {
     "current density": "A/m^2", "displacement": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s",
     "acceleration": "m/s^2", "force": "N", "torque": "N*m", "stiffness": "N/m", "stress": "Pa", "power": "W", "mass": "kg",
     "moment": "A*m^2", "magnetization": "A*m^2/kg", "molar moment": "A*m^2/mol", "induction": "T", "flux": "Wb",
-    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "temperature": "K", "temperature in degC": "degC",
-    "temperature in degF": "degF", "counts": "counts",
+    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "capacitance": "F", "inductance": "H", "temperature": "K",
+    "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
@@ -166,10 +166,12 @@ _AS_COLUMN = {
 _BY_SYMBOL = {
     r"emu/.*": "magnetization",
     r"m?Ah(/.*)?": "state of charge",
-    r"m?bar|psi|[tT]orr|hPa": "pressure",
+    r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
     r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
-_MARKS = str.maketrans("\u00b5\u03bc\u2126\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu\u03a9**231-")
+_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
+    map(ord, "\u2126\u03a9"), "Ohm"
+)
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
@@ -177,7 +179,8 @@ _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|
 
 def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
-    plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", text.strip().translate(_MARKS))
+    plain = re.sub(r"\s+vs\b.*", "", text.strip().rstrip("."))  # of a voltage against a reference
+    plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(_MARKS))
     plain = re.sub(r"[ _(]+STP\)?$", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
     plain = _HYPHEN.sub("*", re.sub(r"[ _]+per[ _]+", "/", plain))

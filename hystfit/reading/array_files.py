@@ -5,12 +5,14 @@ from __future__ import annotations
 import io
 import math
 import zipfile
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.reading.file_bytes import allowed
+from hystfit.reading.header import is_unit, split_unit
 
 _CHUNK = 2**20
 DOUBLE = 8  # bytes that every number takes in the end
@@ -95,8 +97,16 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
             if isinstance(values, np.ndarray) and values.dtype.names is not None:
                 arrays.update({f"{name}/{field}": values[field] for field in values.dtype.names})
             elif isinstance(values, np.ndarray):
-                arrays[name] = _text(values) if values.dtype.kind in "SO" else values
+                titled = name if split_unit(name)[1] or not (unit := _unit_of(item.attrs)) else f"{name} [{unit}]"
+                arrays[titled] = _text(values) if values.dtype.kind in "SO" else values
     return arrays
+
+
+def _unit_of(attributes: Mapping[str, Any]) -> str:
+    """The unit that the attributes of a data set state, "" where they state none."""
+    stated = next((attributes[key] for key in attributes if key.lower() in ("unit", "units")), "")
+    text = stated.decode(errors="replace") if isinstance(stated, bytes) else str(stated)
+    return text if is_unit(text) else ""
 
 
 def _text(values: np.ndarray) -> np.ndarray:

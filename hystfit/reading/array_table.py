@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.header import split_unit
-from hystfit.reading.raw_table import Table, plain_table
+from hystfit.reading.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text_file import Opening
 
 _MOST_COLUMNS = 5000
+_PATH = re.compile(
+    r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
+)  # of an array in groups: run1/H [A/m], test.S1.disp
 
 
 def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: FileBytes, opening: Opening) -> Table:
@@ -48,7 +53,12 @@ def errors_of(file: FileBytes, opening: Opening) -> Iterator[None]:
 def table_of_arrays(
     arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note] = ()
 ) -> Table:
-    """Columns of equal length; a matrix gives one column for each of its shorter side, called name[0], name[1], ..."""
+    """Columns of equal length; a matrix gives one column for each of its shorter side, called name[0], name[1], ...
+
+    Groups with loops of the same names (run1/H, run1/B, run2/H, run2/B) are a record each.
+    """
+    if (records := _of_groups(arrays, source, sha256, notes)) is not None:
+        return records
     columns: dict[str, np.ndarray] = {}
     odd, stamps = [], set()
     for name, array in arrays.items():
@@ -90,6 +100,28 @@ def table_of_arrays(
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
     return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+
+
+def _of_groups(
+    arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note]
+) -> Table | None:
+    """The records of groups that have columns of the same names, of which two may be those of a loop; None where there are none."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for match in filter(None, map(_PATH.fullmatch, arrays)):
+        if np.squeeze(arrays[match[0]]).ndim == 1:
+            groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
+    first = next(iter(groups.values()), {})
+    signals = [name for name in first if column_quantity(name) not in ("", "time", "index")]
+    if len(groups) < 2 or len(signals) < 2 or any(group.keys() != first.keys() for group in groups.values()):
+        return None
+    tables = [table_of_arrays(group, source, sha256, notes) for group in groups.values()]
+    if len({tuple(sorted(table.names)) for table in tables}) > 1:
+        return None
+    paths = [re.split(r"[./]", name) for name in groups]
+    shared = set(paths[0]).intersection(*paths)
+    parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
+    text = f"{len(groups)} groups of columns of the same names, each a record"
+    return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
 
 
 def _seconds(stamps: np.ndarray) -> np.ndarray:

@@ -47,6 +47,7 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
     return re.compile(plain, re.ASCII), re.compile(grouped, re.ASCII), re.compile(spaced, re.ASCII)
 
 
+_THREE_DIGITS = re.compile(r"([+-]?\d*[.,]\d{3,})([+-]\d{3})", re.ASCII)  # 1.234-103: Fortran leaves the E out
 _LONGEST = 1000  # characters of a number or stamp
 # Minus signs and dashes, and the digits and marks of full width of Chinese and Japanese text.
 _AS_ASCII = (
@@ -119,6 +120,8 @@ def number(cell: str, decimal: str) -> float | None:
         return float(cell.replace("," if decimal == "." else ".", "").replace(decimal, "."))
     if spaced.fullmatch(cell):
         return float(re.sub(r"[^\d.,eE+-]", "", cell).replace(decimal, "."))
+    if (match := _THREE_DIGITS.fullmatch(cell)) and decimal in cell:
+        return float(f"{match[1].replace(decimal, '.')}e{match[2]}")
     lower = cell.lower()
     if lower.lstrip("+-") in _INFINITE:
         return -np.inf if lower.startswith("-") else np.inf

@@ -29,7 +29,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if base == "T" and by_unit == "charge":
+    if base == "T" and by_unit in ("charge", "capacitance"):
         return "temperature"  # degrees Celsius without their sign
     base = _field(base)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
@@ -51,13 +51,15 @@ def column_quantity(name: str, unit: str = "") -> str:
     named = kinds[-1] if kinds else ""
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
+    if named == "wavelength" and base.lower() in ("λ", "lambda"):
+        return "strain"  # of a magnetostrictive material
     return by_unit or named or ("velocity" if base == "v" else "")
 
 
 def _field(base: str) -> str:
-    """The letter that a field of a structure is called by (t in experiment.data.t); other names as they are."""
-    path = re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z])", base)
-    return path[1] if path else base
+    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are."""
+    path = re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z]\w*)", base)
+    return path[1] if path and (len(path[1]) == 1 or any(w in _WORDS or w in _ROLES for w in _words(path[1]))) else base
 
 
 def column_unit(name: str, unit: str) -> str:
@@ -72,6 +74,11 @@ def column_role(name: str) -> str:
         return ""  # U is the symbol of a voltage, and u of an input
     roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
     return roles.pop() if len(roles) == 1 else ""
+
+
+def is_bare_role(name: str) -> bool:
+    """Whether the name of a column says which role it has and nothing of its quantity ("Sensor output")."""
+    return column_role(name) != "" and not _named_quantities(split_unit(name)[0].strip())
 
 
 def is_channel(name: str) -> bool:

@@ -20,7 +20,9 @@ from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.header import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
+from hystfit.reading.signal_evidence import proportional
 
+_MANY_SIGNALS = 30  # columns without names above which they are likely the samples of loops: instruments have fewer channels
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -174,14 +176,17 @@ def _guess_pair(
         free = _without_copies(table, free, given, notes)
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
+    if any(kinds[k] == "capacitance" for k in free):  # D beside C is a loss
+        kinds.update({k: "" for k in free if table.names[k] == "D"})
     _find_velocities(table, free, kinds)
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
-    if len(ordered) > 1 and best.points - ordered[1].points < TIE:
-        raise _undecided(table, ordered)
+    near = [reading for reading in ordered[1:] if best.points - reading.points < TIE]
+    if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
+        raise _undecided(table, best, other)
     nameless = not (table.named or given)
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
@@ -212,15 +217,23 @@ def _guess_pair(
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
-def _undecided(table: Table, ordered: Sequence[Reading]) -> DataError:
+def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
+    """Whether two readings differ by the scale of their columns, as those of a moment and of the moment per mass."""
+    pairs = ((one.input, other.input), (one.output, other.output))
+    return all(a == b or proportional(table.columns[a], table.columns[b]) for a, b in pairs)
+
+
+def _undecided(table: Table, *equal: Reading) -> DataError:
     """The question that remains where two readings are equally likely."""
     shown = []
-    for reading in ordered[:2]:
+    for reading in equal:
         i, o = (_as_option(table, k) for k in (reading.input, reading.output))
         shown.append(f"--input {i} --output {o}")
+    many = not table.named and len(table.names) > _MANY_SIGNALS
+    apart = "; if the outputs are in a file of their own, INPUT_FILE+OUTPUT_FILE reads both" if many else ""
     return DataError(
         f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
-        f"{shown[1]} (input=, output=). The columns are {table.describe()}"
+        f"{shown[1]} (input=, output=){apart}. The columns are {table.describe()}"
     )
 
 

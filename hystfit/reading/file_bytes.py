@@ -57,8 +57,11 @@ def inner_name(path: str | Path) -> Path:
 
 
 def load(path: str | Path) -> FileBytes:
-    """The content of a regular file, unpacked where it is gzip, bzip2, xz, or a zip archive of one file."""
-    path = Path(path)
+    """The content of a regular file, unpacked where it is gzip, bzip2, xz, or a zip archive of one file.
+
+    A file in an archive of several is named as in a folder: tests.zip/run/a.csv.
+    """
+    path, inside = archive.split_member(Path(path))
     try:
         status = os.stat(path)
         if stat.S_ISDIR(status.st_mode):
@@ -84,7 +87,8 @@ def load(path: str | Path) -> FileBytes:
     kind = next((kind for magic, kind in _PACKED.items() if raw.startswith(magic)), "")
     if not kind and path.suffix.lower() == ".lzma" and raw.startswith(_LZMA_ALONE):
         kind = "lzma"
-    member = archive.member_of(raw, str(path), allowed(len(raw))) if raw.startswith(archive.MAGIC) else None
+    member = archive.member_of(raw, str(path), allowed(len(raw)), inside) if raw.startswith(archive.MAGIC) else None
+    path = path / inside
     if not kind and member is None:
         return FileBytes(raw, digest, str(path))
     name, content = member or ("", _unpacked(raw, kind, str(path)))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import parse_unit, quantity
 from hystfit.reading import cells
+from hystfit.reading.scaled_units import factor_of
 
 _BASE = (
     r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
@@ -59,9 +60,16 @@ _LONGEST_SETTING = 1000  # characters of a line
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})\s*[:=).]\s*(?P<name>.*[A-Za-z].*)")
+_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>.*[A-Za-z].*)")
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
+)
+# "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
+_NAME_CELL = re.compile(
+    r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?)|CH名称|信号名|通道名称?|Kanalname", re.IGNORECASE
+)
+_UNIT_CELL = re.compile(
+    r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
 )
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
@@ -72,6 +80,9 @@ def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
         return True
+    factor, scaled = factor_of(text)
+    if factor != 1.0:
+        return not scaled or is_unit(scaled)
     return len(text) > 1 and text.lower() not in _NAMES_TOO and (parse_unit(text) is not None or quantity(text) != "")
 
 
@@ -89,6 +100,9 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
         closed = not re.search(r"[\])>]", unit)
         if base.upper() in _OF_CIRCUITS and not (closed and is_unit(unit)):  # V(out), I(L1)
             return name, _OF_CIRCUITS[base.upper()]
+        inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
+        if base and closed and not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
+            return f"{base} {inner}", of_inner  # 1-1(位移/mm)
         if base and closed and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
             return base, unit
         if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
@@ -102,13 +116,13 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     # H_kA/m is H in kA/m; of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
     if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
+    # Moment / A m2, Force, kN, Field in kA/m
+    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
+        return match[1].strip(), match[2]
     # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A.
     if (match := re.fullmatch(r"(.*[^\W\d_]{2,}\.?) (\S{2,})", name)) and is_unit(match[2]):
         if match[2] not in _NOT_SUFFIX and not _is_role(match[1], match[2], siblings):
             return match[1], match[2]
-    # Moment / A m2, Force, kN, Field in kA/m
-    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
-        return match[1].strip(), match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
         others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
         labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
@@ -164,7 +178,8 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
 def _cut(text: str, mark: str | None) -> list[str]:
     if mark is None:  # a bracketed unit belongs to the word before it
         text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
-        parts = re.findall(r"\"[^\"]*\"|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
+        parts = re.findall(r"\"[^\"]*\"|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
+        parts = [part[1:-1] if part.startswith("{") and part.endswith("}") else part for part in parts]
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:
@@ -199,7 +214,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     place = next((k for k, row in enumerate(bare) if _are_units(row, rows[k])), None)
     if place is None and len(rows) > 1:  # a line of units beside words, such as "segments", has names above it
         place = next(
-            (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not any(map(is_unit, bare[k + 1]))), None
+            (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not _mostly_units(bare[k + 1])), None
         )
     units = None if place is None else [cell if is_unit(cell) else "" for cell in bare[place]]
     distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
@@ -218,11 +233,13 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
 
 
 def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> list[str]:
-    """Units in a line of the header that is called so ("Y_Unit_Label", "Vertical Units"), for the columns after the first."""
+    """Units in a line of the header that is called so ("Y_Unit_Label", "VUnit", not "HUnit"), for the columns after the first."""
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         known = [is_unit(unit) for unit in units if unit]
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
+            if all(quantity(unit) == "time" for unit in units):
+                continue
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
 
@@ -260,13 +277,20 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
-def titled_names(above: Sequence[str], width: int) -> tuple[list[str], list[str]]:
-    """Names and units behind words that say so ("# columns: height force", "# units: m N"); none of other lines."""
+def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
+    """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
+    for line in above if delimiter else ():
+        title, *names = _cut(line, delimiter)
+        if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
+            found[False] = [title, *names]
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
-        if fitting := next((parts for parts in cut if len(parts) == width and all(parts)), None):
-            found[match["word"][0].lower() == "u"] = fitting  # the last of several
+        is_units = match["word"][0].lower() == "u"
+        if fitting := next(
+            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
+        ):
+            found[is_units] = fitting  # the last of several
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []
@@ -306,6 +330,9 @@ def read_header(
         [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
         for _, parts in headers
     ]
+    for row in bare:
+        if match := _UNIT_CELL.fullmatch(row[0]):
+            row[0] = match["unit"] or ""
     names, of_row, used = _names_and_units([parts for _, parts in headers], bare)
     units = of_row or [""] * width
     of_names = [split_unit(name, names)[1] for name in names]

@@ -88,6 +88,9 @@ def careful_block(text: Text, rows: list[list[str]]) -> Block:
     index, above = np.array(candidates)[keep], 0
     if index.size:
         above = _above_header(rows, lines, index, dialect) or _above_mark(lines, index)
+        settings = 0 if above else _settings(rows, index, dialect)
+        keep[np.flatnonzero(keep)[:settings]] = False
+        index = index[settings:]
         keep[np.flatnonzero(keep)[:above]] = False
         index = index[above:]
     if index.size < 2:
@@ -183,6 +186,14 @@ def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np
     is_name = lambda cell: cells.kind(cell, dialect.decimal) == cells.TEXT
     headers = [k for k in between if len(rows[k]) == dialect.width and all(map(is_name, rows[k]))]
     return top if headers and len(headers) == len(between) else 0
+
+
+def _settings(rows: Sequence[Sequence[str]], index: np.ndarray, dialect: Dialect) -> int:
+    """Number of rows above the table with a word in a column that is empty in its rows: "HResolution", 0.001, 0.001."""
+    empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
+    words = lambda row: any(cells.kind(row[k], dialect.decimal) == cells.TEXT for k in empty)
+    count = next((n for n, k in enumerate(index) if not words(rows[k])), 0)
+    return count if count and index[count] - index[count - 1] > 1 else 0
 
 
 def _above_mark(lines: Sequence[str], index: np.ndarray) -> int:

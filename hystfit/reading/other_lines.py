@@ -75,8 +75,10 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
             names.insert(position, "")
             units.insert(position, "")
     listed = [] if used else listed_names(text.lines[:first], dialect.width)
-    place = 0 if used or listed else _apart(text, block)
-    titled, of_titled = ([], []) if used or listed or place else titled_names(text.lines[:first], dialect.width)
+    titled, of_titled = (
+        ([], []) if used or listed else titled_names(text.lines[:first], dialect.width, dialect.delimiter)
+    )
+    place = 0 if used or listed or titled else _apart(text, block)
     if titled:
         names, units = titled, of_titled
     elif listed:

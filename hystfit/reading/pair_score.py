@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_channel, secondary
+from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
@@ -30,22 +30,26 @@ from hystfit.reading.signal_evidence import (
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "temperature": -1.0, "resistance": -1.0,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
+    "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3,
 }  # fmt: skip
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
 _STATED, _CONTRARY = 3.2, -1.0
+_BARE = (
+    -1.0
+)  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
 # Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
 _PARTIAL, _OF_LARGEST = -1.0, 0.3
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
-_MAGNETIC, _ELECTRIC = ("moment", "magnetization", "induction"), ("polarization", "charge")
+_MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
@@ -61,8 +65,17 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         ],
         3.0,
     )
-    | {("voltage", "force"): 2.0, ("induction", "voltage"): 1.5}  # less than a displacement and its force beside a gauge in volts
-    | dict.fromkeys(itertools.product(["temperature"], ["displacement", "strain", "force", "stress", "current", ""]), 3.0)
+    # A voltage and a force are worth less than a displacement and its force beside a gauge in volts.
+    | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}
+    | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, "displacement", "strain", "force", "stress", "current", ""]), 3.0)
+    | dict.fromkeys(  # sensors, and converters of a current to a pressure
+        [
+            *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),
+            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"),
+        ],
+        3.0,
+    )
+    | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
@@ -77,7 +90,8 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
 _COPY = -3.0  # points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input
-_HELD = -2.5  # points of a column that stays near one value far from zero: a condition held constant, such as 300.02 K
+# Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
+_HELD, _HELD_INPUT = -2.5, -4.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
@@ -151,13 +165,13 @@ class _Evidence:
         """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
         kinds, later = self.kinds, self.ranks.get(i, 0) + self.ranks.get(o, 0)
         points = (
-            self._of_quantity(i, _DRIVE, "input")
-            + self._of_quantity(o, _RESPONSE, "output")
+            self._of_quantity(i, _DRIVE, told=self._stated[i] == "input" or self._stated[o] == "output")
+            + self._of_quantity(o, _RESPONSE, told=self._stated[o] == "output")
             + _PAIRS.get((kinds[i], kinds[o]), 0.0)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
-        points += _PARTIAL * self._is_partial[i]
+        points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
         if kinds[i] != kinds[o] and self._is_measured[i]:
             points += _OVERTAKEN
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
@@ -195,15 +209,16 @@ class _Evidence:
         """The role that the name of each column states."""
         return {k: column_role(name) if self.table.named else "" for k, name in enumerate(self.table.names)}
 
-    def _of_quantity(self, position: int, usual: Mapping[str, float], role: str) -> float:
-        """Points of the quantity of a column in a role; one that the name states for it is not unusual."""
+    def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
+        """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
         points = usual.get(self.kinds[position], _SELDOM)
-        return max(points, usual[""]) if self._stated[position] == role else points
+        return max(points, usual[""]) if told else points
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""
         stated = self._stated[position]
-        return 0.0 if not stated else _STATED if stated == role else _CONTRARY
+        contrary = _CONTRARY + _BARE * (bool(stated) and is_bare_role(self.table.names[position]))
+        return 0.0 if not stated else _STATED if stated == role else contrary
 
     @functools.cached_property
     def _of_signal(self) -> _ByColumn:
@@ -213,15 +228,19 @@ class _Evidence:
         def points(k: int) -> float:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
-            held = not self.alone and is_held(values)
             return (
                 _SECONDARY * secondary(table.names[k])
                 + _RAW_VOLTS * _is_raw_signal(table, k)
                 + _IS_SET * few
-                + _HELD * held
+                + _HELD * self._is_held[k]
             )
 
         return _ByColumn(points)
+
+    @functools.cached_property
+    def _is_held(self) -> _ByColumn:
+        """Whether a column is a condition that is held, by column; never of the only two."""
+        return _ByColumn(lambda k: not self.alone and is_held(self.table.columns[k]))
 
     @functools.cached_property
     def _is_partial(self) -> _ByColumn:

@@ -11,6 +11,9 @@ from typing import Any
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.reading.archive import split_member
 from hystfit.reading.assemble import Column, assemble
 from hystfit.reading.file_bytes import inner_name, load
 from hystfit.reading.frames import frame_table, is_frame
@@ -48,7 +51,7 @@ def read(
 
     Args:
         path: text of any layout, JSON, NumPy, MATLAB, Excel, HDF5 or Parquet, recognized by the content whatever the name, also packed as
-            .gz .bz2 .xz, or alone in a .zip; or several of them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one
+            .gz .bz2 .xz or in a .zip; or several of them: a list, or a pattern such as "loops/*.csv". "u.csv+y.csv" is one
             record with its input in the first file and its output in the second. Or a data frame (pandas, polars, a dictionary
             of columns).
         time, input, output: columns by name or number from 0; None guesses, and notes the choice;
@@ -148,16 +151,32 @@ def _read_all(
     """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`, `layout` those of `table_of`."""
     parts = []
     reading = as_texts({**layout, **columns, **options, **vars(options["treatment"])})
-    files = files_of(path)
+    files, unread = files_of(path), []
     for file in files:
         pair = pair_of(file)
-        table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
         label = inner_name(file if pair is None else pair[0]).stem if name is None or len(files) > 1 else name
-        parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
+        try:
+            table, chosen = (open_one(file), columns) if pair is None else pair_table(pair, open_one, columns)
+            parts.append((str(file if pair is None else pair[0]), assemble(table, **chosen, **options, name=label)))
+        except DataError as error:
+            if not split_member(Path(file))[1]:  # an archive may hold other files too
+                raise
+            unread.append(error)
+    if not parts:
+        raise unread[0]
+    if unread:
+        words = f"left out: {len(unread)} files of the archive that hold no loop, the first because {unread[0]}"
+        parts = [(file, _noted(data, warn(Code.LEFT_OUT, words))) for file, data in parts]
     read = lambda record: record.replace(reading=reading)
     data = combined(parts)
     data = data.map(read) if isinstance(data, Dataset) else read(data)
     return data if name is None else dataclasses.replace(data, name=name)
+
+
+def _noted(data: Record | Dataset, note: Note) -> Record | Dataset:
+    """The data with a note on every record."""
+    told = lambda record: record.replace(notes=(*record.notes, note))
+    return data.map(told) if isinstance(data, Dataset) else told(data)
 
 
 def as_texts(options: Mapping[str, Any]) -> dict[str, str]:

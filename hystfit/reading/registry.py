@@ -18,9 +18,11 @@ from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.bracket_rows import read_bracketed
 from hystfit.reading.charge_throughput import with_throughput
+from hystfit.reading.console_log import read_console_log
 from hystfit.reading.drawn_table import read_drawn_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.igor_text import read_igor
 from hystfit.reading.json_text import read_json
 from hystfit.reading.key_values import read_key_values
 from hystfit.reading.long_format import widened
@@ -30,6 +32,7 @@ from hystfit.reading.matlab import read_matlab
 from hystfit.reading.micromag import read_micromag
 from hystfit.reading.parquet import read_parquet
 from hystfit.reading.raw_table import Table
+from hystfit.reading.scaled_units import unscaled
 from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
 from hystfit.reading.specimens import divided
@@ -39,7 +42,8 @@ from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
-from hystfit.reading.workbook import read_workbook
+from hystfit.reading.workbook import read_open_document, read_workbook
+from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 
 _HDF = b"\x89HDF"
 
@@ -73,6 +77,10 @@ def _is_matlab(file: FileBytes) -> bool:
 
 def _is_workbook(file: FileBytes) -> bool:
     return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
+
+
+def _is_spreadsheet(file: FileBytes) -> bool:
+    return _holds(file, "content.xml", ".ods")
 
 
 def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
@@ -117,6 +125,7 @@ FORMATS = (
         _is_workbook,
         read_workbook,
     ),
+    Format((".ods",), "sheets of LibreOffice and OpenOffice, as those of Excel", _is_spreadsheet, read_open_document),
 )
 
 # Each gives None for text of another layout; the last one reads any.
@@ -129,6 +138,9 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_easyexpert,
     read_assigned_arrays,
     read_key_values,
+    read_console_log,
+    read_igor,
+    read_wrapped_blocks,
     read_sections,
     read_tables,
     read_transposed,
@@ -138,7 +150,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 )
 
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
-ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_throughput, divided)
+ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (unscaled, with_throughput, divided)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
 REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 

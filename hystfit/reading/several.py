@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
+from hystfit.reading.archive import members_of
 from hystfit.reading.charge_throughput import cycled
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.file_bytes import exists
@@ -27,7 +28,7 @@ _EVEN = 0.01  # part of a sampling interval by which the rounding of a clock var
 
 
 def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
-    """The files (or pairs "u.csv+y.csv") that a path, a pattern such as "loops/*.csv", or a list of them stands for.
+    """The files (or pairs "u.csv+y.csv") that a path, a pattern such as "loops/*.csv", a zip archive, or a list of them stands for.
 
     Files that match a pattern are in the order of their names, with numbers by value.
     """
@@ -39,17 +40,21 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
             raise DataError(f"{twice[0]!r} is given twice" if twice else "no files are given")
         return files
     if not glob.has_magic(str(path)) or exists(path):
-        return [path]
+        inside = members_of(Path(path)) if exists(path) else []
+        members: list[str | Path] = [f"{path}/{name}" for name in sorted(inside, key=_by_number)]
+        return [path] if len(inside) < 2 else members
     try:
         found = [file for file in glob.glob(str(path), recursive=True) if Path(file).is_file()]
     except (OSError, ValueError, RecursionError, re.error):  # names that the system does not take
         found = []
     if not found:
         raise DataError(f"no file matches {str(path)[:200]!r}")
-    number_or_text = lambda name: [
-        (not part.isdigit(), int(part) if part.isdigit() else part) for part in re.split(r"(\d+)", name)
-    ]
-    return sorted(found, key=number_or_text)
+    return sorted(found, key=_by_number)
+
+
+def _by_number(name: str) -> list[tuple[bool, int | str]]:
+    """Key by which names are in order, with numbers by value."""
+    return [(not part.isdigit(), int(part) if part.isdigit() else part) for part in re.split(r"(\d+)", name)]
 
 
 def pair_of(path: str | Path) -> tuple[str, str] | None:

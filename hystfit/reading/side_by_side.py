@@ -22,6 +22,9 @@ _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name
 _FEWEST_ROWS = 4
+# Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
+# its reciprocal where there are more columns.
+_SMOOTHER = 0.3
 
 
 def stacked(table: Table) -> Table | None:
@@ -95,7 +98,9 @@ def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
 
 
 def stacked_files(table: Table, inputs: int) -> Table | None:
-    """The loops of a file of inputs and a file of outputs, column by column, one below the other; None for other files.
+    """The loops of a file of inputs and a file of outputs, one below the other; None for other files.
+
+    A loop is a column, or, in files without names whose numbers change less from column to column than from row to row, a row.
 
     Args:
         table: the columns of the first file, then those of the second.
@@ -104,6 +109,15 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
     bases = [_base(name) if table.named else "" for name in table.names]
     if inputs < 2 or len(bases) != 2 * inputs or any(len(set(side)) > 1 for side in (bases[:inputs], bases[inputs:])):
         return None
+    drives, sensors = np.column_stack(table.columns[:inputs]), np.column_stack(table.columns[inputs:])
+    change = lambda axis: sum(float(np.nanmean(np.abs(np.diff(side, axis=axis)))) for side in (drives, sensors))
+    ratio = 1 / _SMOOTHER if table.rows < inputs else _SMOOTHER  # a loop has more samples than there are loops
+    if not table.named and not table.labels and table.rows > 1 and change(1) < ratio * change(0):
+        number = np.repeat(np.arange(table.rows), inputs)
+        loops = dataclasses.replace(
+            table.select([0, inputs]).take(number), columns=(drives.ravel(), sensors.ravel()), curve=number
+        )
+        return loops.noted(Note(Code.CURVES, f"{table.rows} loops, one in each row of the two files"))
     if any((np.diff(table.columns[k]) > 0).all() for k in (0, inputs)):  # a time, which no header names
         return None
     return _below_each_other(table, [[k, k + inputs] for k in range(inputs)])

@@ -20,6 +20,7 @@ from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
+from hystfit.reading.latex_names import without_latex
 from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, left_out
@@ -47,7 +48,7 @@ def plain_text(text: TextFile, header: Header | None = None) -> Table:
 def _block_of(file: TextFile) -> tuple[Text, Block, list[Note]]:
     """The lines with their dialect, the block of numbers among them, and what was assumed of the dialect."""
     source, delimiter, decimal = file.source, file.opening.delimiter, file.opening.decimal
-    lines, touching, notes = _without_broken_names(file.lines), 0, []
+    lines, touching, notes = _with_whole_names(file.lines), 0, []
     try:
         dialect = sniff(lines, source, delimiter, decimal)
     except DataError:
@@ -86,8 +87,13 @@ def _without_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _without_broken_names(lines: Sequence[str]) -> Sequence[str]:
-    """The lines; a name that is quoted over several of the first ones stands in the last of these, and the others are blank."""
+def _with_whole_names(lines: Sequence[str]) -> Sequence[str]:
+    """The lines; a name that is quoted over several of the first ones stands in the last of these, and the others are blank.
+
+    Names that are written for LaTeX are plain.
+    """
+    if any("\\" in line or "$" in line for line in lines[:_FIRST]):
+        lines = [*map(without_latex, lines[:_FIRST]), *lines[_FIRST:]]
     if not any(line.count('"') % 2 for line in lines[:_FIRST]):
         return lines
     lines, start = list(lines), 0

@@ -166,7 +166,7 @@ def _of_one_input(table: Table, pair: _Pair) -> Table | None:
     drive = min(drives, key=lambda k: (heated(k), k))
     u, outputs = table.columns[drive], [table.columns[k] for k in pair.columns]
     if not pair.directed:
-        outputs = _numbered_branches(u, *outputs)
+        outputs = _numbered_branches(u, *outputs, over=_is_force_loop(table, drive, pair.columns[0]))
         if outputs is None:
             return None
     order = np.argsort(u, kind="stable")
@@ -180,15 +180,25 @@ def _of_one_input(table: Table, pair: _Pair) -> Table | None:
     return dataclasses.replace(joined, pair=(0, 1))
 
 
-def _numbered_branches(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> list[np.ndarray] | None:
-    """The rising branch, which lies lower, and the falling one; None where the outputs do not meet at both ends, or are the same."""
+def _is_force_loop(table: Table, drive: int, output: int) -> bool:
+    """Whether the output resists the input, so that its rising branch lies above the falling one."""
+    kinds = [column_quantity(table.names[k], table.units[k]) for k in (drive, output)]
+    return kinds[0] in ("displacement", "strain") and kinds[1] in ("force", "stress")
+
+
+def _numbered_branches(u: np.ndarray, one: np.ndarray, other: np.ndarray, *, over: bool) -> list[np.ndarray] | None:
+    """The rising branch and the falling one; None where the outputs do not meet at both ends, or are the same.
+
+    Args:
+        over: whether the rising branch lies above the other.
+    """
     both = np.flatnonzero(np.isfinite(u + one + other))
     if both.size < _FEWEST:
         return None
     size, gap = np.ptp(np.concatenate([one[both], other[both]])), (one - other)[both]
     if max(abs(gap[0]), abs(gap[-1])) > _NEAR * size or np.abs(gap).max() < _OPEN * size:
         return None
-    return [one, other] if gap.mean() < 0 else [other, one]
+    return [one, other] if (gap.mean() > 0) == over else [other, one]
 
 
 def _runs_once(table: Table, position: int) -> bool:
@@ -218,6 +228,7 @@ def _table(
     return dataclasses.replace(
         table.select(positions).take(np.concatenate(rows)),
         names=tuple(names),
+        units=tuple(table.units[k] or split_unit(name)[1] for k, name in zip(positions, names, strict=True)),
         columns=tuple(loop.T),
         curve=zeros,
         section=zeros,

@@ -16,6 +16,9 @@ from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?(?![eE][+-]?\d)([^\W\d_][\w/^²³·*-]*|°[CF]|%)")
+_POWERS = {"G": 9, "M": 6, "k": 3, "m": -3, "u": -6, "µ": -6, "μ": -6, "n": -9, "p": -12}
+_PREFIXED = re.compile(rf"([+-]?(?:\d+[.,]?\d*|[.,]\d+))\s?([{''.join(_POWERS)}]?)")
+_MARKED = re.compile(r"\d\s?[Mkuµμnp](?!\w)")  # a prefix that is no unit
 _ROW = re.compile(r"[\s\"']*[+-]?[.,]?\d")
 _MARKS = (";", "\t", "|", ",", None)  # between cells, the first one of which there are several
 _FEWEST = 4  # rows
@@ -29,12 +32,13 @@ def read_unit_cells(text: TextFile) -> Table | None:
         return None
     sample = text.head[rows[-1]]
     mark = text.opening.delimiter or next(mark for mark in _MARKS if mark is None or mark in sample)
-    if not _units(split(sample, mark)):
-        return None
+    written, text = text, _without_prefixes(text, rows, mark)
+    if not _units(split(text.head[rows[-1]], mark)):
+        return None if text is written else plain_text(text)
     first = next((k for k in rows if _units(split(text.head[k], mark))), 0)
     units = _units(split(text.head[first], mark))
     if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(_FEWEST, len(rows) // 2):
-        return None
+        return None if text is written else plain_text(text)
     join = (mark or " ").join
     lines = list(text.lines)
     for k in range(first, len(lines)):
@@ -46,6 +50,27 @@ def read_unit_cells(text: TextFile) -> Table | None:
     lines.insert(first, join(unit or "-" for unit in units))
     table = plain_text(text.of("\n".join(lines)))
     return dataclasses.replace(table, line=table.line - 1)
+
+
+def _without_prefixes(text: TextFile, rows: Sequence[int], mark: str | None) -> TextFile:
+    """The text with powers of ten in place of SI prefixes, in columns whose cells have nothing but such: 1.2k, 350, 3.4m."""
+    if not any(_MARKED.search(text.head[k]) for k in rows):
+        return text
+    cells = [[clean(cell) for cell in split(text.head[k], mark)] for k in rows]
+    columns = [*zip(*(row for row in cells if len(row) == len(cells[-1])), strict=True)]
+    found = [[_PREFIXED.fullmatch(cell) for cell in column] for column in columns]
+    prefixes = [{match[2] for match in column if match} if all(column) else set() for column in found]
+    if not set().union(*prefixes) - {"", "m", "G"}:  # these are units too
+        return text
+    prefixed = [k for k, marks in enumerate(prefixes) if marks - {""}]
+    lines = list(text.lines)
+    for number in range(rows[0], len(lines)):
+        row = [clean(cell) for cell in split(lines[number], mark)]
+        for k in prefixed:
+            if k < len(row) and (match := _PREFIXED.fullmatch(row[k])) and match[2]:
+                row[k] = f"{match[1]}e{_POWERS[match[2]]}"
+        lines[number] = (mark or " ").join(row)
+    return text.of("\n".join(lines))
 
 
 def _units(row: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Sheets of an Excel workbook: the first with rows of numbers, or the one that the user names; needs the extra "files"."""
+"""Sheets of a workbook of Excel or LibreOffice: the first with rows of numbers, or the one that the user names; needs the extra "files"."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import datetime
 import io
 import warnings
 import zipfile
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from hystfit.reading.array_files import check_members
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.number_block import careful_block
+from hystfit.reading.open_document import sheets_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
@@ -33,18 +34,35 @@ _SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summ
 
 def read_workbook(file: FileBytes, opening: Opening) -> Table:
     """Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"."""
-    source, sheet = file.source, opening.sheet
     openpyxl = optional("openpyxl", "files", "reading Excel files")
-    try:
+
+    def sheets() -> list[Any]:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
             check_members(archive, file.raw)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions of the sheets
-            book = openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True)
-        pages = {page.title: page for page in book.worksheets}
+            return openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True).worksheets
+
+    return _read(file, opening, sheets, lambda: _holds_formulas(openpyxl, file.raw))
+
+
+def read_open_document(file: FileBytes, opening: Opening) -> Table:
+    """Sheets of LibreOffice and OpenOffice, as those of Excel."""
+    return _read(file, opening, lambda: sheets_of(file.raw), lambda: False)
+
+
+def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], formulas: Callable[[], bool]) -> Table:
+    """The columns of the sheets of a workbook.
+
+    Args:
+        sheets: the sheets in the file; formulas: whether they have formulas without values.
+    """
+    source, sheet = file.source, opening.sheet
+    try:
+        pages = {page.title: page for page in sheets()}
     except DataError as error:
         raise DataError(f"{source}: {error}") from error
-    except Exception as error:  # openpyxl raises zipfile, KeyError and its own errors on damaged files
+    except Exception as error:  # the libraries raise zipfile, KeyError and their own errors on damaged files
         raise _unreadable(source, error) from error
     titles = list(pages)
     if isinstance(sheet, str) and sheet not in pages and sheet.isdigit():
@@ -62,7 +80,7 @@ def read_workbook(file: FileBytes, opening: Opening) -> Table:
     pairs = {title: table for title, table in there.items() if _holds_pair(table)}
     if not there:
         raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, tables))}; name another sheet=")
-    if not pairs and _holds_formulas(openpyxl, file.raw):
+    if not pairs and formulas():
         raise DataError(
             f"{source} has formulas without their values, as programs write them; open it in Excel or LibreOffice and save it there"
         )
@@ -126,7 +144,7 @@ def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, ch
 
 
 def _unreadable(source: str, error: Exception) -> DataError:
-    return DataError(f"{source} cannot be read as an Excel file: {error}; save it again as .xlsx or as CSV")
+    return DataError(f"{source} cannot be read as a workbook: {error}; save it again as .xlsx or as CSV")
 
 
 def _cells_of(page: Any, source: str, most: int | None = None) -> list[list[str]]:

@@ -2,19 +2,23 @@
 
 from . import (  # noqa: F401 - they register their kinds
     branches,
+    containers,
     documents,
     electrics,
     ferroelectrics,
     frames,
     groups,
+    headers,
     logs,
     magnetometers,
     micromag,
     nameless,
+    notations,
     offices,
     piezo,
     programs,
     reports,
+    sensors,
     slow,
     structures,
 )

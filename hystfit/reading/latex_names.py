@@ -1,0 +1,24 @@
+r"""Names that are written for LaTeX, as axis labels of figures are: "$\mu_0 H$ (T)" is "µ_0 H (T)"."""
+
+from __future__ import annotations
+
+import re
+
+_MARKED = re.compile(r"\$[^$]*\$|\\(?:mathrm|mathit|mathbf|text|textrm|si|unit)\b")
+_FONTS = re.compile(r"\\(?:mathrm|mathit|mathbf|text|textrm|textit|rm|it|bf|left|right|si|unit)\b\s*")
+_LETTERS = {
+    "mu": "µ", "Omega": "Ω", "lambda": "λ", "Delta": "Δ", "circ": "°", "degree": "°", "times": "×", "cdot": "·", "varepsilon": "epsilon",
+    "micro": "µ", "ohm": "Ω", "per": "/",
+}  # fmt: skip
+_COMMAND = re.compile(r"\\([A-Za-z]+)\s*")
+_SPACES = re.compile(r"(?:\\[,;:! ]|~)+")
+
+
+def without_latex(line: str) -> str:
+    r"""A line of a header without its commands: "$\mathrm{A\,m^{-1}}$" is "A m^-1"; a line without any as it is."""
+    if _MARKED.search(line) is None:
+        return line
+    plain = _SPACES.sub(" ", _FONTS.sub("", line))
+    plain = _COMMAND.sub(lambda match: _LETTERS.get(match[1], match[1]), plain)
+    plain = re.sub(r"[{}$]", "", re.sub(r"\\([%_#&])", r"\1", plain)).replace("^°", "°")
+    return re.sub(r"([(\[]) +| +([)\]])", r"\1\2", plain)

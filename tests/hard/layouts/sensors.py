@@ -1,0 +1,67 @@
+"""Calibrations of sensors, whose input is what others measure, converters of a current to a pressure, and sweeps of a temperature."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .drawing import Draw
+from .physics import lagging, saturating, triangle
+from .registry import kind
+from .slow import any_dialect
+from .truth import Layout, loops
+from .writing import Column, loop, packed, table
+
+_INPUTS = (
+    ("Force", "N", 100.0), ("Applied load", "N", 500.0), ("Torque", "Nm", 20.0), ("Pressure", "kPa", 200.0), ("Strain", "%", 40.0),
+    ("Displacement", "mm", 10.0),
+)  # fmt: skip
+# Name, unit, zero and range of the signal of a sensor.
+_SIGNALS = (
+    ("Wavelength", "nm", 1550.0, 0.8), ("Bragg wavelength", "nm", 1310.0, 0.5), ("Wavelength shift", "pm", 0.0, 600.0),
+    ("Capacitance", "pF", 12.0, 5.0), ("Sensor output", "mV", 0.0, 20.0), ("Output", "mV/V", 0.0, 2.0), ("Inductance", "uH", 40.0, 9.0),
+)  # fmt: skip
+
+
+@kind("calibration of a sensor")
+def calibration(draw: Draw) -> Layout:
+    n = 2 * draw.whole(60, 150)
+    x = (1 + triangle(n, draw.whole(1, 3), 0.75)) / 2
+    (name, unit, size), (signal, of_signal, zero, span) = draw.pick(*_INPUTS), draw.pick(*_SIGNALS)
+    u = Column(name, size * x, unit, ".4f")
+    y = Column(signal, zero + span * draw.noise(lagging(draw, x, 0.2), 1e-3), of_signal, ".5f")
+    t = Column("Time", 0.1 * np.arange(n), "s", ".2f")
+    room = Column("Room temperature", 23 + draw.rng.normal(0, 0.05, n), "degC", ".2f", "degC")
+    # What is written first among two alone is the drive, where a bare "output" could be that of a source or of a sensor.
+    pair = [u, y] if "utput" in signal or draw.chance(0.6) else [y, u]
+    columns = [*([t] if draw.chance(0.5) else []), *pair, *([room] if draw.chance(0.3) else [])]
+    lines = table(draw, columns, any_dialect(draw))
+    return Layout(
+        "", {draw.pick("calibration.csv", "FBG 3.txt", "sensor_up_down"): packed(draw, lines)}, loops(loop(u, y))
+    )
+
+
+@kind("current to pressure converter")
+def converter(draw: Draw) -> Layout:
+    n = 2 * draw.whole(60, 150)
+    x = (1 + triangle(n, draw.whole(1, 3), 0.75)) / 2
+    names = draw.pick(("Current", "Pressure"), ("Input current", "Output pressure"), ("Loop current", "Pressure"))
+    u = Column(names[0], 4 + 16 * x, "mA", ".3f")
+    unit, size = draw.pick(("bar", 1.0), ("psi", 15.0), ("kPa", 100.0))
+    y = Column(names[1], size * (0.2 + 0.8 * draw.noise(lagging(draw, x, 0.1), 1e-3)), unit, ".4f")
+    lines = table(draw, [u, y] if draw.chance(0.6) else [y, u], any_dialect(draw))
+    return Layout("", {draw.pick("ip.csv", "converter.txt"): packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("temperature sweep in a held field")
+def sweep(draw: Draw) -> Layout:
+    """Magnetization over temperature of an alloy that transforms; the field is read back at every point."""
+    n = 2 * draw.whole(80, 200)
+    x = triangle(n, 1, 0.75)
+    u = Column("Temperature", 250 + draw.between(20, 100) * x, "K", ".3f")
+    y = Column(
+        draw.pick("Moment", "Long Moment"), 1e-3 * (2 - draw.noise(saturating(draw, x, begin=-1), 1e-3)), "emu", ".6e"
+    )
+    field = Column("Magnetic Field", draw.pick(100.0, 1000.0, 50000.0) * (1 + draw.rng.normal(0, 1e-5, n)), "Oe", ".3f")
+    t = Column("Time Stamp", 20.0 * np.arange(n), "s", ".1f", "sec")
+    lines = table(draw, [*([t] if draw.chance(0.5) else []), *draw.shuffled([u, field]), y], any_dialect(draw))
+    return Layout("", {draw.pick("MvsT.csv", "MT_1kOe.dat"): packed(draw, lines)}, loops(loop(u, y)))
