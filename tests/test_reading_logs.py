@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import io
 import json
 import zipfile
@@ -88,19 +89,62 @@ def test_every_measurement_in_an_archive_is_a_record(tmp_path: Path) -> None:
         read(f"{tmp_path}/all.zip/b.csv")
 
 
-def test_sheets_of_an_open_document(tmp_path: Path) -> None:
-    cells = lambda row: "".join(f"<t:table-cell><x:p>{cell}</x:p></t:table-cell>" for cell in row.split(","))
-    rows = "".join(f"<t:table-row>{cells(row)}</t:table-row>" for row in TABLE.splitlines())
+def _open_document(*rows: str) -> bytes:
     spaces = " ".join(
-        f'xmlns:{mark}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"'
-        for mark, name in (("t", "table"), ("x", "text"))
+        f'xmlns:{name}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"' for name in ("office", "table", "text")
     )
-    content = f'<a {spaces}><t:table t:name="S1">{rows}<t:table-row t:number-rows-repeated="99999"/></t:table></a>'
-    members = {"mimetype": "application/vnd.oasis.opendocument.spreadsheet", "content.xml": content}
-    is_loop(one(tmp_path, _zipped(**members), "loop.ods"))
-    members["content.xml"] = '<!DOCTYPE a [<!ENTITY b "1">]>' + content
-    with pytest.raises(DataError, match="definitions"):
-        one(tmp_path, _zipped(**members), "bomb.ods")
+    sheet = f'<office:body><office:spreadsheet><table:table table:name="S1">{"".join(rows)}</table:table></office:spreadsheet></office:body>'
+    content = f"<office:document-content {spaces}>{sheet}</office:document-content>"
+    manifest = '<m:manifest xmlns:m="urn:oasis:names:tc:opendocument:xmlns:manifest:1.0"/>'
+    kind = "application/vnd.oasis.opendocument.spreadsheet"
+    return _zipped(mimetype=kind, **{"META-INF/manifest.xml": manifest, "content.xml": content})
+
+
+def test_sheets_of_an_open_document(tmp_path: Path) -> None:
+    cells = lambda row: "".join(
+        f'<table:table-cell office:value-type="string"><text:p>{cell}</text:p></table:table-cell>'
+        for cell in row.split(",")
+    )
+    rows = [f"<table:table-row>{cells(row)}</table:table-row>" for row in TABLE.splitlines()]
+    empty = '<table:table-row table:number-rows-repeated="99999"><table:table-cell/></table:table-row>'
+    is_loop(one(tmp_path, _open_document(*rows, empty), "loop.ods"))
+    cell = '<table:table-cell table:number-columns-repeated="1000" office:value-type="float" office:value="1"/>'
+    with pytest.raises(DataError, match=r"bomb\.ods"):
+        one(
+            tmp_path,
+            _open_document(f'<table:table-row table:number-rows-repeated="1000000">{cell}</table:table-row>'),
+            "bomb.ods",
+        )
+
+
+def _old_excel(**sheets: list[list[object]]) -> bytes:
+    book, stream = pytest.importorskip("xlwt").Workbook(), io.BytesIO()
+    when = pytest.importorskip("xlwt").XFStyle()
+    when.num_format_str = "YYYY-MM-DD HH:MM:SS"
+    for title, rows in sheets.items():
+        page = book.add_sheet(title)
+        for k, row in enumerate(rows):
+            for j, cell in enumerate(row):
+                page.write(k, j, cell, *([when] if isinstance(cell, datetime.datetime) else []))
+    book.save(stream)
+    return stream.getvalue()
+
+
+def test_sheets_of_old_excel(tmp_path: Path) -> None:
+    midnight = datetime.datetime(2024, 5, 1)
+    start = [midnight + datetime.timedelta(seconds=k) for k in range(U.size)]  # the first is a day in the file
+    rows = [["Time", "V (V)", "x (um)"], *([t, u, y] for t, u, y in zip(start, U.tolist(), Y.tolist(), strict=True))]
+    raw = _old_excel(Summary=[["Operator", "A. B."], ["Gain", 20.0]], Data=[["Test of an actuator"], [], *rows])
+    record = one(tmp_path, raw, "loop.xls")
+    is_loop(record)
+    np.testing.assert_allclose(np.asarray(record.t) - np.asarray(record.t)[0], np.arange(U.size), atol=1e-4)
+    is_loop(one(tmp_path, raw, "loop.dat"))
+    for damaged in (raw[:1500], raw[:8] + bytes(4000)):
+        with pytest.raises(DataError, match="cannot be read as a workbook"):
+            one(tmp_path, damaged, "damaged.xls")
+    far = _old_excel(Data=[[0.0, 1.0], [1.0, 2.0], *[[]] * 20000, [*[""] * 250, 1.0]])
+    with pytest.raises(DataError, match="4000000 cells"):
+        one(tmp_path, far, "far.xls")
 
 
 @pytest.mark.parametrize("mark", ["/", "."])

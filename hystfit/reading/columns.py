@@ -22,7 +22,9 @@ from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import proportional
 
-_MANY_SIGNALS = 30  # columns without names above which they are likely the samples of loops: instruments have fewer channels
+_MANY_SIGNALS = (
+    30  # columns without names above which they are likely samples of loops: instruments have fewer channels
+)
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 

@@ -17,7 +17,7 @@ from hystfit.outcome.note import warn
 _MAGIC = {
     b"PK\x03\x04": "a damaged zip archive or Excel file (copy it again, or save it again as .xlsx)",
     b"\x89HDF": "an HDF5 file (read it with hystfit.read)",
-    b"\xd0\xcf\x11\xe0": "an old Excel file (save it as .xlsx)",
+    b"\xd0\xcf\x11\xe0": "an old Excel file (read it with hystfit.read)",
     b"MATLAB": "a MATLAB file (read it with hystfit.read)",
     b"\x93NUMPY": "a numpy file (read it with hystfit.read)",
     b"TDSm": "a TDMS file (export it as CSV)",

@@ -42,10 +42,11 @@ from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
-from hystfit.reading.workbook import read_open_document, read_workbook
+from hystfit.reading.workbook import read_older_sheets, read_workbook
 from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 
 _HDF = b"\x89HDF"
+_OLD_EXCEL = b"\xd0\xcf\x11\xe0"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +81,7 @@ def _is_workbook(file: FileBytes) -> bool:
 
 
 def _is_spreadsheet(file: FileBytes) -> bool:
-    return _holds(file, "content.xml", ".ods")
+    return file.raw.startswith(_OLD_EXCEL) or _holds(file, "content.xml", ".ods")
 
 
 def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
@@ -125,7 +126,12 @@ FORMATS = (
         _is_workbook,
         read_workbook,
     ),
-    Format((".ods",), "sheets of LibreOffice and OpenOffice, as those of Excel", _is_spreadsheet, read_open_document),
+    Format(
+        (".xls", ".ods"),
+        'sheets of old Excel, LibreOffice and OpenOffice, as those of .xlsx; needs the extra "files"',
+        _is_spreadsheet,
+        read_older_sheets,
+    ),
 )
 
 # Each gives None for text of another layout; the last one reads any.

@@ -1,4 +1,4 @@
-"""Sheets of a workbook of Excel or LibreOffice: the first with rows of numbers, or the one that the user names; needs the extra "files"."""
+"""Sheets of a workbook: the first with rows of numbers, or the one that the user names; needs the extra "files"."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hystfit.reading.array_files import check_members
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.number_block import careful_block
-from hystfit.reading.open_document import sheets_of
+from hystfit.reading.older_sheets import sheets_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
@@ -46,8 +46,9 @@ def read_workbook(file: FileBytes, opening: Opening) -> Table:
     return _read(file, opening, sheets, lambda: _holds_formulas(openpyxl, file.raw))
 
 
-def read_open_document(file: FileBytes, opening: Opening) -> Table:
-    """Sheets of LibreOffice and OpenOffice, as those of Excel."""
+def read_older_sheets(file: FileBytes, opening: Opening) -> Table:
+    """Sheets of old Excel, LibreOffice and OpenOffice, as those of .xlsx; needs the extra "files"."""
+    optional("python_calamine", "files", "reading .xls and .ods files")
     return _read(file, opening, lambda: sheets_of(file.raw), lambda: False)
 
 

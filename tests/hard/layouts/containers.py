@@ -64,11 +64,8 @@ def _sheet(title: str, lines: Sequence[Sequence[str]]) -> str:
         try:
             return f'<table:table-cell office:value-type="float" office:value="{float(text)!r}"><text:p>{text}</text:p></table:table-cell>'
         except ValueError:
-            return (
-                f"<table:table-cell><text:p>{escape(text)}</text:p></table:table-cell>"
-                if text
-                else "<table:table-cell/>"
-            )
+            content = f'office:value-type="string"><text:p>{escape(text)}</text:p></table:table-cell>'
+            return f"<table:table-cell {content}" if text else "<table:table-cell/>"
 
     body = "".join(f"<table:table-row>{''.join(map(cell, line))}</table:table-row>" for line in lines)
     rest = '<table:table-cell table:number-columns-repeated="1024"/>'
@@ -86,6 +83,7 @@ def open_document(draw: Draw) -> Layout:
     content = f"<office:document-content {_SPACES}><office:body><office:spreadsheet>{''.join(sheets)}</office:spreadsheet></office:body>"
     members = {
         "mimetype": b"application/vnd.oasis.opendocument.spreadsheet",
+        "META-INF/manifest.xml": b'<m:manifest xmlns:m="urn:oasis:names:tc:opendocument:xmlns:manifest:1.0"/>',
         "content.xml": f'<?xml version="1.0" encoding="UTF-8"?>{content}</office:document-content>'.encode(),
     }
     return Layout(

@@ -8,6 +8,7 @@ import zipfile
 
 import numpy as np
 import openpyxl
+import xlwt
 
 from .documents import measured
 from .drawing import Draw
@@ -114,3 +115,20 @@ def brackets(draw: Draw) -> Layout:
         inner = draw.pick(", ", ",\n ").join(f"{{{a}, {b}}}" for a, b in pairs)
         text = "{" + re.sub("e([+-])", r"*^\1", inner).replace("^+", "^") + "}"
     return Layout("", {"out.txt": text.encode()}, loops(loop(u, y)), either_order=True)
+
+
+@kind("old Excel")
+def old_workbook(draw: Draw) -> Layout:
+    t, u, y = measured(draw, draw.whole(100, 300))
+    dialect = Dialect("\t", style=draw.pick("parentheses", "brackets", "row"))
+    columns = spelled(draw, [t, u, y], dialect)
+    book, stream = xlwt.Workbook(), io.BytesIO()
+    page = book.add_sheet("Data")
+    lines = [["Loop of the device"], []] if draw.chance(0.5) else []
+    lines += [line.split("\t") for line in titles(columns, dialect)]
+    lines += [[float(cell) for cell in row] for row in zip(*(column.cells for column in columns), strict=True)]
+    for k, line in enumerate(lines):
+        for j, cell in enumerate(line):
+            page.write(k, j, cell)
+    book.save(stream)
+    return Layout("", {draw.pick("loop.xls", "export.XLS"): stream.getvalue()}, loops(loop(u, y, t)))
