@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -193,7 +193,7 @@ class JilesAtherton(AbstractHysteresis):
         """The mean field parameter in the form of the literature."""
         return (Derived("alpha", "u/y", "mean field parameter, He = H + alpha M", lambda m: m.mean_field / m.Ms),)
 
-    def start(self, records: Sequence[Record]) -> Self:
+    def start(self, records: Sequence[Record]) -> JilesAtherton:
         """The best of a grid over a, coupling, k and c, with Ms and the offset by least squares."""
         half, short = input_range(records).half, thinned(records, 300)
         given = {(record.u_unit, record.y_unit) for record in records}

@@ -110,6 +110,7 @@ class JilesAthertonDynamic(JilesAtherton):
         typical = [float(np.median(of_record)) if (of_record := speeds(r)).size else np.inf for r in records]
         slow = [r for r, rate in zip(records, typical, strict=True) if rate <= _SLOW * min(typical)]
         law, short = super().start(slow), thinned(records, 300)
+        assert isinstance(law, JilesAthertonDynamic)  # of its own kind, with other values
         rates = [_output_rate(r) for r in short]
         fastest = max(float(np.max(np.abs(rate))) for rate in rates) or 1.0
         half = input_range(records).half
