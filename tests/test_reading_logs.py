@@ -93,8 +93,9 @@ def _open_document(*rows: str) -> bytes:
     spaces = " ".join(
         f'xmlns:{name}="urn:oasis:names:tc:opendocument:xmlns:{name}:1.0"' for name in ("office", "table", "text")
     )
-    sheet = f'<office:body><office:spreadsheet><table:table table:name="S1">{"".join(rows)}</table:table></office:spreadsheet></office:body>'
-    content = f"<office:document-content {spaces}>{sheet}</office:document-content>"
+    sheet = f'<table:table table:name="S1">{"".join(rows)}</table:table>'
+    body = f"<office:body><office:spreadsheet>{sheet}</office:spreadsheet></office:body>"
+    content = f"<office:document-content {spaces}>{body}</office:document-content>"
     manifest = '<m:manifest xmlns:m="urn:oasis:names:tc:opendocument:xmlns:manifest:1.0"/>'
     kind = "application/vnd.oasis.opendocument.spreadsheet"
     return _zipped(mimetype=kind, **{"META-INF/manifest.xml": manifest, "content.xml": content})
