@@ -25,9 +25,8 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
     from hystfit.fitting.data_check import check as judge
-    from hystfit.results.loop_values import quantities
+    from hystfit.results.loop_values import MEASURED, quantities
     from hystfit.results.provenance import provenance
-    from hystfit.results.report.text_report import MEASURED
 
     output.check()
     data = load(loops, reading)

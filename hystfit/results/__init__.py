@@ -5,4 +5,6 @@ Leaves: `FitResult`, its report, pictures, quantities of the field, and a folder
 Open first: `result.py`, then `report/`.
 """
 
-from hystfit.results import plots as plots
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submodules=["plots"])

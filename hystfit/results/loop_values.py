@@ -38,6 +38,7 @@ from hystfit.results.magnetic_values import magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import polarization_values
 
+MEASURED = "Quantities read off the measured loops, without the model"
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 

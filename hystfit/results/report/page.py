@@ -12,13 +12,13 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import fragment
 from hystfit.results.estimates import grouped
+from hystfit.results.loop_values import MEASURED
 from hystfit.results.plots import fit as draw
 from hystfit.results.record_plots import selects_cycles
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.report.text_report import (
     ERRORS,
-    MEASURED,
     QUANTITIES_OF,
     facts,
     headline,

@@ -11,6 +11,7 @@ from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number, rounded
 from hystfit.outcome.wrapping import PROSE, within
+from hystfit.results.loop_values import MEASURED
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
@@ -18,7 +19,6 @@ from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
-MEASURED = "Quantities read off the measured loops, without the model"
 _MOST_LINES = 60  # of their table
 _MOST_ITEMS = 16  # of a list
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}
