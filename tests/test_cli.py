@@ -502,7 +502,7 @@ BAD = [  # arguments, and what the message must name: the file, option, paramete
     (["predict", "nofit", "LOOP"], "nofit"),
     (["predict", "FIT", "missing.csv"], "missing.csv"),
     (["predict", "FIT", "LOOP", "--window", "50:"], "50"),
-    (["predict", "FIT", "LOOP", "--input-only", "--output", "y_um"], "--input-only"),
+    (["predict", "FIT", "LOOP", "--input-only", "--output", "y_um"], "--output does not apply"),
     (["report", "nofit"], "nofit"),
     (["simulate", "stage", "--signal", "saw", "--out", "x.csv"], "sine, triangle"),
     (["simulate", "stage", "--frequence", "2", "--out", "x.csv"], "duration, rate, frequency"),

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import (
-    DEFAULT_REFERENCE,
+    DEFAULT_READING,
     STDOUT,
     Covariates,
     FitFolder,
     FitOrDraws,
     Limits,
     Output,
-    ReferenceReading,
+    Reading,
     Trust,
     input_limits,
 )
@@ -44,7 +44,7 @@ def invert(
     rest: float | None = None,
     covariates: Covariates = None,
     trust: Trust = False,
-    reading: ReferenceReading = DEFAULT_REFERENCE,
+    reading: Reading = DEFAULT_READING,
     output: Output = STDOUT,
 ) -> int:
     """Compute the input that makes a fitted model follow a reference, with a status for every sample.
@@ -143,9 +143,9 @@ def _rest_line(rest: float, unit: str | None) -> str:
     return f"in equilibrium at an input of {level} before the reference begins"
 
 
-def _target(path: str, reading: ReferenceReading, fitted: Record) -> Record:
+def _target(path: str, reading: Reading, fitted: Record) -> Record:
     """The one record of a file with a reference."""
-    data = load_one_sided([path], reading.reading(), "input", fitted)
+    data = load_one_sided([path], reading, "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
     return data[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from cyclopts import Group, Parameter
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading
 from hystfit.cli.records import load
-from hystfit.cli.write import finish
+from hystfit.cli.write import finish, write_rows
 from hystfit.outcome import Status
 
 if TYPE_CHECKING:
@@ -112,15 +111,13 @@ def quantities(
     content["provenance"] = provenance(data, None)
 
     def save(folder: Path) -> None:
-        with (folder / "quantities.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file)
-            rows.writerow(
-                ["record", "quantity", "value", "stderr", "size_stderr", "spread", "unit", "instrument", "read_from"]
-            )
-            for record, found in values.rows.items():
-                rows.writerows(
-                    [record, q.name, q.value, q.stderr, q.scale, q.spread, q.unit, q.stated, q.count] for q in found
-                )
+        heads = ("record", "quantity", "value", "stderr", "size_stderr", "spread", "unit", "instrument", "read_from")
+        read = [
+            (record, q.name, q.value, q.stderr, q.scale, q.spread, q.unit, q.stated, q.count)
+            for record, found in values.rows.items()
+            for q in found
+        ]
+        write_rows(folder / "quantities.csv", heads, read)
         if forces:
             _save_forces(folder, forces)
 
@@ -137,11 +134,9 @@ def _save_forces(folder: Path, forces: dict[str, ForceLoops]) -> None:
         ("cycles.csv", [(name, one.cycles) for name, one in forces.items()]),
         ("backbone.csv", [(name, side) for name, one in forces.items() for side in one.backbone.values()]),
     ):
-        with (folder / file).open("w", newline="", encoding="utf-8") as target:
-            rows = csv.writer(target)
-            heads = [field.name for field in dataclasses.fields(next(part[0] for _, part in parts if part))]
-            rows.writerow(["record", *heads])
-            rows.writerows([name, *(getattr(one, head) for head in heads)] for name, part in parts for one in part)
+        heads = [field.name for field in dataclasses.fields(next(part[0] for _, part in parts if part))]
+        rows = ([name, *(getattr(one, head) for head in heads)] for name, part in parts for one in part)
+        write_rows(folder / file, ["record", *heads], rows)
     figure = sheet(5.6, 4.0 * len(forces))
     for ax, one in zip(np.ravel(figure.subplots(len(forces))), forces.values(), strict=True):
         one.plot(ax)

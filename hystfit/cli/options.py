@@ -71,24 +71,34 @@ def lists(**registries: Iterable[str]) -> Callable[[F], F]:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class FileReading:
-    """Options for reading any file.
+class Reading:
+    """Options for reading a file. That of a reference has no input, and an excitation no output: their options are refused.
 
     Args:
         time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
+        input: column of the input.
+        output: column of the output, or of the reference: by default the one like the fitted output.
+        sigma: column with the standard deviation of the output of each sample, which gives the weights.
         rate: sampling rate in Hz, for a file without a usable clock.
         dt: sampling interval in seconds, instead of --rate.
+        units: units of input and output, such as V,um (,um of a reference); other units of the same quantity in the file are converted.
         by: column whose values separate several curves in one file.
+        only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
         sheet: sheet of a workbook.
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
         encoding: text encoding.
         adjusted: take the columns that the instrument adjusted, for a slope or an offset, in place of the raw ones.
+        integrate: replace the output by its integral over time (the charge of a current).
+        smooth: smooth the input by a zero-phase filter of this many samples (odd).
+        gaps: "split" makes a record of each piece where the input is missing, "drop" joins the pieces; "error" refuses.
     """
 
     time: Text = None
+    input: Text = None
     output: Text = None
+    sigma: Text = None
     rate: Number = None
     dt: Number = None
     units: Text = None
@@ -100,48 +110,9 @@ class FileReading:
     decimal: Text = None
     encoding: Text = None
     adjusted: Annotated[bool, Parameter(group=FILE, negative=())] = False
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Reading(FileReading):
-    """Options for reading a file.
-
-    Args:
-        output: column of the output.
-        units: units of input and output, such as V,um; other units of the same quantity in the file are converted.
-        only: which curves: values (3,4) or positions from 0 (1::4).
-        input: column of the input.
-        sigma: column with the standard deviation of the output of each sample, which gives the weights.
-        integrate: replace the output by its integral over time (the charge of a current).
-        smooth: smooth the input by a zero-phase filter of this many samples (odd).
-        gaps: "split" makes a record of each piece where the input is missing, "drop" joins the pieces; "error" refuses.
-    """
-
-    input: Text = None
-    sigma: Text = None
     integrate: Annotated[bool, Parameter(group=FILE)] = False
     smooth: Annotated[int | None, Parameter(group=FILE)] = None
     gaps: Annotated[str, Parameter(group=FILE)] = "error"
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class ReferenceReading(FileReading):
-    """Options for reading the file of a reference, which has no input.
-
-    Args:
-        output: column of the reference; default: the one like the fitted output.
-        units: unit of the reference after a comma, such as ,um; another unit of the same quantity in the file is converted.
-        only: which curve: its value (3) or its position from 0 (1:2).
-        gaps: "drop" leaves out rows that cannot be read or have no time; "error" refuses.
-    """
-
-    gaps: Annotated[Literal["error", "drop"], Parameter(group=FILE)] = "error"
-
-    def reading(self) -> Reading:
-        """The same as options of any file."""
-        return Reading(**dataclasses.asdict(self))
 
 
 def changed(options: Reading | Split) -> dict[str, Any]:
@@ -258,7 +229,7 @@ class TableOutput(Output):
 
 
 DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), SequentialSettings()
-DEFAULT_REFERENCE, NO_TABLE = ReferenceReading(), TableOutput()
+NO_TABLE = TableOutput()
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:

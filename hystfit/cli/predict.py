@@ -23,7 +23,6 @@ from hystfit.cli.options import (
 from hystfit.cli.records import load, load_one_sided, open_fit
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
-from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 
@@ -77,8 +76,6 @@ def predict(
         refit_offset: shift the prediction to the mean of the measurement (the zero of the sensor may differ).
     """
     result = open_fit(fitdir, output, trust, covariates=covariates)
-    if input_only and reading.output is not None:
-        raise DataError("--output and --input-only exclude each other")
     if input_only:
         unit = result.data.units["y"]
         data = load_one_sided(loops, reading, "output", result.data[0])

@@ -116,7 +116,8 @@ def load_one_sided(
     from hystfit.data.dataset import Dataset
     from hystfit.reading.several import combined, files_of
 
-    if senseless := [name for name in ("integrate", "sigma") if getattr(reading, name)]:
+    useless = (missing, "integrate", "sigma", *(("smooth",) if missing == "input" else ()))
+    if senseless := [name for name in useless if getattr(reading, name)]:
         raise DataError(f"--{senseless[0]} does not apply to a file without {missing}: leave it out")
     paths = [str(path) for path in files_of(files)]
     return Dataset.of(combined([(path, _one_sided(path, reading, missing, fitted)) for path in paths]))

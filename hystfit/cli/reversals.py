@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
-from hystfit.cli.write import finish, named, progress, write_csv
+from hystfit.cli.write import finish, named, progress, write_csv, write_rows
 from hystfit.outcome import Column, Note, Status, Table
 from hystfit.outcome.table import rounded
 
@@ -175,9 +174,9 @@ def _write_density(folder: Path, diagram: ForcDiagram, numbers: ForcNumbers, uni
         listed["stderr"], grid["stderr"] = diagram.stderr[known], diagram.stderr
     write_csv(folder / "forc.csv", listed, ".9g")
     np.savez_compressed(folder / "forc.npz", **grid)
-    with (folder / "profiles.csv").open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(["profile", named("field", u), "value", "stderr"])
-        for name, one in numbers.profiles.items():
-            errors = [""] * one.x.size if one.stderr is None else [f"{error:.9g}" for error in one.stderr]
-            rows.writerows([name, f"{x:.9g}", f"{y:.9g}", e] for x, y, e in zip(one.x, one.values, errors, strict=True))
+    profiles = (
+        (name, *row)
+        for name, one in numbers.profiles.items()
+        for row in zip(one.x, one.values, [None] * one.x.size if one.stderr is None else one.stderr, strict=True)
+    )
+    write_rows(folder / "profiles.csv", ["profile", named("field", u), "value", "stderr"], profiles, ".9g")

@@ -16,6 +16,7 @@ from hystfit.errors import DataError, optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
+from hystfit.outcome.table import write_rows as write_rows
 from hystfit.outcome.wrapping import PROSE, within
 
 if TYPE_CHECKING:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hystfit.errors import ModelError
 from hystfit.models.registry import model_name
+from hystfit.outcome.table import write_rows
 from hystfit.version import __version__
 
 if TYPE_CHECKING:
@@ -49,11 +47,8 @@ def export_opensees(result: FitResult, folder: str | Path, *, name: str = "mater
     files = tuple(place / file for file in (f"{name}.tcl", f"{name}.py", f"{name}_covariance.csv"))
     files[0].write_text("\n".join([*comments, " ".join(words), ""]), encoding="utf-8")
     files[1].write_text("\n".join([*comments, "import openseespy.opensees as ops", "", call, ""]), encoding="utf-8")
-    with files[2].open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(["", *result.free_names])
-        for label, row in zip(result.free_names, result.covariance, strict=True):
-            rows.writerow([label, *("" if np.isnan(value) else repr(float(value)) for value in row)])
+    rows = ([label, *row] for label, row in zip(result.free_names, result.covariance, strict=True))
+    write_rows(files[2], ["", *result.free_names], rows)
     return files
 
 

@@ -169,13 +169,20 @@ def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") 
     Args:
         form: format of the numbers, such as ".10g"; all digits by default.
     """
+    write_rows(path, columns, zip(*columns.values(), strict=True), form)
+
+
+def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Iterable[Any]], form: str = "") -> None:
+    """Rows below their headings as a CSV file, see `write_csv`."""
 
     def cell(value: Any) -> str:
-        if isinstance(value, str):
-            return value
+        if value is None or isinstance(value, str):
+            return value or ""
+        if isinstance(value, int):
+            return str(value)
         return "" if math.isnan(value) else format(value, form) if form else repr(float(value))
 
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([cell(value) for value in row] for row in zip(*columns.values(), strict=True))
+        writer.writerow(heads)
+        writer.writerows([cell(value) for value in row] for row in rows)
