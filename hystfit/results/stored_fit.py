@@ -77,7 +77,7 @@ def result_of(
         covariance: kept beside them, of the parameters that have errors and of all, each (p, p), the first read from result.json where that
             has it; None of sequential methods.
     """
-    if (schema := stored.text("schema")) != SCHEMA:
+    if (schema := stored.get("schema", str)) != SCHEMA:
         raise DataError(f"{stored.place}: schema {schema!r}, expected {SCHEMA!r}")
     block, names = stored.part("problem"), stored.texts("free_names")
     noise = _noise_of(block.part("noise"))
@@ -99,7 +99,7 @@ def result_of(
     _refuse_mixture(stored, parameters, values)
     metrics, residuals, rank = (stored.part(key) for key in ("metrics", "residuals", "identifiability"))
     method, timing, verdict = (stored.part(key) for key in ("method", "timing", "verdict"))
-    train, baselines = _metrics(metrics.optional_part("train")), _baselines(verdict.optional_part("train"))
+    train, baselines = _metrics(metrics.optional_part("train")), _baselines(verdict, "train")
     if train is None or baselines is None:
         raise DataError(
             f"{stored.place}: the metrics of the fitted samples are missing; restore the file, or fit again"
@@ -116,29 +116,29 @@ def result_of(
         joint=None if covariance is None else covariance[1],
         train=train,
         test=_metrics(metrics.optional_part("test")),
-        sigma=residuals.number("sigma"),
-        correlation_time=residuals.number("correlation_time_samples"),
-        error_ratio=residuals.number("error_ratio_to_iid"),
-        rank=rank.optional_whole("rank"),
-        condition=rank.optional_number("condition"),
-        method=method.text("name"),
-        starts=method.whole("starts"),
-        in_best_basin=method.whole("in_best_basin"),
-        compile_s=timing.optional_number("compile_s"),
-        run_s=timing.optional_number("run_s"),
+        sigma=residuals.get("sigma", float),
+        correlation_time=residuals.get("correlation_time_samples", float),
+        error_ratio=residuals.get("error_ratio_to_iid", float),
+        rank=rank.get("rank", int | None),
+        condition=rank.get("condition", float | None),
+        method=method.get("name", str),
+        starts=method.get("starts", int),
+        in_best_basin=method.get("in_best_basin", int),
+        compile_s=timing.get("compile_s", float | None),
+        run_s=timing.get("run_s", float | None),
         noise=noise,
         baselines=baselines,
-        test_baselines=_baselines(verdict.optional_part("test")),
-        left_out=verdict.optional_number("left_out"),
+        test_baselines=_baselines(verdict, "test"),
+        left_out=verdict.get("left_out", float | None),
         provenance=_provenance(stored.part("provenance")),
     )
 
 
 def _noise_of(stored: Stored) -> NoiseEstimate:
-    name = stored.text("name")
+    name = stored.get("name", str)
     if name not in ("auto", *NOISES) and noise_file(name) is None:
         raise DataError(f"{stored.place}: no noise model {name!r}; restore the file, or fit again")
-    return NoiseEstimate(name, stored.numbers("parameters"))
+    return NoiseEstimate(name, stored.mapping("parameters", float))
 
 
 def _models_of(described: Stored, noise: NoiseEstimate, trust: bool) -> tuple[list[AbstractHysteresis], list[Note]]:
@@ -148,7 +148,7 @@ def _models_of(described: Stored, noise: NoiseEstimate, trust: bool) -> tuple[li
         raise DataError(f"{described.place} holds no model: restore the file, or fit again")
     code = described.part("code")
     files = files_named(listed) | ({noise_file(noise.name)} - {None})
-    allowed, notes = allow(files, {name: code.optional_text(name) for name in code.content}, trust)  # type: ignore[arg-type]
+    allowed, notes = allow(files, {name: code.get(name, str | None) for name in code.content}, trust)  # type: ignore[arg-type]
     models = [_build(described.place, lambda one=one: from_json(one, allowed)) for one in listed]
     for model in models:
         _build(described.place, lambda model=model: _traced(model))
@@ -174,10 +174,10 @@ def _build(place: str, make: Any) -> Any:
 
 def _problem_of(block: Stored, names: tuple[str, ...], model: AbstractHysteresis, data: Dataset) -> Problem:
     free = list(dict.fromkeys(name.partition("@")[0] for name in names))
-    loss = block.text("loss")
+    loss = block.get("loss", str)
     if loss not in LOSSES:
         raise DataError(f"{block.place}: no loss {loss!r}; restore the file, or fit again")
-    fixed, ties = block.texts("fixed"), block.words("tied")
+    fixed, ties = block.texts("fixed"), block.mapping("tied", str)
     problem = _build(block.place, lambda: Problem(model, data, fix=fixed, free=free, tie=ties, loss=loss))  # type: ignore[arg-type]
     if problem.space.names != names:
         raise DataError(
@@ -187,22 +187,10 @@ def _problem_of(block: Stored, names: tuple[str, ...], model: AbstractHysteresis
 
 
 def _parameter(name: str, stored: Stored, doc: str) -> ParameterEstimate:
-    at_bound = stored.optional_text("at_bound")
+    at_bound = stored.get("at_bound", str | None)
     if at_bound not in (None, "lower", "upper"):
         raise DataError(f"{stored.place}: 'at_bound' is {at_bound!r} instead of lower, upper or null")
-    return ParameterEstimate(
-        name=name,
-        value=stored.number("value"),
-        stderr=stored.optional_number("stderr"),
-        unit=stored.text("unit"),
-        lower=stored.optional_number("lower"),
-        upper=stored.optional_number("upper"),
-        fixed=stored.flag("fixed"),
-        at_bound=at_bound,
-        identifiable=stored.optional_flag("identifiable"),
-        tie=stored.optional_text("tie"),
-        doc=doc,
-    )
+    return stored.read(ParameterEstimate, name=name, doc=doc)
 
 
 def _refuse_mixture(stored: Stored, parameters: tuple[ParameterEstimate, ...], values: dict[str, Any]) -> None:
@@ -233,33 +221,26 @@ def _covariance(stored: Stored, p: int) -> np.ndarray:
 def _metrics(stored: Stored | None) -> Metrics | None:
     if stored is None:
         return None
-    names = ("nrmse_percent", "max_error_percent", "r2")
-    known = {name: stored.optional_number(name) for name in names}
-    sizes = {name: _or_nan(stored.optional_number(name)) for name in ("rmse", "max_error")}
-    return Metrics(n=stored.whole("n"), **sizes, **known)
+    sizes = {
+        name: stored.get(name, float | None) for name in ("rmse", "max_error")
+    }  # null where the simulation is not finite
+    return stored.read(Metrics, **{name: np.nan if size is None else size for name, size in sizes.items()})
 
 
-def _or_nan(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _baselines(verdict: Stored | None) -> Baselines | None:
-    if verdict is None:
-        return None
-    stored = verdict.part("baselines")
-    known = {name: stored.number(name) for name in ("span", "line", "curve")}
-    return Baselines(**known, noise=stored.optional_number("noise"), plays=stored.optional_number("plays"))
+def _baselines(verdict: Stored, of: str) -> Baselines | None:
+    stored = verdict.optional_part(of)
+    return None if stored is None else stored.part("baselines").read(Baselines)
 
 
 def _provenance(stored: Stored) -> dict[str, Any]:
     """Kept for people as it is, once the report's own lines are found to have their types."""
     for key in ("date", "python"):
-        stored.text(key)
-    stored.words("versions")
-    stored.optional_whole("seed")
+        stored.get(key, str)
+    stored.mapping("versions", str)
+    stored.get("seed", int | None)
     for k, record in enumerate(stored.listed("records")):
         part = Stored(record, f"{stored.place}: records {k}")
         for key in ("name", "source", "data_sha256"):
-            part.text(key)
-        part.optional_text("file_sha256")
+            part.get(key, str)
+        part.get("file_sha256", str | None)
     return stored.content

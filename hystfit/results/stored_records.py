@@ -50,7 +50,7 @@ def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
             if wrong := [name for name, array in arrays.items() if array.dtype.kind not in "fiu"]:
                 raise ValueError(f"{wrong[0]}{k} holds no real numbers")
             records.append(Record(**arrays, **_labels_of(Stored(labels, f"{place}: record {k}"))))
-        return Dataset(tuple(records), name=described.text("name"))
+        return Dataset(tuple(records), name=described.get("name", str))
 
 
 @contextlib.contextmanager
@@ -93,14 +93,8 @@ def _labels(record: Record) -> dict[str, Any]:
 def _labels_of(stored: Stored) -> dict[str, Any]:
     """Arguments of a record from its stored labels."""
     texts = ("u_unit", "y_unit", "t_unit", "u_name", "y_name", "name", "source")
-    labels: dict[str, Any] = {name: stored.text(name) for name in texts}
-    labels |= {"sha256": stored.optional_text("sha256"), "sigma": stored.optional_number("sigma")}
-    if "reading" in stored.content:  # fits of 0.1 and 0.2 have none
-        labels["reading"] = stored.words("reading")
-    if "stated" not in stored.content:  # fits of 0.1 have none
-        return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes")}
-    stated = tuple(
-        Stated(one.text("label"), one.number("value"), one.text("unit"), one.text("quantity"))
-        for one in (Stored(part, f"{stored.place}: stated") for part in stored.listed("stated"))
-    )
-    return labels | {"metadata": stored.words("metadata"), "notes": stored.notes("notes"), "stated": stated}
+    labels: dict[str, Any] = {name: stored.get(name, str) for name in texts}
+    labels |= {"sha256": stored.get("sha256", str | None), "sigma": stored.get("sigma", float | None)}
+    labels |= {"reading": stored.mapping("reading", str), "metadata": stored.mapping("metadata", str)}
+    parts = (Stored(part, f"{stored.place}: stated") for part in stored.listed("stated"))
+    return labels | {"notes": stored.notes("notes"), "stated": tuple(part.read(Stated) for part in parts)}

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import json
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from types import NoneType
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from hystfit.errors import DataError
 from hystfit.outcome import Note
 
 E = TypeVar("E", bound=enum.StrEnum)
+T = TypeVar("T")
 _KINDS = {dict: "an object", list: "a list", str: "text", bool: "true or false", type(None): "null"}
 
 
@@ -58,10 +61,11 @@ class Stored:
             raise DataError(f"{self.place} has no {key!r}: restore the file, or fit again")
         return self.content[key]
 
-    def _read(self, key: str, expected: str, fits: Callable[[Any], bool], optional: bool = False) -> Any:
-        value = self._value(key)
-        if not (fits(value) or (optional and value is None)):
-            raise self._type_error(key, expected, value)
+    def get(self, key: str, kind: Any) -> Any:
+        """A member of a type (str, bool, int, a finite float), or of one of several (`float | None`)."""
+        kinds, value = get_args(kind) or (kind,), self._value(key)
+        if not any(_TYPES[one][1](value) for one in kinds):
+            raise self._type_error(key, " or ".join(_TYPES[one][0] for one in kinds), value)
         return value
 
     def part(self, key: str) -> Stored:
@@ -78,59 +82,32 @@ class Stored:
 
     def listed(self, key: str) -> list[Any]:
         """A list."""
-        return self._read(key, "a list", lambda value: isinstance(value, list))
+        value = self._value(key)
+        if not isinstance(value, list):
+            raise self._type_error(key, "a list", value)
+        return value
 
     def texts(self, key: str) -> tuple[str, ...]:
         """A list of texts."""
-        words = "a list of texts"
-        return tuple(self._read(key, words, lambda v: isinstance(v, list) and all(isinstance(one, str) for one in v)))
+        values = self.listed(key)
+        if not all(isinstance(one, str) for one in values):
+            raise self._type_error(key, "a list of texts", values)
+        return tuple(values)
 
-    def text(self, key: str) -> str:
-        """Text."""
-        return self._read(key, "text", lambda value: isinstance(value, str))
-
-    def optional_text(self, key: str) -> str | None:
-        """Text, or null."""
-        return self._read(key, "text or null", lambda value: isinstance(value, str), optional=True)
-
-    def flag(self, key: str) -> bool:
-        """True or false."""
-        return self._read(key, "true or false", lambda value: isinstance(value, bool))
-
-    def optional_flag(self, key: str) -> bool | None:
-        """True, false or null."""
-        return self._read(key, "true, false or null", lambda value: isinstance(value, bool), optional=True)
-
-    def number(self, key: str) -> float:
-        """A finite number."""
-        return self._read(key, "a number", is_number)
-
-    def optional_number(self, key: str) -> float | None:
-        """A finite number, or null."""
-        return self._read(key, "a number or null", is_number, optional=True)
-
-    def whole(self, key: str) -> int:
-        """A whole number."""
-        return self._read(key, "a whole number", lambda value: type(value) is int and is_number(value))
-
-    def optional_whole(self, key: str) -> int | None:
-        """A whole number, or null."""
-        fits = lambda value: type(value) is int and is_number(value)
-        return self._read(key, "a whole number or null", fits, optional=True)
-
-    def numbers(self, key: str) -> dict[str, float]:
-        """An object whose members are numbers."""
+    def mapping(self, key: str, kind: type[T]) -> dict[str, T]:
+        """An object whose members are of one type."""
         part = self.part(key)
-        return {name: part.number(name) for name in part.content}
+        return {name: part.get(name, kind) for name in part.content}
 
-    def words(self, key: str) -> dict[str, str]:
-        """An object whose members are texts."""
-        part = self.part(key)
-        return {name: part.text(name) for name in part.content}
+    def read(self, kind: type[T], **given: Any) -> T:
+        """A data class whose fields are members of their types, but for those that are given."""
+        hints = get_type_hints(kind)
+        names = [field.name for field in dataclasses.fields(kind) if field.name not in given]  # type: ignore[arg-type]
+        return kind(**{name: self.get(name, hints[name]) for name in names}, **given)
 
     def member(self, key: str, kind: type[E]) -> E:
         """A member of an enumeration."""
-        value = self.text(key)
+        value = self.get(key, str)
         if value not in list(kind):
             raise self._type_error(key, f"one of {', '.join(kind)}", value)
         return kind(value)
@@ -148,3 +125,13 @@ def is_number(value: Any) -> bool:
     if type(value) is int:
         return abs(value) <= 2**1023
     return type(value) is float and math.isfinite(value)
+
+
+# Types of members: the words, and whether a value is of the type.
+_TYPES = {
+    str: ("text", lambda value: isinstance(value, str)),
+    bool: ("true or false", lambda value: isinstance(value, bool)),
+    int: ("a whole number", lambda value: type(value) is int and is_number(value)),
+    float: ("a number", is_number),
+    NoneType: ("null", lambda value: value is None),
+}

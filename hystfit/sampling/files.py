@@ -99,12 +99,12 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
         raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
     (values, attributes), (stats, _) = groups
     header = parse(str(attributes.get("hystfit", "")), f"{place}: header", finite=False)
-    if (schema := header.text("schema")) != SCHEMA:
+    if (schema := header.get("schema", str)) != SCHEMA:
         raise DataError(f"{place}: schema {schema!r}, expected {SCHEMA!r}")
     result = load_fit(folder / "fit", trust=trust)
-    noise, code = header.text("noise"), header.part("code")
+    noise, code = header.get("noise", str), header.part("code")
     named = {file} if (file := noise_file(noise)) else set()
-    notes = allow(named, {name: code.optional_text(name) for name in code.content}, trust)[1]
+    notes = allow(named, {name: code.get(name, str | None) for name in code.content}, trust)[1]
     notes += [warn(Code.CHANGED_FILES, f"{name} was edited after hystfit saved it") for name in files.edited]
     try:
         return _posterior(header, values, stats, result, notes)
@@ -142,7 +142,7 @@ def _posterior(
     stats = {name: column for name, column in stats.items() if name not in ("chain", "draw")}
     if any(column.shape != draws.shape[:2] or column.dtype.kind != "f" for column in stats.values()):
         raise ValueError("the statistics are not those of its draws")
-    noise = header.text("noise")
+    noise = header.get("noise", str)
     if noise not in NOISES and noise_file(noise) is None:
         raise ValueError(f"no noise model {noise!r}")
     space = ParameterSpace.of(NOISES.make(noise))
@@ -150,11 +150,11 @@ def _posterior(
         raise ValueError(f"the noise model {noise} has the parameters {', '.join(space.names)}")
     evidence = header.content["evidence"]
     if evidence is not None:
-        evidence = Evidence(*(Stored({"evidence": v}, header.place).number("evidence") for v in evidence))
+        evidence = Evidence(*(Stored({"evidence": v}, header.place).get("evidence", float) for v in evidence))
     provenance = header.part("provenance").content
     return Posterior(
         result=result,
-        sampler=header.text("sampler"),
+        sampler=header.get("sampler", str),
         noise=noise,
         names=names,
         units=units,
@@ -164,9 +164,9 @@ def _posterior(
         convergence=convergence,
         status=header.member("status", Status),
         notes=(*header.notes("notes"), *notes),
-        priors=header.words("priors"),
-        seconds=header.number("seconds"),
-        seed=header.whole("seed"),
+        priors=header.mapping("priors", str),
+        seconds=header.get("seconds", float),
+        seed=header.get("seed", int),
         provenance=provenance,
         evidence=evidence,
         prior_quartiles=_pairs(header.part("prior_quartiles")),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -109,30 +107,13 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
     return Page(headline(result), status, result.usable, answer(result, wording), sections).render()
 
 
-def _png(figure: Figure) -> bytes:
-    """A figure as PNG. `savefig` draws everything twice, and the filters of its encoder take longer than drawing the curves."""
-    import numpy as np
+def _write_png(figure: Figure, path: Path) -> None:
+    """A figure as PNG: the canvas draws it once, `savefig` twice."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     figure.dpi = _DPI
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
-    colors = np.asarray(canvas.buffer_rgba())[..., :3]
-    height, width, _ = colors.shape
-    rows = np.zeros((height, 1 + 3 * width), np.uint8)  # a row begins with its filter: none
-    rows[:, 1:] = colors.reshape(height, -1)
-    header, dots = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), round(_DPI / 0.0254)  # RGB; in a meter
-    chunks = (
-        (b"IHDR", header),
-        (b"pHYs", struct.pack(">IIB", dots, dots, 1)),
-        (b"IDAT", zlib.compress(rows, 1)),
-        (b"IEND", b""),
-    )
-    parts = (
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def write(
@@ -171,7 +152,7 @@ def write_into(
     shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
     (folder / "report.txt").write_text(text_report(result, wording), encoding="utf-8")
     for name, picture in shown.items():
-        (folder / f"{name}.png").write_bytes(_png(picture.figure))
+        _write_png(picture.figure, folder / f"{name}.png")
         picture.figure.set_layout_engine("none")  # as laid out for the PNG
         (folder / f"{name}.svg").write_bytes(picture.svg)
     (folder / "report.html").write_text(_page(result, shown, wording), encoding="utf-8")
