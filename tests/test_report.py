@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from matplotlib import font_manager, image
+from matplotlib import font_manager
 
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
@@ -27,7 +27,6 @@ from hystfit.params.units import axis_label
 from hystfit.results import plots, report
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.record_plots import thin
-from hystfit.results.report.page import _png
 from hystfit.results.result import FitResult
 
 
@@ -228,15 +227,6 @@ def test_files(result, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(HystfitError, match="it is a file"):
         report.write(result, tmp_path / "file")
-
-
-def test_png_is_what_matplotlib_writes(tmp_path):
-    figure = matplotlib.figure.Figure(figsize=(2.0, 1.5), layout="constrained")
-    figure.subplots().plot([1, 3, 2])
-    figure.savefig(tmp_path / "a.png", dpi=150)
-    (tmp_path / "b.png").write_bytes(_png(figure))
-    a, b = (image.imread(tmp_path / f"{name}.png") for name in "ab")
-    np.testing.assert_array_equal(a[..., :3], b)
 
 
 # -- pictures --------------------------------------------------------------------------------------------------------------
