@@ -52,6 +52,24 @@ def test_a_sweep_equals_a_scan_of_steps(name: str, clock: str) -> None:
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.parametrize("clock", [*CLOCKS, "repeated", "at rest"])
+@pytest.mark.parametrize(
+    "model",
+    [
+        MODELS["lag"],
+        MODELS["linear creep"],
+        hf.LinearCreep(a=np.linspace(-0.1, 0.2, 7), rest="first"),
+        hf.Viscous(c=0.3),
+        hf.SaturatingRate(v0=50.0),
+    ],
+    ids=["lag", "creep", "creep of several weights", "viscous", "saturating"],
+)
+def test_a_run_on_the_host_equals_the_simulation(model: Any, clock: str) -> None:
+    dt = {**CLOCKS, "repeated": np.where(np.arange(SAMPLES) % 5 == 2, 0.0, EVEN), "at rest": 0.0 * EVEN}[clock]
+    u = np.sin(np.arange(SAMPLES) / 5) + 0.3 * np.sin(np.arange(SAMPLES) / 1.3)
+    np.testing.assert_allclose(model.free_run(u, dt), hf.simulate(model, u, dt)[0], rtol=1e-9, atol=1e-12)
+
+
 def test_log_creep_of_an_even_clock_is_the_same_to_the_last_bit() -> None:
     """The decay factors of an even clock are the same numbers, whether they are computed once or for each sample."""
     model, u, dt = MODELS["log creep"], jnp.asarray(np.sin(np.arange(SAMPLES) / 5)), jnp.asarray(EVEN)

@@ -17,7 +17,6 @@ from hystfit.models.negate import Negate
 from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.series import Series
-from hystfit.models.simulation import simulate
 from hystfit.models.sum import Sum
 
 
@@ -132,4 +131,4 @@ def output_of(model: AbstractHysteresis, record: Record) -> np.ndarray:
     """Output of a model over a record, by one program for records of similar length."""
     extra = bucket(len(record)) - len(record)
     u, dt = np.pad(record.u, (0, extra), mode="edge"), np.pad(record.dt, (0, extra))
-    return np.asarray(simulate(model, u, dt)[0])[: len(record)]
+    return type(model).free_run(model, u, dt)[: len(record)]

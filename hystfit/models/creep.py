@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -18,13 +18,15 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Rest, check_same_length
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
-from hystfit.models.even_steps import relaxed
+from hystfit.models.even_steps import Clock, relaxed
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
+from hystfit.quality.recursions import lagged
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))
@@ -192,6 +194,17 @@ class LinearCreep(AbstractHysteresis):
         """The relaxations alone are in the scan."""
         x = (u - self.low) / (self.high - self.low)
         return relaxed(state, self.tau, 1.0, self.a, x, dt)
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """Relaxation by relaxation on the host where the sampling is even."""
+        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        if (clock := Clock.of(dt)) is None:
+            return super().free_run(u, dt)
+        rows = clock.rows(float(u[0] if self.rest == "first" else self.level), u)
+        x = ((rows - float(self.low)) / float(self.high - self.low))[:, None]
+        weights = np.broadcast_to(np.asarray(self.a), self.tau.shape)
+        lags = np.asarray(self.tau) / clock.interval
+        return clock.samples(sum(w * lagged(x, lag)[:, 0] for w, lag in zip(weights, lags, strict=True)))
 
     def start(self, records: Sequence[Record]) -> LinearCreep:
         """Range of the samples that count, time constants from ten sampling intervals on; the weight follows from a linear solve."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -17,11 +17,13 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, OutputResonance, Rest
 from hystfit.models.c_code import CPart
-from hystfit.models.even_steps import scan_in_time
+from hystfit.models.even_steps import Clock, scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
+from hystfit.quality.recursions import recursion
 from hystfit.quality.summary import delay_of, dynamics_of
 
 _ROOM = 1.2  # length of the line of a delay over the delay with which a fit starts
@@ -113,6 +115,20 @@ class Lag(AbstractHysteresis):
         body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
         state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
         return jnp.stack(state), y
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """Two recursions on the host where the sampling is even."""
+        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        if (clock := Clock.of(dt)) is None:
+            return super().free_run(u, dt)
+        rest = float(u[0] if self.rest == "first" else self.level)
+        x = (clock.rows(rest, u) - rest)[:, None]
+        passed = 2.0 * clock.interval / float(self.tau)
+        decay = np.exp(-passed)
+        first = recursion((1.0, -decay), (1.0 - decay) * x)
+        before = np.concatenate([x[:1], first[:-1]])
+        second = recursion((1.0, -decay), (1.0 - decay) * x + decay * passed * (before - x))
+        return rest + clock.samples(second[:, 0])
 
     def _factors(self, dt: Array) -> tuple[Array, Array]:
         """How much of a deviation is left after the time dt, in each lag and from the first in the second."""

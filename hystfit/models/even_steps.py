@@ -3,27 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+import numpy as np
+from jaxtyping import Array, Float
 
-from hystfit.models.shapes import Scalar, Signal
+from hystfit.models.shapes import Signal
 
 _ROUNDING = 4.0  # spread of the time steps of an even clock, in units in the last place of the last time stamp
 
 _BLOCK = 32  # samples whose factors are in memory at a time; padded records are whole numbers of blocks
 
 
-def even_step(dt: Signal) -> tuple[Bool[Array, ""], Scalar]:
+def even_step(dt: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Whether all time steps but those of 0 are equal up to the rounding of time stamps, and the largest.
 
     Steps of 0 are allowed: records are padded with them.
+
+    Args:
+        dt: time since the sample before, shape (T,).
+        xp: NumPy on the host.
     """
-    longest = jnp.max(dt)
-    rounding = _ROUNDING * jnp.finfo(dt.dtype).eps * jnp.sum(dt)
-    return jnp.all((dt == 0.0) | (jnp.abs(dt - longest) <= rounding)), longest
+    longest = xp.max(dt)
+    rounding = _ROUNDING * xp.finfo(dt.dtype).eps * xp.sum(dt)
+    return xp.all((dt == 0.0) | (xp.abs(dt - longest) <= rounding)), longest
+
+
+class Clock(NamedTuple):
+    """Even time steps on the host, where a recursion needs no program.
+
+    Attributes:
+        interval: of all steps but those of 0 [s].
+        moved: the samples after such a step, shape (T,), bool.
+    """
+
+    interval: float
+    moved: np.ndarray
+
+    @classmethod
+    def of(cls, dt: np.ndarray) -> Clock | None:
+        """None of uneven steps, or where all are 0."""
+        even, longest = even_step(dt, np)
+        return cls(float(longest), dt > 0.0) if even and longest > 0.0 else None
+
+    def rows(self, rest: float, x: np.ndarray) -> np.ndarray:
+        """The input before the first sample and after each step, shape (steps + 1,)."""
+        return np.append(rest, x[self.moved])
+
+    def samples(self, rows: np.ndarray) -> np.ndarray:
+        """What belongs to each sample, shape (T, ...), of rows as by `rows`."""
+        return rows[np.cumsum(self.moved)]
 
 
 def scan_in_time(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import speed, speeds
 from hystfit.params.param import param
@@ -51,6 +52,14 @@ class _AbstractRate(AbstractHysteresis):
 
         ordered = jnp.all(passes == (jnp.arange(passes.shape[0]) < count))
         return jax.lax.cond(ordered, at_once, lambda: super(_AbstractRate, self).sweep(state, u0, u, dt))
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """All rates at once on the host."""
+        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        passes = dt > 0
+        rates = np.diff(u, prepend=u[0]) / np.where(passes, dt, 1.0)
+        last = np.maximum.accumulate(np.where(passes, np.arange(u.size), 0))
+        return np.asarray(self.force(jnp.asarray(rates[last])))
 
 
 class Viscous(_AbstractRate):

@@ -12,10 +12,10 @@ import functools
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from hystfit.quality.baselines import play_positions
 from hystfit.quality.lag import unexplained
+from hystfit.quality.recursions import lagged, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
 _EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
@@ -279,12 +279,6 @@ def delayed(columns: np.ndarray, delay: float) -> np.ndarray:
     return columns[whole] * (1 - part) + columns[np.minimum(whole + 1, len(columns) - 1)] * part
 
 
-def lagged(columns: np.ndarray, time: float) -> np.ndarray:
-    """Columns behind a first-order lag of this time constant [samples], from rest."""
-    keep = float(np.exp(-1 / time))
-    return columns[0] + _recursion((1.0, -keep), (1 - keep) * (columns - columns[0]))
-
-
 def _filtered(columns: np.ndarray, frequency: float, damping: float) -> np.ndarray:
     """Columns behind a second-order filter of static gain one, from rest (bilinear transform, exact at its natural frequency)."""
     w = np.tan(np.pi * frequency)
@@ -294,14 +288,4 @@ def _filtered(columns: np.ndarray, frequency: float, damping: float) -> np.ndarr
     driven = above.copy()
     driven[1:] += 2 * above[:-1]
     driven[2:] += above[:-2]
-    return columns[0] + _recursion(denominator, w**2 / norm * driven)
-
-
-def _recursion(taps: tuple[float, ...], columns: np.ndarray) -> np.ndarray:
-    """Columns y with taps[0] y[k] + taps[1] y[k - 1] + ... = columns[k], from rest: a banded triangular system.
-
-    As by `scipy.signal.lfilter`, whose import takes as long as a fit.
-    """
-    band = np.empty((len(taps), len(columns)), order="F")
-    band[:] = np.array(taps)[:, None]
-    return dtbtrs(band, columns, uplo="L")[0]
+    return columns[0] + recursion(denominator, w**2 / norm * driven)
