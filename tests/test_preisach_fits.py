@@ -149,7 +149,9 @@ class TestWeights:
         joint = np.column_stack([A[index], np.ones(u.size), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-6 if level else 1e-9)
         span = np.ptp(A[np.unique(index[record.used])], axis=0)[: model.w.size]
-        np.testing.assert_allclose(system.reach[: model.w.size], span / (2 * model.design_matrix(u).blocks[0].penalty.cells), atol=1e-12)
+        np.testing.assert_allclose(
+            system.reach[: model.w.size], span / (2 * model.design_matrix(u).blocks[0].penalty.cells), atol=1e-12
+        )
         assert system.counts.sum() == record.weight.sum()
 
     @pytest.mark.parametrize(

@@ -183,13 +183,15 @@ class SmoothSystem:
         """
         reach = np.full(self.layout.starts[-1], np.nan)
         for k, every in self.visited.items():
-            cells, start = self.layout.blocks[k].penalty.cells, self.layout.starts[k]  # type: ignore[union-attr]
-            step = max(_NUMBERS // cells.size, 1)
-            parts = [np.asarray(rows[at : at + step]) for rows in every for at in range(0, rows.shape[0], step)]
-            span = np.max([part.max(axis=0) for part in parts], axis=0) - np.min(
-                [part.min(axis=0) for part in parts], axis=0
-            )
-            reach[start : start + cells.size] = np.clip(span / (2 * cells), 0.0, 1.0)
+            penalty, start = self.layout.blocks[k].penalty, self.layout.starts[k]
+            assert penalty is not None
+            assert penalty.cells is not None
+            low, high, step = np.inf, -np.inf, max(_NUMBERS // penalty.cells.size, 1)
+            for rows in every:
+                for begin in range(0, rows.shape[0], step):
+                    part = np.asarray(rows[begin : begin + step])
+                    low, high = np.minimum(low, part.min(axis=0)), np.maximum(high, part.max(axis=0))
+            reach[start : start + penalty.cells.size] = np.clip((high - low) / (2 * penalty.cells), 0.0, 1.0)
         return reach
 
     def of_outputs(
