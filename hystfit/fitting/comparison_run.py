@@ -175,23 +175,27 @@ class ComparisonRun:
             self._validate(one, progress)
             return
         model = make_model(one.name)
-        alike = self._alike(model)
-        if alike is not None and alike.left_out is not None:
-            one.first = First(alike.left_out, len(alike.free_names))
+        known = self._alike(model)
+        if known is not None and known.left_out is not None:
+            one.first = First(known.left_out, len(known.free_names))
             return
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
             one.first = First(found[1], weights_of(found[0]), found[0])
         else:
-            problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
+            fitted = thinned(self.data) if model.allows_thinning else self.data
+            problem, points = started_problem(model, fitted)
             method = ESTIMATORS.make(choose_method(problem)).quick()
             # Points that a model reads off the records are sorted, the best first.
             starts = 1 if len(points) > 1 else min(_FIRST_STARTS, self.options.starts)
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            lowered = _LOWERED if isinstance(method, LeastSquares) else 1 / MARGIN
+            # The error on held-out samples is that of all only where all are held out in turn.
+            every = all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
+            alike = every and [*map(len, fitted)] == [*map(len, self.data)]
+            lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
