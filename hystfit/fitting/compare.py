@@ -53,9 +53,9 @@ def compare(
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
             None (or "auto") tries every family that the records can drive, those with a resonance where the response shows one, and
             stops those that cannot win: their fit errs more than the best model does in cross-validation, or their first fit errs one
-            and a half times as much, or 5 % more where all its samples are held out in turn. A first fit starts from two points and is judged on the fitted samples; that of a model with
-            elements has its default size, is judged by cross-validation on at most 2048 samples or so, and stops once the choices
-            that lowered the error of another such model would not suffice.
+            and a half times as much, or 5 % more where all its samples are held out in turn. A first fit starts from two points and is
+            judged on the fitted samples; that of a model with elements has its default size, is judged by cross-validation on at most
+            2048 samples or so, and stops once the choices that lowered the error of another such model would not suffice.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
