@@ -332,12 +332,14 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
 
 @pytest.mark.parametrize(("name", "data"), [("duhem", stepped_loops()), ("bouc-wen", hf.Dataset.of(steady_loop()))])
 def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated(name, data):
-    error = hf.compare(data, [name]).rows[0].in_sample_percent
-    for share, validated in ((0.8, False), (1.05, True)):
-        rival = Row("rival", "rival", share * error, error, error, 5, 0.0, Status.OK, obstacles={})
+    alone = hf.compare(data, [name]).rows[0]
+    error, score = alone.in_sample_percent, alone.score_percent
+    for best, validated in ((0.8 * error, False), (0.9 * score, False), (1.05 * score, True)):
+        rival = Row("rival", "rival", best, error, error, 5, 0.0, Status.OK, obstacles={})
         comparing = beside(rival, name, data)
         assert (comparing.rows[1].score_percent is not None) == validated
         assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
+        assert bool(comparing.rows[1].note) != validated
 
 
 def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(monkeypatch):

@@ -50,8 +50,11 @@ def test_groups_are_predicted_from_plain_refits_to_the_others():
         y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=np.where(folds == k, 0.0, 1.0))).predict(made)
         squares.append((np.asarray(y)[folds == k] - made.y[folds == k]) ** 2)
     assert len(squares) > 1
-    assert left_out_error(fit) == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-4)
-    assert left_out_error(fit) > fit.train.rmse
+    error = left_out_error(fit)
+    assert error == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-4)
+    assert error > fit.train.rmse
+    assert left_out_error(fit, most=1.01 * error) == error
+    assert np.isposinf(left_out_error(fit, most=0.8 * error))
 
 
 @pytest.mark.parametrize("model", [hf.Preisach.of(8), hf.PrandtlIshlinskii.of(6), hf.BoucWen(scheme="exact")])

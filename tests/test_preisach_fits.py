@@ -132,20 +132,26 @@ class TestWeights:
         np.testing.assert_array_equal(fit.reach < 1e-9, i >= 6)  # cells above u = 0
         assert "never switched" in " ".join(fit.notes)
 
+    @pytest.mark.parametrize(("n", "symmetric", "states"), [(6, False, 100), (4, True, 100), (16, False, 1000)])
     @pytest.mark.parametrize("level", [0.0, 1e6])
-    def test_distinct_states_give_the_normal_equations_of_all_samples(self, level):
+    def test_distinct_states_give_the_normal_equations_of_all_samples(self, level, n, symmetric, states):
+        """Of few states as of many, more than weights, whose rows are multiplied as sums of triangles."""
         rng = np.random.default_rng(3)
-        model = Preisach.of(6, initial="negative", spacing="given")
-        u = np.round(np.tile(np.sin(np.linspace(0, 6, 100)), 3), 2)
-        record = Record(u, level + rng.normal(size=300), weight=rng.integers(0, 3, 300))
+        model = Preisach.of(n, initial="negative", spacing="given", symmetric=symmetric)
+        u = np.tile(np.round(np.sin(np.linspace(0, 6, states)) * np.linspace(1, 0.4, states), 3), 3)
+        record = Record(u, level + rng.normal(size=u.size), weight=rng.integers(0, 3, u.size))
         system = SmoothSystem.of([model.design_matrix(u)], [record])
         A, index = features(model, u)
         # The equations are those of the distance from an output's level where that is far from zero.
         middle = np.mean(record.y[record.used]) / system.size if level else 0.0
         assert system.origin == pytest.approx([0.0] * A.shape[1] + [middle])
         y = record.y / system.size - middle
-        joint = np.column_stack([A[index], np.ones(300), y]) * np.sqrt(record.weight)[:, None]
+        joint = np.column_stack([A[index], np.ones(u.size), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-6 if level else 1e-9)
+        span = np.ptp(A[np.unique(index[record.used])], axis=0)[: model.w.size]
+        np.testing.assert_allclose(
+            system.reach[: model.w.size], span / (2 * model.design_matrix(u).blocks[0].penalty.cells), atol=1e-12
+        )
         assert system.counts.sum() == record.weight.sum()
 
     @pytest.mark.parametrize(

@@ -9,14 +9,13 @@ from typing import Any, Literal, get_args
 from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
-from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
+from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row, handicap
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.comparison_search import search
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
-from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -54,9 +53,9 @@ def compare(
             that family for its terms. A name without settings, or a class, stands for the number of elements that suits the data.
             None (or "auto") tries every family that the records can drive, those with a resonance where the response shows one, and
             stops those that cannot win: their fit errs more than the best model does in cross-validation, or their first fit errs one
-            and a half times as much. A first fit starts from two points and is judged on the fitted samples; that of a model with
-            elements has its default size, is judged by cross-validation on at most 2048 samples or so, and stops once the choices
-            that lowered the error of another such model would not suffice.
+            and a half times as much, or 5 % more where all its samples are held out in turn. A first fit starts from two points and is
+            judged on the fitted samples; that of a model with elements has its default size, is judged by cross-validation on at most
+            2048 samples or so, and stops once the choices that lowered the error of another such model would not suffice.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -133,22 +132,13 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
     if not ranked or ranked[0].score_percent is None:
         return ranked
-    least = ranked[0].score_percent * _handicap(ranked[0])
+    least = ranked[0].ranked_percent or 0.0
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(equal * least, floor)
-    alike = [
-        row
-        for row in ranked
-        if _rank(row, purpose)[:-1] == kind and (row.score_percent or 0.0) * _handicap(row) <= most
-    ]
+    alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.ranked_percent or 0.0) <= most]
     plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
     simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
     return simple + ranked[len(alike) :]
-
-
-def _handicap(row: Row) -> float:
-    """Factor by which a model must err less than the others: one of a family without an inverse, or without convergence."""
-    return MARGIN ** ((row.status is Status.NOT_CONVERGED) + (not row.family_inverts))
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
@@ -159,5 +149,5 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
-        (row.score_percent or row.in_sample_percent or 0.0) * _handicap(row),
+        row.ranked_percent or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),
     )

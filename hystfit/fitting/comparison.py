@@ -12,6 +12,10 @@ from hystfit.quality.held_out import Scheme
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
+# How many times the error of the best decides without further evidence: a first look at a model with elements that errs more ends it, and a
+# model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
+# less by it.
+MARGIN = 1.5
 Purpose = Literal["prediction", "inverse", "export"]
 
 
@@ -37,6 +41,11 @@ class Obstacles(Mapping[str, str]):
 
     def __len__(self) -> int:
         return len(self._texts)
+
+
+def handicap(status: Status, inverts: bool) -> float:
+    """Factor by which a model must err less than others: one without convergence, or of a family without an inverse."""
+    return MARGIN ** ((status is Status.NOT_CONVERGED) + (not inverts))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,6 +85,11 @@ class Row:
     def fitted(self) -> bool:
         """Whether there was at least a quick first fit."""
         return self.in_sample_percent is not None
+
+    @property
+    def ranked_percent(self) -> float | None:
+        """The error by which it ranks: more than its own where it did not converge, or its family has no inverse."""
+        return None if self.score_percent is None else self.score_percent * handicap(self.status, self.family_inverts)
 
     def serves(self, purpose: Purpose) -> bool | None:
         """Whether the model can be used for a purpose; None where it was not fitted."""

@@ -12,15 +12,15 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
-from hystfit.fitting.comparison import Obstacles, Purpose, Row
+from hystfit.fitting.comparison import MARGIN, Obstacles, Purpose, Row, handicap
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
+from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
-from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
@@ -38,6 +38,8 @@ _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeE
 
 WHITE = "the residuals of the best model are noise"
 _FIRST_STARTS = 2  # starting points of a first fit
+# Error of a fit that descends over that of its first fit, at least: 0.983 to 1.007 in 35 fits of six measured files.
+_LOWERED = 0.95
 
 _Work = Callable[[Candidate, Callable[[str], object]], None]
 
@@ -173,23 +175,28 @@ class ComparisonRun:
             self._validate(one, progress)
             return
         model = make_model(one.name)
-        alike = self._alike(model)
-        if alike is not None and alike.left_out is not None:
-            one.first = First(alike.left_out, len(alike.free_names))
+        known = self._alike(model)
+        if known is not None and known.left_out is not None:
+            one.first = First(known.left_out, len(known.free_names))
             return
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress)
         if (found := one.sizes.first(model)) is not None:
             one.first = First(found[1], weights_of(found[0]), found[0])
         else:
-            problem, points = started_problem(model, thinned(self.data) if model.allows_thinning else self.data)
+            fitted = thinned(self.data) if model.allows_thinning else self.data
+            problem, points = started_problem(model, fitted)
             method = ESTIMATORS.make(choose_method(problem)).quick()
             # Points that a model reads off the records are sorted, the best first.
             starts = 1 if len(points) > 1 else min(_FIRST_STARTS, self.options.starts)
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size)
+            # The error on held-out samples is that of all only where all are held out in turn.
+            every = all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
+            alike = every and [*map(len, fitted)] == [*map(len, self.data)]
+            lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
+            one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
         """The fit of another model with the same elements, whose bounds alone differ: one size serves both."""
@@ -219,7 +226,11 @@ class ComparisonRun:
         assert one.solved is not None
         name, result = one.name, one.solved.unjudged
         progress("cross-validation")
-        score, criterion = left_out_error(result, self.left_out), bic(result)
+        most = np.inf
+        if self.least is not None and not self.named:
+            most = self.equal * self.least / handicap(result.status, result.model.has_inverse)
+        score, criterion = left_out_error(result, self.left_out, most * self.span / 100), bic(result)
+        stopped = np.isfinite(most) and np.isposinf(score)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
         one.result = result.with_notes(*one.choices)
@@ -232,6 +243,9 @@ class ComparisonRun:
             parameters=len(result.free_names),
             seconds=0.0,
             status=result.status,
+            note=f"its cross-validation ended at an error of {most:.2g} %, above which it cannot win"
+            if stopped
+            else "",
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=Obstacles(result),
             family_inverts=result.model.has_inverse,
@@ -245,7 +259,7 @@ class ComparisonRun:
             return None
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
-        lowered = min(self._lowered, default=1 / MARGIN) if first.model is not None else 1 / MARGIN
+        lowered = first.lowered if first.model is None else min(self._lowered, default=first.lowered)
         if not np.isfinite(error) or error * lowered <= self.equal * best:
             return None
         note = (
@@ -285,6 +299,12 @@ class ComparisonRun:
         """The smallest error on left-out data so far, of models that serve the purpose [percent of range]."""
         rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
         return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+
+    @property
+    def least(self) -> float | None:
+        """The smallest error so far by which a model ranks, of those that serve the purpose [percent of range]."""
+        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
+        return min((row.ranked_percent for row in rivals if row.ranked_percent is not None), default=None)
 
     @property
     def best_row(self) -> Row | None:

@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Sequence
 
 from hystfit.fitting.candidates import Candidates
+from hystfit.fitting.comparison import MARGIN
 from hystfit.fitting.comparison_run import WHITE, ComparisonRun, correlation_of, score_of
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_model import solve_model
-from hystfit.fitting.screening import MARGIN
 from hystfit.fitting.structure import Structure, structure_of
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.quality.held_out import Scheme

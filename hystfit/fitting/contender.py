@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hystfit.fitting.comparison import Row
+from hystfit.fitting.comparison import MARGIN, Row
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.models.base import AbstractHysteresis
@@ -17,12 +17,13 @@ from hystfit.results.result import FitResult
 class First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
 
-    `model` has the best of these elements.
+    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it.
     """
 
     error: float
     parameters: int
     model: AbstractHysteresis | None = None
+    lowered: float = 1 / MARGIN
 
 
 @dataclasses.dataclass

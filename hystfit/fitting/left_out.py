@@ -29,7 +29,7 @@ LeftOut = Literal["auto", "future"]
 CHOICES: tuple[str, ...] = get_args(LeftOut)
 
 
-def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
+def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = np.inf) -> float:
     """Weighted root mean square error on samples held out of refits, output units.
 
     Args:
@@ -38,6 +38,7 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
             part of every record from a fit to what came before, which tests whether creep and drift are understood. The offset of a
             record that is held out as a whole is fitted to it; its other own parameters, such as an initial state, keep the values of
             the fit of all data.
+        most: error that is of interest [y]; refits end, and the error is infinite, once it is larger.
 
     Raises:
         ParameterError: an unknown choice.
@@ -48,7 +49,7 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
     if left_out == "future":
         parts = future(list(problem.data)).folds
         splits = [([f < k for f in parts], [f == k for f in parts]) for k in range(2, FOLDS)]
-        return _refitted(result.method, problem, x, splits)
+        return _refitted(result.method, problem, x, splits, most)
     if result.left_out is not None and len(linear_positions(problem)):
         return result.left_out  # by which the fit chose its regularization
     if result.method == "preisach":
@@ -56,20 +57,27 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto") -> float:
     if result.method == "convex" and len(linear_positions(problem)):
         system = LinearSystem.of(problem, x)
         return float(fit_ridge(system, Convex().strengths).score)
-    return _refitted(result.method, problem, x, problem.held_out.splits())
+    return _refitted(result.method, problem, x, problem.held_out.splits(), most)
 
 
 def _refitted(
-    method: str, problem: Problem, x: np.ndarray, splits: list[tuple[list[np.ndarray], list[np.ndarray]]]
+    method: str,
+    problem: Problem,
+    x: np.ndarray,
+    splits: list[tuple[list[np.ndarray], list[np.ndarray]]],
+    most: float,
 ) -> float:
     """Error on the held-out side of each split, of refits to its other side that start from physical x.
 
-    Parameters that the other side does not determine keep their value in x.
+    Parameters that the other side does not determine keep their value in x. Infinite where it is larger than `most`.
     """
     z = problem.space.unconstrained(problem.space.clip(x))
     descends = method == "lm" or (method == "convex" and not len(linear_positions(problem)))
     effects = _effects(problem, x) if descends else np.zeros(0)
-    squares, total = 0.0, 0.0
+    weighed = [
+        (mask & record.used, record) for _, asked in splits for mask, record in zip(asked, problem.data, strict=True)
+    ]
+    squares, total = 0.0, sum(float(record.weight[held].sum()) for held, record in weighed)
     for seen, asked in splits:
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         if descends:
@@ -82,7 +90,8 @@ def _refitted(
             held = mask & record.used
             with np.errstate(over="ignore"):  # of a refit that diverges
                 squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
-            total += float(record.weight[held].sum())
+        if squares > most**2 * total:
+            return np.inf
     return float(np.sqrt(squares / total)) if total else float("nan")
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
+from hystfit.fitting.comparison import MARGIN
 from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
@@ -17,10 +18,6 @@ from hystfit.fitting.verdict import POOR, residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
-
-# How many times the error of the best decides without further evidence: a first fit that errs more is not validated, and a model without an
-# inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err less by it.
-MARGIN = 1.5
 
 
 @dataclasses.dataclass(frozen=True)

@@ -118,6 +118,7 @@ class Problem:
         self.noise_space: ParameterSpace | None = None
         self.priors: tuple[AbstractPrior, ...] = ()
         self.dependence: Dependence | None = None
+        self._predicted: tuple[bytes, list[np.ndarray]] | None = None
 
     def prepared(self, record: Record) -> Record:
         """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
@@ -137,6 +138,7 @@ class Problem:
         other = copy.copy(self)
         for cached in ("host_setting", "setting", "density", *(["held_out"] if "data" in changes else [])):
             other.__dict__.pop(cached, None)
+        other._predicted = None
         for name, value in changes.items():
             setattr(other, name, value)
         return other
@@ -246,10 +248,19 @@ class Problem:
     # -- least squares -------------------------------------------------------------------------------------------------
 
     def predict(self, x: Any) -> list[np.ndarray]:
-        """Free-run output of every record at physical x, shapes (T_r,)."""
+        """Free-run output of every record at physical x, shapes (T_r,), not writable: those of the last x are kept for the next call."""
+        key = np.asarray(x, float).tobytes()
+        if self._predicted is None or self._predicted[0] != key:
+            rows = self._simulated(x)
+            for row in rows:
+                row.flags.writeable = False
+            self._predicted = key, rows
+        return self._predicted[1]
+
+    def _simulated(self, x: Any) -> list[np.ndarray]:
         if self.model.has_fast_run:
-            models = [self.space.assembled(x, k) for k in range(len(self.data))]
-            return [model.free_run(r.u, r.dt) for model, r in zip(models, self.data, strict=True)]
+            models = self.space.of_records(x, len(self.data))
+            return [np.asarray(model.free_run(r.u, r.dt)) for model, r in zip(models, self.data, strict=True)]
         rows = np.asarray(_run(self.objective, "predict", to_device(x)))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 

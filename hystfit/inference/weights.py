@@ -80,7 +80,8 @@ class Split:
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
     """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
-    return (space.assembled(x, k).design_matrix(record.u, record.dt) for k, record in enumerate(records))
+    models = space.of_records(x, len(records))
+    return (model.design_matrix(record.u, record.dt) for model, record in zip(models, records, strict=True))
 
 
 def _placed(space: ParameterSpace, layout: Layout, records: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,6 +126,7 @@ def weighted_columns(
             block, start = design.blocks[kept].columns, layout.first(position, number)
             rest += block @ values[start : start + block.shape[1]]
             asked = np.flatnonzero((place[at] >= start) & (place[at] < start + block.shape[1]))
+            block = np.asarray(block) if asked.size else block
             for k in asked:
                 solved[:, k] = block[index, place[at[k]] - start]
         rest = rest[index]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import numpy as np
+import scipy  # loads its subpackages when they are first used
+from jaxtyping import Float
 
 from hystfit.models.nonnegative import submatrix
 from hystfit.params.param import ParamInfo, leaves_of
@@ -31,6 +33,54 @@ class Penalty:
     label: str = ""
 
 
+@runtime_checkable
+class Basis(Protocol):
+    """A matrix of shape (q, p) that is multiplied with in less time than its entries take."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(q, p)."""
+        ...
+
+    def spread(self, values: Float[np.ndarray, "q k"]) -> Float[np.ndarray, "p k"]:
+        """basis.T @ values."""
+        ...
+
+    def collected(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " q"]:
+        """basis @ weights."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class Factored:
+    """Columns as a product, rows @ basis, of rows with few entries and a basis that all inputs share; to NumPy it is that array.
+
+    Attributes:
+        rows: shape (S, q).
+        basis: shape (q, p).
+    """
+
+    rows: scipy.sparse.csr_array
+    basis: Basis
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(S, p)."""
+        return self.rows.shape[0], self.basis.shape[1]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self.basis.spread(self.rows.T.toarray()).T, dtype)
+
+    def __matmul__(self, weights: np.ndarray) -> np.ndarray:
+        return self.rows @ self.basis.collected(weights)
+
+    def __getitem__(self, which: np.ndarray | slice) -> Factored:
+        return Factored(self.rows[which], self.basis)
+
+
+Columns = np.ndarray | Factored
+
+
 @dataclasses.dataclass(frozen=True)
 class Block:
     """Columns of one array of linear weights.
@@ -44,7 +94,7 @@ class Block:
 
     leaf: int
     info: ParamInfo
-    columns: np.ndarray
+    columns: Columns
     penalty: Penalty | None = None
 
 

@@ -8,7 +8,10 @@ from scipy.linalg.lapack import dpotrs
 
 from hystfit.runs.threads import one_blas_thread
 
-_PATIENCE = 5  # exchanges of whole blocks allowed without progress, before unknowns are exchanged one by one
+_PATIENCE = 5  # exchanges of whole blocks allowed without progress, before few unknowns are exchanged at a time
+# Of the largest violation on each side of the bounds, above which unknowns are exchanged then: at 0.1, 0.3 and 0.5 the nearly singular
+# equations of 1891 weights ended after 25, 24 and 34 exchanges, where one by one they did not.
+_WORST = 0.3
 _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
 
 
@@ -83,7 +86,7 @@ def _wrong(w: np.ndarray, dual: np.ndarray, b: np.ndarray, bounded: np.ndarray, 
 
 def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     fewest, patience = b.size + 1, _PATIENCE
-    for left in range(_LIMIT, 0, -1):
+    for _ in range(_LIMIT):
         w, dual = _solve_on(A, b, active)
         wrong = _wrong(w, dual, b, bounded, active)
         count = int(wrong.sum())
@@ -93,10 +96,10 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
             fewest, patience = count, _PATIENCE
         elif patience:
             patience -= 1
-        elif count > left:
-            break
-        else:  # Murty's rule: one at a time always ends
-            wrong[: np.flatnonzero(wrong)[-1]] = False
+        else:  # whole blocks go in circles
+            for side, size in ((active, -w), (~active, -dual)):
+                worst = np.max(size, where=wrong & side, initial=0.0)
+                wrong &= ~side | (size >= _WORST * worst)
         active = active ^ wrong
     return _by_root(A, b, bounded)
 

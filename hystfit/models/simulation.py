@@ -132,7 +132,7 @@ def simulate(
         raise ModelError(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
-    u, dt = _checked_drive(model, u, dt)
+    u, dt = checked_drive(model, u, dt)
     # dt[0] counts: a device that rested at another input than u[0] has moved for that long when the first sample is read.
     try:
         y, *end = _run(model, u, dt, resume)
@@ -149,11 +149,11 @@ def drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Array, Array]:
         ModelError: no time for a model that needs it, or shapes that do not fit.
         PrecisionError: double precision is off.
     """
-    u, dt = _checked_drive(model, u, dt)
+    u, dt = checked_drive(model, u, dt)
     return jnp.asarray(u), jnp.asarray(dt)
 
 
-def _checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
+def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
     """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
     require_x64()
     u = _floating(u)

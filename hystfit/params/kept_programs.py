@@ -31,6 +31,7 @@ from hystfit.version import version_of
 _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
 _CHECK = hashlib.sha256().digest_size
 _VERSIONED = ("hystfit", "equinox", "jax", "numpy", "builtins")  # packages whose classes a name and a version describe
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
 _BY_VALUE = (bool, int, float, complex, str, bytes, type(None), type(...))
 
 
@@ -48,16 +49,22 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
     programs: dict[Any, Callable[..., Any] | None] = {}
 
     def call(*trees: Any) -> Any:
-        traced, rest = eqx.partition(trees, lambda leaf: isinstance(leaf, (jax.Array, np.ndarray, np.generic)))
-        arrays, places = jax.tree_util.tree_flatten(traced)
+        leaves, structure = jax.tree_util.tree_flatten(trees)
+        traced = tuple(isinstance(leaf, _ARRAYS) for leaf in leaves)
+        arrays = [leaf for leaf, is_array in zip(leaves, traced, strict=True) if is_array]
         if any(isinstance(array, jax.core.Tracer) for array in arrays):
             return otherwise(*trees)
-        fixed, structure = jax.tree_util.tree_flatten(rest)
-        shapes = tuple((np.shape(array), jax.dtypes.canonicalize_dtype(array.dtype)) for array in arrays)
-        key = (places, shapes, structure, tuple((type(leaf), leaf) for leaf in fixed))
+        fixed = [leaf for leaf, is_array in zip(leaves, traced, strict=True) if not is_array]
+        shapes = tuple((array.shape, array.dtype) for array in arrays)
+        key = (traced, shapes, structure, tuple((type(leaf), leaf) for leaf in fixed))
         if key not in programs:
-            flat = lambda *arrays: function(*eqx.combine(places.unflatten(arrays), rest))
-            programs[key] = _program(flat, (_name(function), *key), [jax.ShapeDtypeStruct(*shape) for shape in shapes])
+
+            def flat(*arrays: Any) -> Any:
+                mixed = iter(arrays), iter(fixed)
+                return function(*structure.unflatten([next(mixed[not is_array]) for is_array in traced]))
+
+            exact = [jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(dtype)) for shape, dtype in shapes]
+            programs[key] = _program(flat, (_name(function), *key), exact)
         program = programs[key]
         return otherwise(*trees) if program is None else program(*arrays)
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -242,6 +243,12 @@ class ParameterSpace:
     def assembled(self, x: Sequence[float] | np.ndarray, record: int = 0) -> Any:
         """The tree at x, with the parameters of record number `record`."""
         return self.coordinates.assemble(np.asarray(x, float), record)
+
+    def of_records(self, x: Sequence[float] | np.ndarray, records: int) -> Iterator[Any]:
+        """The tree at x for each record in turn: the same one where no leaf differs from record to record."""
+        own = self.coordinates.constant_at or any(per_record for *_, per_record in self.coordinates.layout)
+        every = (self.assembled(x, k) for k in range(records))
+        return every if own else itertools.repeat(self.assembled(x), records)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
         """Covariance of x from that of z, to first order."""

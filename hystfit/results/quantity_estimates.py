@@ -163,7 +163,7 @@ def _columns(result: FitResult, record: Record) -> dict[int, np.ndarray]:
     """Columns of the design matrix over a record, shape (T,), by the number of the free parameter that they belong to."""
     space = result.problem.space
     design = result.model.design_matrix(record.u, None if result.model.rate_independent else record.dt)
-    blocks = {block.leaf: block.columns for block in design.blocks}
+    blocks = {block.leaf: np.asarray(block.columns) for block in design.blocks}
     of_first = lambda source: source[2] in (None, 0) and space.leaves[source[0]].index in blocks
     return {
         k: blocks[space.leaves[source[0]].index][design.index, source[1]]

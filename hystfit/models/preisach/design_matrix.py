@@ -2,16 +2,57 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 
 import numpy as np
+import scipy  # loads its subpackages when they are first used
+from jaxtyping import Float
 from numpy.polynomial.legendre import legvander
 
+from hystfit.models.design import Factored
 from hystfit.models.preisach.compiled import Code, rises_first, staircase_of, ties
-from hystfit.models.preisach.everett import cells, first_rise_masses, fold
+from hystfit.models.preisach.everett import cells, first_rise_masses, fold, mirror
 from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.staircase import Staircase
+
+
+@dataclasses.dataclass(frozen=True)
+class Triangles:
+    """The basis of the columns: which cells lie in the triangle of each cell, from its beta up to its alpha; see `Basis`.
+
+    Attributes:
+        n: cells along an axis.
+        symmetric: whether cells that are mirror images share a weight.
+    """
+
+    n: int
+    symmetric: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(triangles, weights)."""
+        count = self.n * (self.n + 1) // 2
+        return count, mirror(self.n)[1].shape[1] if self.symmetric else count
+
+    def spread(self, values: Float[np.ndarray, "q k"]) -> Float[np.ndarray, "p k"]:
+        """Sums over the triangles in which each cell lies."""
+        i, j = cells(self.n)
+        square = np.zeros((self.n, self.n, values.shape[1]))
+        square[i, j] = values
+        for row in range(self.n - 2, -1, -1):
+            square[row] += square[row + 1]
+        for column in range(1, self.n):
+            square[:, column] += square[:, column - 1]
+        columns = square[i, j]
+        return fold(columns.T, self.n).T if self.symmetric else columns
+
+    def collected(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " q"]:
+        """Sums over the cells of each triangle."""
+        at, square = cells(self.n), np.zeros((self.n, self.n))
+        square[at] = weights[mirror(self.n)[0]] if self.symmetric else weights
+        return np.cumsum(np.cumsum(square, axis=0)[:, ::-1], axis=1)[:, ::-1][at]
 
 
 def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -22,17 +63,23 @@ def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Returns:
         A of shape (S, p), and the row of each sample, shape (T,).
     """
+    columns, single_valued, index = states(model, u)
+    return np.column_stack([columns, *single_valued]), index
+
+
+def states(model: AbstractPlane, u: np.ndarray) -> tuple[Factored, list[np.ndarray], np.ndarray]:
+    """The parts of `features`: columns of w, those of slopes and b where the model has them, and the row of each sample."""
     u = np.asarray(u, dtype=float)
     code, stairs = staircase_of(model, u)
     columns = weight_columns(model, code, stairs)
     index, inputs = stairs.index, stairs.state_value
     if code is not None:  # one state serves many inputs, on which the single-valued part depends
         if not (model.slopes.size or model.b.size):
-            return columns, index
+            return columns, [], index
         values, number = np.unique(u, return_inverse=True)
         keys, index = np.unique(index * values.size + number, return_inverse=True)
         columns, inputs = columns[keys // values.size], values[keys % values.size]
-    return np.column_stack([columns, *_single_valued_columns(model, inputs)]), index
+    return columns, _single_valued_columns(model, inputs), index
 
 
 def _single_valued_columns(model: AbstractPlane, u: np.ndarray) -> list[np.ndarray]:
@@ -44,70 +91,104 @@ def _single_valued_columns(model: AbstractPlane, u: np.ndarray) -> list[np.ndarr
     return out
 
 
-def weight_columns(model: AbstractPlane, code: Code | None, stairs: Staircase) -> np.ndarray:
-    """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights)."""
+def weight_columns(model: AbstractPlane, code: Code | None, stairs: Staircase) -> Factored:
+    """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights).
+
+    A move between two extrema switches a triangle of relays. The basis has the triangles with their corners on the grid; any other one
+    is a sum of six of them: E is bilinear between the corners, but for the squares of the diagonal cells (`everett`).
+    """
     rest, first, pair = _host_tables(model, code)
-    own = _own_columns(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
-    for layer in stairs.layers()[1:]:
-        own[layer] += own[stairs.node_parent[layer]]
-    before = np.concatenate([own, np.zeros((1, own.shape[1]))])[stairs.state_parent]
-    columns = before + rest + _own_columns(stairs.state_value, stairs.state_parent, stairs.node_value, first, pair)
+    own = _moves(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
+    rows = _moves(stairs.state_value, stairs.state_parent, stairs.node_value, first, pair)
+    rows = rows + _ancestors(stairs) @ scipy.sparse.vstack([own, rest], format="csr")
     if code is not None:
         at, level = ties(model, code, stairs)
-        columns[at] += 2 * _fold(model, np.eye(model.n * (model.n + 1) // 2)[level * (level + 1) // 2 + level])
-    return columns
+        extra = (np.full(at.size, 2.0), (at, level * (level + 1) // 2 + level))
+        rows = rows + scipy.sparse.coo_array(extra, shape=rows.shape).tocsr()
+    rows.eliminate_zeros()
+    return Factored(rows, Triangles(model.n, model.symmetric))
 
 
-Columns = Callable[[np.ndarray], np.ndarray]
-Pairs = Callable[[np.ndarray, np.ndarray], np.ndarray]
+def _ancestors(stairs: Staircase) -> scipy.sparse.csr_array:
+    """Which extrema each state remembers, shape (S, K + 1); the last column, of the rest state, is one everywhere."""
+    state, node = np.arange(stairs.state_parent.size), stairs.state_parent
+    pairs = [(state, np.full(state.size, stairs.node_value.size))]
+    while (known := node >= 0).any():
+        state, node = state[known], node[known]
+        pairs.append((state, node))
+        node = stairs.node_parent[node]
+    rows, columns = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    shape = (stairs.state_parent.size, stairs.node_value.size + 1)
+    return scipy.sparse.coo_array((np.ones(rows.size), (rows, columns)), shape=shape).tocsr()
 
 
-def _own_columns(value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Columns, pair: Pairs) -> np.ndarray:
+Moves = Callable[[np.ndarray], scipy.sparse.csr_array]
+Pairs = Callable[[np.ndarray, np.ndarray], scipy.sparse.csr_array]
+
+
+def _moves(
+    value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Moves, pair: Pairs
+) -> scipy.sparse.csr_array:
+    """What each extremum or state adds to the one before it."""
     count = int(np.count_nonzero(parent < 0))
     now, before = value[count:], nodes[parent[count:]]
-    sign = np.where(now > before, 2.0, -2.0)[:, None]
-    return np.concatenate([first(value[:count]), sign * pair(np.maximum(now, before), np.minimum(now, before))])
+    switched = pair(np.maximum(now, before), np.minimum(now, before))
+    switched.data *= np.repeat(np.where(now > before, 2.0, -2.0), np.diff(switched.indptr))
+    return scipy.sparse.vstack([first(value[:count]), switched], format="csr")
 
 
-def _fold(model: AbstractPlane, columns: np.ndarray) -> np.ndarray:
-    return fold(columns, model.n) if model.symmetric else columns
-
-
-def _host_tables(model: AbstractPlane, code: Code | None) -> tuple[np.ndarray, Columns, Pairs]:
-    """Columns of the rest state, of first excursions and of moves between extrema."""
-    levels = np.asarray(model.levels)
+def _host_tables(model: AbstractPlane, code: Code | None) -> tuple[scipy.sparse.csr_array, Moves, Pairs]:
+    """The rest state, first excursions and moves between extrema, as sums of the triangles of the basis."""
+    levels, n = np.asarray(model.levels), model.n
     if code is None:
-        pair = lambda high, low: _fold(model, triangle_parts(levels, high, low))
+        pair: Pairs = functools.partial(_triangle_parts, levels)
         top, bottom = levels[-1], levels[0]
     else:
-        i, j = cells(model.n)
         at_most, below = code.passed()
-        pair = lambda high, low: _fold(model, 1.0 * ((i < at_most[high][:, None]) & (j >= below[low][:, None])))
+        pair = lambda high, low: _entries(n, at_most[high, None] - 1, below[low, None], np.ones((high.size, 1)))
         top, bottom = code.top, 0
-    everything = _fold(model, np.ones(model.n * (model.n + 1) // 2))
+    everything = _entries(n, np.array([[n - 1]]), np.array([[0]]), np.ones((1, 1)))
     if model.initial == "negative":
         return -everything, lambda x: 2 * pair(x, np.full_like(x, bottom)), pair
     if model.initial == "positive":
         return everything, lambda x: -2 * pair(np.full_like(x, top), x), pair
     parts = _first_cells if code is None else functools.partial(_first_relays, code=code)
-    first = lambda x: _fold(model, parts(model, x))
-    return everything - first(np.array([top]))[0], first, pair
+    first = lambda x: _differences(n, parts(model, x))
+    return everything - first(np.array([top])), first, pair
 
 
-def triangle_parts(levels: np.ndarray, high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Part of each cell's area in the triangle high >= alpha >= beta >= low, shape (K, n (n + 1) / 2).
+def _entries(n: int, i: np.ndarray, j: np.ndarray, value: np.ndarray) -> scipy.sparse.csr_array:
+    """Rows with the given values, shape (K, m), at the triangles of cells (i, j); those with i < j are empty."""
+    inside = i >= j
+    at, ends = np.where(inside, i * (i + 1) // 2 + j, 0), value.shape[1] * np.arange(len(value) + 1)
+    shape = (len(value), n * (n + 1) // 2)
+    return scipy.sparse.csr_array((np.where(inside, value, 0.0).ravel(), at.ravel(), ends), shape=shape)
+
+
+def _triangle_parts(levels: np.ndarray, high: np.ndarray, low: np.ndarray) -> scipy.sparse.csr_array:
+    """Part of each cell's area in the triangle high >= alpha >= beta >= low, as sums of the triangles of the basis, shape (K, cells).
 
     The triangles have upper and lower corners `high` and `low` [u], shapes (K,).
     """
-    n = levels.size - 1
+    n, d = levels.size - 1, np.diff(levels)
+    above, below = (np.clip(np.searchsorted(levels, u, side="right") - 1, 0, n - 1) for u in (high, low))
+    f = np.clip((high - levels[above]) / d[above], 0.0, 1.0)
+    g = np.clip((levels[below + 1] - low) / d[below], 0.0, 1.0)
+    # Bilinear between four corners, and what the cells on the diagonal deviate from that.
+    same = above == below
+    bent = np.where(same, np.maximum(f + g - 1.0, 0.0) ** 2 - f * g, f**2 - f)
+    i = np.stack([above, above - 1, above, above - 1, above, below], axis=1)
+    j = np.stack([below, below, below + 1, below + 1, above, below], axis=1)
+    four = (f * g, (1 - f) * g, f * (1 - g), (1 - f) * (1 - g))
+    return _entries(n, i, j, np.stack([*four, bent, np.where(same, 0.0, g**2 - g)], axis=1))
+
+
+def _differences(n: int, columns: np.ndarray) -> scipy.sparse.csr_array:
+    """Columns of cells, shape (K, cells), as sums of the triangles of the basis."""
     i, j = cells(n)
-    d = np.diff(levels)
-    below = np.clip((high[:, None] - levels[:-1]) / d, 0.0, 1.0)
-    above = np.clip((levels[1:] - low[:, None]) / d, 0.0, 1.0)
-    parts = below[:, i] * above[:, j]
-    side = np.minimum(high[:, None], levels[1:]) - np.maximum(low[:, None], levels[:-1])
-    parts[:, i == j] = (np.maximum(side, 0.0) / d) ** 2
-    return parts
+    square = np.zeros((len(columns), n + 1, n + 1))
+    square[:, i, j + 1] = columns
+    return scipy.sparse.csr_array(np.diff(square[:, :-1], axis=2)[:, i, j] - np.diff(square[:, 1:], axis=2)[:, i, j])
 
 
 def _first_cells(model: AbstractPlane, u: np.ndarray) -> np.ndarray:

@@ -19,14 +19,14 @@ from hystfit.errors import ModelError
 from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.preisach.design_matrix import features
+from hystfit.models.preisach.design_matrix import states
 from hystfit.models.preisach.everett import cells, mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count, ramps
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
 from hystfit.models.shapes import Scalar
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse
@@ -253,28 +253,33 @@ class Preisach(AbstractPlane):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns of distinct states, or by look-ups where these would be many."""
-        u = np.asarray(drive(self, u, dt)[0])
+        u = np.asarray(checked_drive(self, u, dt)[0])
         if u.size * self.w.size > _SMALL:
             return np.asarray(respond(self, compile_for(self, u)))
-        columns, index = features(self, u)
-        return (columns @ np.concatenate([self.w, self.slopes, self.b]) + float(self.offset))[index]
+        columns, single_valued, index = states(self, u)
+        y = columns @ np.asarray(self.w) + float(self.offset)
+        if single_valued:
+            y += np.column_stack(single_valued) @ np.concatenate([self.slopes, self.b])
+        return y[index]
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns on the distinct states that the input visits."""
-        columns, index = features(self, np.asarray(drive(self, u, dt)[0]))
+        columns, single_valued, index = states(self, np.asarray(checked_drive(self, u, dt)[0]))
         count = np.bincount(mirror(self.n)[0]) if self.symmetric else np.ones(self.w.size, dtype=int)
         penalties = {"w": Penalty(_smoothing(self.n, self.symmetric), count, self.elements)}
         if self.slopes.size:
             penalties["slopes"] = Penalty(_smoothing(self.slopes.size))
-        parts = np.split(columns, np.cumsum([self.w.size, self.slopes.size]), axis=1)
-        columns_of = dict(zip(("w", "slopes", "b"), parts, strict=True)) | {"offset": np.ones((len(columns), 1))}
+        names = ("slopes",) * bool(self.slopes.size) + ("b",) * bool(self.b.size)
+        columns_of = {
+            "w": columns,
+            **dict(zip(names, single_valued, strict=True)),
+            "offset": np.ones((columns.shape[0], 1)),
+        }
         leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
         blocks = (
-            Block(leaves[name].index, leaves[name].info, part, penalties.get(name))
-            for name, part in columns_of.items()
-            if part.shape[1]
+            Block(leaves[name].index, leaves[name].info, part, penalties.get(name)) for name, part in columns_of.items()
         )
-        return DesignMatrix(tuple(blocks), np.zeros(len(columns)), index)
+        return DesignMatrix(tuple(blocks), np.zeros(columns.shape[0]), index)
 
     def choices(self, records: Sequence[Record]) -> tuple[tuple[Preisach, ...], ...]:
         """Other levels, with no more cells than distinct inputs; other states before the records; a line; more or fewer cells."""
