@@ -7,6 +7,8 @@ from jax import export
 
 import hystfit as hf
 from hystfit.config import PROGRAM_FOLDER
+from hystfit.fitting import lanes
+from hystfit.fitting.lanes import Stack
 from hystfit.models import simulation
 from hystfit.params import kept_programs
 from hystfit.params.kept_programs import kept
@@ -65,6 +67,15 @@ def test_a_damaged_file_is_written_again(damage, only, monkeypatch):
     assert not opened
     afresh()(hf.BoucWen())
     assert len(opened) == 1
+
+
+def test_the_program_of_all_starts_is_kept(folder):
+    """An output that is a named tuple cannot be exported: every process traced and lowered the largest program of a fit again."""
+    problem = hf.Problem(hf.BoucWen(), hf.Record(U, U**3))
+    stack, z = Stack.of([problem.objective]), problem.space.unconstrained(problem.space.vector(problem.model))
+    linearized = kept(lanes._linearized.__wrapped__, never)(stack, np.zeros(2, int), np.stack([z, z]), np.int64(1))
+    np.testing.assert_allclose(linearized[1][0], 0.5 * np.sum(np.square(problem.misfit(problem.space.physical(z)))))
+    assert len([*folder.iterdir()]) == 1
 
 
 def test_what_changes_the_trace_changes_the_file(only, folder, monkeypatch):

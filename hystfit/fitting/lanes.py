@@ -148,8 +148,7 @@ def _on_host(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: in
     going = np.arange(count)
     while going.size:
         where, points = padded(going), padded(lane.trial[going])
-        new = _linearized(data, where, points, np.int64(going.size))
-        new = _first(new, going.size)
+        new = Normal(*_first(_linearized(data, where, points, np.int64(going.size)), going.size))
         with np.errstate(all="ignore"):  # of simulations that are not finite, whose steps are rejected
             lane.put(going, advanced(lane.rows(going), new, gain, samples, bounded, np))
         given_up |= beaten(lane, records)
@@ -158,8 +157,8 @@ def _on_host(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: in
 
 
 @compiled
-def _linearized(stack: Stack, records: Array, z: Float[Array, "L p"], count: Array) -> Normal:
-    """Normal equations at the first `count` points, one after another; zero at the others."""
+def _linearized(stack: Stack, records: Array, z: Float[Array, "L p"], count: Array) -> tuple[Array, ...]:
+    """Fields of the `Normal` at the first `count` points, one after another; zero at the others."""
 
     def one(k: Array, rows: Normal) -> Normal:
         new = normal_at(stack.at(records[k]), z[k])
@@ -167,7 +166,7 @@ def _linearized(stack: Stack, records: Array, z: Float[Array, "L p"], count: Arr
 
     lanes, p = z.shape
     none = Normal(jnp.zeros((lanes, p)), jnp.zeros(lanes), jnp.zeros((lanes, p)), jnp.zeros((lanes, p, p)))
-    return jax.lax.fori_loop(0, count, one, none)
+    return tuple(jax.lax.fori_loop(0, count, one, none))
 
 
 def _together(
