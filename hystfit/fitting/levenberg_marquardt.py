@@ -138,13 +138,9 @@ def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
         lane: L lanes.
         problems: the number of the problem of each.
     """
-    least = np.full(int(problems.max(initial=-1)) + 1, np.inf)
-    done = lane.converged
-    np.minimum.at(least, problems[done], lane.best.cost[done])
-    rival, cost = least[problems], lane.best.cost
-    return (
-        ~lane.ended
-        & (cost <= (1 + _CLOSE) * rival)
-        & (cost - lane.promised >= (1 - _BETTER) * rival)
-        & np.isfinite(rival)
-    )
+    least, converged = np.full(int(problems.max(initial=-1)) + 1, np.inf), lane.converged
+    cost, promised, ended = (np.asarray(part) for part in (lane.best.cost, lane.promised, lane.ended))
+    np.minimum.at(least, problems[converged], cost[converged])
+    rival = least[problems]
+    near, hopeless = cost <= (1 + _CLOSE) * rival, cost - promised >= (1 - _BETTER) * rival
+    return ~ended & np.isfinite(rival) & near & hopeless

@@ -49,7 +49,7 @@ def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
         found = []
     if not found:
         raise DataError(f"no file matches {str(path)[:200]!r}")
-    return sorted(found, key=_by_number)
+    return [*sorted(found, key=_by_number)]
 
 
 def _by_number(name: str) -> list[tuple[bool, int | str]]:

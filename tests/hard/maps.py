@@ -85,7 +85,7 @@ def devices(name: str, count: int, seed: int, *, common: bool) -> list[hf.Record
         one = hf.BoucWen(one.c, one.mu, one.tau, 1.0, offset=one.offset) if name == BOUND else one
         y = np.asarray(hf.simulate(one, u, np.diff(t, prepend=t[0]))[0])
         white = rng.normal(size=u.size)
-        slow = 0.3 * lfilter([1], [1, -0.95], rng.normal(size=u.size)) if len(records) % 5 == 4 else 0.0
+        slow = 0.3 * np.asarray(lfilter([1], [1, -0.95], rng.normal(size=u.size))) if len(records) % 5 == 4 else 0.0
         if np.isfinite(y).all() and np.ptp(y) > 0:
             y = y + rng.uniform(0.001, 0.01) * np.ptp(y) * (white + slow)
             records.append(hf.Record(u=u, y=y, t=t, name=f"loop {len(records)}"))
