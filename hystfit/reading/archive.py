@@ -56,7 +56,7 @@ def member_of(raw: bytes, source: str, most: int, name: str = "") -> tuple[str, 
 def members_of(path: Path) -> list[str]:
     """Names of the files in an archive that may be measurements; none for other files and for archives that are one document."""
     try:
-        if not zipfile.is_zipfile(path):
+        if not path.is_file() or not zipfile.is_zipfile(path):  # a pipe would wait for its writer
             return []
         with zipfile.ZipFile(path) as archive:
             return [] if _is_document(archive, str(path)) else measurements(archive.namelist())
