@@ -218,7 +218,7 @@ def test_every_extra_that_an_error_names_is_one_of_the_project():
     ]
     assert len(calls) >= 14
     for package, extra in calls:
-        named = [part.split(">")[0].strip() for part in extras[extra]]
+        named = [part.split(">")[0].strip().replace("-", "_") for part in extras[extra]]
         assert package in named, (package, extra)
     assert set(extras["all"][0].partition("[")[2].strip("]").split(",")) == set(extras) - {"all", "test", "docs", "dev"}
 
