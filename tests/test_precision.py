@@ -36,6 +36,7 @@ REFUSED = {
     "fit_many": "hf.fit_many('bouc-wen', [record])",
     "fit_map": "hf.fit_map('bouc-wen', u, [y])",
     "fit_population": "hf.fit_population('bouc-wen', [record, record])",
+    "design_population": "hf.design_population(None)",  # no population can be fitted to begin with
     "invert": "hf.invert(model, y, limits=(-1, 1))",
     "InverseStep": "hf.InverseStep.of(model, limits=(-1, 1))",
     "inverse_bands": "hf.inverse_bands(posterior, y)",
@@ -73,6 +74,7 @@ INDEPENDENT = {
         "use_device",
         "LoopMap",
         "PopulationFit",
+        "PopulationDesign",
         "Dataset",
         "Record",
         "HystfitError",
