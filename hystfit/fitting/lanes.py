@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.config import device_of_many, first_device
-from hystfit.fitting.levenberg_marquardt import Lane, advanced, beaten
+from hystfit.fitting.levenberg_marquardt import Lane, advanced, approached, beaten
 from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_one_scan
 from hystfit.inference.objective import Objective
 from hystfit.params.coordinates import REAL
@@ -84,12 +84,15 @@ class Ends(NamedTuple):
         normal: normal equations there.
         converged: whether the predicted decrease of the cost fell below the tolerance.
         steps: linearizations.
+        cost: half the sum of squared misfits, shape (L,). Of a lane that was given up: what its linear model promises, which is above the
+            least cost of the lanes of its record that converged.
         beaten: which were given up, because they approached no lower cost than another lane of their record.
     """
 
     normal: Normal
     converged: np.ndarray
     steps: np.ndarray
+    cost: np.ndarray
     beaten: np.ndarray
 
 
@@ -120,7 +123,8 @@ def descend_lanes(
     for part in _parts(left, _chunk(stack.samples)):
         ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps)
         lane.put(part, ended)
-    return Ends(lane.best, lane.converged, lane.steps, given_up)
+    cost = np.where(given_up, approached(lane, numbers), lane.best.cost)
+    return Ends(lane.best, lane.converged, lane.steps, cost, given_up)
 
 
 def device_for(lanes: int) -> Any:

@@ -138,9 +138,18 @@ def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
         lane: L lanes.
         problems: the number of the problem of each.
     """
-    least, converged = np.full(int(problems.max(initial=-1)) + 1, np.inf), lane.converged
-    cost, promised, ended = (np.asarray(part) for part in (lane.best.cost, lane.promised, lane.ended))
-    np.minimum.at(least, problems[converged], cost[converged])
-    rival = least[problems]
-    near, hopeless = cost <= (1 + _CLOSE) * rival, cost - promised >= (1 - _BETTER) * rival
+    rival, cost, ended = _rival(lane, problems), np.asarray(lane.best.cost), np.asarray(lane.ended)
+    near, hopeless = cost <= (1 + _CLOSE) * rival, cost - np.asarray(lane.promised) >= (1 - _BETTER) * rival
     return ~ended & np.isfinite(rival) & near & hopeless
+
+
+def approached(lane: Lane, problems: np.ndarray) -> np.ndarray:
+    """The cost that the linear model of each lane promises, above that of the best converged lane of its problem, shape (L,)."""
+    return np.maximum(np.asarray(lane.best.cost - lane.promised), (1 + _BETTER) * _rival(lane, problems))
+
+
+def _rival(lane: Lane, problems: np.ndarray) -> np.ndarray:
+    """The least cost of the converged lanes of the same problem, infinite without one, shape (L,)."""
+    least, converged = np.full(int(problems.max(initial=-1)) + 1, np.inf), lane.converged
+    np.minimum.at(least, problems[converged], np.asarray(lane.best.cost)[converged])
+    return least[problems]
