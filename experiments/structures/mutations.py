@@ -73,7 +73,9 @@ def _no_flow() -> None:
         made = design(self, u, dt)
         held = {leaf for leaf in ("viscous", "bent", "saturating")}
         names = [field.name for field in dataclasses.fields(self)]
-        blocks = tuple(dataclasses.replace(b, columns=b.columns * (names[b.leaf] not in held)) for b in made.blocks)
+        blocks = tuple(
+            dataclasses.replace(b, columns=np.asarray(b.columns) * (names[b.leaf] not in held)) for b in made.blocks
+        )
         return dataclasses.replace(made, blocks=blocks)
 
     hf.Damper.design_matrix = still
