@@ -72,3 +72,16 @@ def test_a_descent_that_eliminates_by_record_ends_where_the_gradient_vanishes(lo
     J = dense(problem.objective.misfit_at, found.normal.z[0])
     slope = np.abs(J.T @ misfit) / (np.linalg.norm(J, axis=0) * np.linalg.norm(misfit))
     assert slope.max() < 1e-6
+
+
+def test_a_kept_prediction_is_that_of_its_parameters_and_problem(problem):
+    """`predict` keeps the outputs of the last x: of no other x, and not of a problem with another model or other data."""
+    x = problem.space.vector(problem.model)
+    simulated = lambda of, at: [np.asarray(row) for row in np.asarray(of.objective.predict(jnp.asarray(at)))]
+    for at in (x, x, x + 0.01, x):
+        for row, expected in zip(problem.predict(at), simulated(problem, at), strict=True):
+            np.testing.assert_allclose(row, expected[: row.size], rtol=1e-12)
+            assert not row.flags.writeable
+    shifted = Problem(problem.model, problem.data.map(lambda record: record.replace(u=1.5 * record.u)))
+    assert not np.allclose(shifted.predict(x)[0], problem.predict(x)[0])
+    assert problem.reweighted([record.weight for record in problem.data]).predict(x)[0] is not problem.predict(x)[0]

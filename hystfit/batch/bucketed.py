@@ -73,7 +73,7 @@ def solve_stack(
         gain=_ROUGH,
         steps=steps,
     )
-    costs = np.asarray(rough.normal.cost).reshape(count, several)
+    costs = rough.cost.reshape(count, several)
     best = np.asarray(rough.normal.z).reshape(count, several, p)[records, np.argmin(costs, axis=1)]
     ends = descend_lanes(full, records, best, gain=gain_within(EXACT, full.samples), steps=_MORE)
     return ends, costs, ends.steps + rough.steps.reshape(count, several).sum(axis=1)

@@ -16,7 +16,8 @@ from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.multistart import starting_vectors, with_record_parameters
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
-from hystfit.inference.problem import Problem, check_fittable
+from hystfit.inference.fittable import check_fittable
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace

@@ -2,7 +2,7 @@
 
 Lanes that go together take their steps side by side in one program, some steps a round, and those that have ended leave between two
 rounds: all on a GPU, chunks that fit the cache on a CPU. Few lanes take their steps on the host, by a program that linearizes one after
-another and takes half the time to compile; so do those that are not done after one round there.
+another and takes less time to compile; so do those that are not done after one round there.
 """
 
 from __future__ import annotations

@@ -100,10 +100,8 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
     floor = ROUNDING**2 * samples
     system = _scaled(best, samples, bounded, xp)
-    step, whole = (
-        _step(best, *system, damping, samples, xp),
-        _step(best, *system, LEAST_DAMPING + 0.0 * damping, samples, xp),
-    )
+    step = _step(best, *system, damping, samples, xp)
+    whole = _step(best, *system, xp.full_like(damping, LEAST_DAMPING), samples, xp)
     promised = -((best.gradient * whole).sum(-1) + 0.5 * xp.einsum("...i,...ij,...j->...", whole, best.matrix, whole))
     near = promised <= xp.maximum(gain, _EQUAL) * best.cost + floor
     settled = ~better | (promised <= gain * best.cost + floor)

@@ -15,7 +15,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.structure import Structure, build, output_of
 from hystfit.fitting.structure_columns import STEP_OF_LAGS, Terms
-from hystfit.inference.problem import check_fittable
+from hystfit.inference.fittable import check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.dynamics import Delay
 from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii

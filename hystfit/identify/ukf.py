@@ -18,7 +18,7 @@ from hystfit.errors import ParameterError
 from hystfit.identify import filter_verdict, tuning
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample, run_stream
 from hystfit.identify.sigma_points import Unscented, triangular
-from hystfit.inference.problem import check_fittable
+from hystfit.inference.fittable import check_fittable
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code, Note, Severity, Status

@@ -20,6 +20,7 @@ from hystfit.errors import DataError, ModelError
 from hystfit.inference.blocks import NUMBERS, chosen
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.density import Density
+from hystfit.inference.fittable import check_fittable
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
@@ -30,7 +31,6 @@ from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.design import COLUMNS
-from hystfit.models.simulation import check_one_device
 from hystfit.models.starting import scales_of
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
@@ -381,26 +381,3 @@ class Problem:
 def _run(traced: Any, method: str, argument: Array) -> Any:
     """A method of an objective or density, compiled once for each method and shape."""
     return getattr(traced, method)(argument)
-
-
-def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
-    """Refuse data to which no fit is possible.
-
-    Raises:
-        DataError: no samples count, a constant input or output.
-        ModelError: the model depends on time and a record has none.
-        ParameterError: the model holds several devices.
-    """
-    check_one_device(model)
-    for record in data:
-        if not record.used.any():
-            raise DataError(f"record {record.name!r}: no usable sample in the window")
-        if np.ptp(record.u) == 0:
-            raise DataError(f"record {record.name!r}: the input is constant ({record.u[0]:g}); there is no loop to fit")
-        if record.t is None and not model.rate_independent:
-            raise ModelError(
-                f"{type(model).__name__} depends on time and record {record.name!r} has no time column: name it with time=, "
-                "or choose a rate-independent model"
-            )
-    if all(np.ptp(record.y[record.used]) == 0 for record in data):
-        raise DataError("the output is constant: there is nothing to fit")

@@ -12,7 +12,7 @@ from typing import Any
 from hystfit.errors import DataError
 from hystfit.reading.array_files import check_members
 
-_MOST_CELLS = 4_000_000  # of a sheet, in use or not: each takes about 60 bytes
+MOST_CELLS = 4_000_000  # of a sheet, in use or not: each takes about 60 bytes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +43,8 @@ def sheets_of(raw: bytes) -> list[Sheet]:
 
 
 def _sheet(name: str, sheet: Any) -> Sheet:
-    if sheet.total_height * sheet.total_width > _MOST_CELLS:
-        raise DataError(f"sheet {name!r} has more than {_MOST_CELLS} cells, in use or not; save it as CSV")
+    if sheet.total_height * sheet.total_width > MOST_CELLS:
+        raise DataError(f"sheet {name!r} has more than {MOST_CELLS} cells, in use or not; save it as CSV")
     return Sheet(name, [[_cell(value) for value in row] for row in sheet.to_python(skip_empty_area=False)])
 
 

@@ -20,13 +20,12 @@ from hystfit.reading.array_files import check_members
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.number_block import careful_block
-from hystfit.reading.older_sheets import sheets_of
+from hystfit.reading.older_sheets import MOST_CELLS, sheets_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
 
-_MOST_CELLS = 4_000_000
 _SAMPLE = 2000  # rows of a sheet that show its dialect
 _NAMED = 6  # other sheets named in a note
 _SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summarizes others
@@ -56,7 +55,8 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
     """The columns of the sheets of a workbook.
 
     Args:
-        sheets: the sheets in the file; formulas: whether they have formulas without values.
+        sheets: opens the file; the names and rows of its sheets.
+        formulas: whether there are formulas, whose values the file may lack.
     """
     source, sheet = file.source, opening.sheet
     try:
@@ -159,9 +159,9 @@ def _cells_of(page: Any, source: str, most: int | None = None) -> list[list[str]
     try:
         for row in page.iter_rows(values_only=True, max_row=most):
             count += len(row) + 1
-            if count > _MOST_CELLS:
+            if count > MOST_CELLS:
                 raise DataError(
-                    f"{source}, sheet {page.title!r} has more than {_MOST_CELLS} cells, in use or not; save it as CSV"
+                    f"{source}, sheet {page.title!r} has more than {MOST_CELLS} cells, in use or not; save it as CSV"
                 )
             rows.append([_cell(value) for value in row])
     except DataError:

@@ -14,7 +14,7 @@ from .documents import measured
 from .drawing import Draw
 from .physics import major_loop, saturating
 from .registry import kind
-from .truth import Layout, loops
+from .truth import Layout, Records, loops
 from .writing import Column, Dialect, loop, packed, rows, spelled, table, titles
 
 
@@ -78,11 +78,17 @@ def few(draw: Draw) -> Layout:
     return Layout("", {draw.pick("loop.csv", "sheet.txt"): packed(draw, lines)}, loops(loop(h, b)))
 
 
-@kind("workbook with a summary")
-def workbook(draw: Draw) -> Layout:
+def _of_sheet(draw: Draw) -> tuple[list[Column], list[list[str]], tuple[Records, ...]]:
+    """Columns of a sheet, the rows of cells above them, and what they are."""
     t, u, y = measured(draw, draw.whole(100, 300))
     dialect = Dialect("\t", style=draw.pick("parentheses", "brackets", "row"))
     columns = spelled(draw, [t, u, y], dialect)
+    return columns, [line.split("\t") for line in titles(columns, dialect)], loops(loop(u, y, t))
+
+
+@kind("workbook with a summary")
+def workbook(draw: Draw) -> Layout:
+    columns, header, truth = _of_sheet(draw)
     book, stream = openpyxl.Workbook(), io.BytesIO()
     page = book.active
     page.title = "Results"
@@ -92,13 +98,13 @@ def workbook(draw: Draw) -> Layout:
     if draw.chance(0.3):
         page.append(["Loop of the device"])
         page.merge_cells("A1:C1")
-    for line in titles(columns, dialect):
-        page.append(line.split("\t"))
+    for line in header:
+        page.append(line)
     mark = draw.pick("", "", ".", ",")  # numbers as text
     for row in zip(*(column.cells for column in columns), strict=True):
         page.append([cell.replace(".", mark) if mark else float(cell) for cell in row])
     book.save(stream)
-    return Layout("", {"loop.xlsx": stream.getvalue()}, loops(loop(u, y, t)))
+    return Layout("", {"loop.xlsx": stream.getvalue()}, truth)
 
 
 @kind("rows in brackets")
@@ -119,16 +125,14 @@ def brackets(draw: Draw) -> Layout:
 
 @kind("old Excel")
 def old_workbook(draw: Draw) -> Layout:
-    t, u, y = measured(draw, draw.whole(100, 300))
-    dialect = Dialect("\t", style=draw.pick("parentheses", "brackets", "row"))
-    columns = spelled(draw, [t, u, y], dialect)
+    columns, header, truth = _of_sheet(draw)
     book, stream = xlwt.Workbook(), io.BytesIO()
     page = book.add_sheet("Data")
     lines = [["Loop of the device"], []] if draw.chance(0.5) else []
-    lines += [line.split("\t") for line in titles(columns, dialect)]
+    lines += header
     lines += [[float(cell) for cell in row] for row in zip(*(column.cells for column in columns), strict=True)]
     for k, line in enumerate(lines):
         for j, cell in enumerate(line):
             page.write(k, j, cell)
     book.save(stream)
-    return Layout("", {draw.pick("loop.xls", "export.XLS"): stream.getvalue()}, loops(loop(u, y, t)))
+    return Layout("", {draw.pick("loop.xls", "export.XLS"): stream.getvalue()}, truth)

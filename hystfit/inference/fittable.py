@@ -1,0 +1,33 @@
+"""Data to which no model, or one model, can be fitted: a constant input or output, no samples, no time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hystfit.data.dataset import Dataset
+from hystfit.errors import DataError, ModelError
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import check_one_device
+
+
+def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
+    """Refuse data to which no fit is possible.
+
+    Raises:
+        DataError: no samples count, a constant input or output.
+        ModelError: the model depends on time and a record has none.
+        ParameterError: the model holds several devices.
+    """
+    check_one_device(model)
+    for record in data:
+        if not record.used.any():
+            raise DataError(f"record {record.name!r}: no usable sample in the window")
+        if np.ptp(record.u) == 0:
+            raise DataError(f"record {record.name!r}: the input is constant ({record.u[0]:g}); there is no loop to fit")
+        if record.t is None and not model.rate_independent:
+            raise ModelError(
+                f"{type(model).__name__} depends on time and record {record.name!r} has no time column: name it with time=, "
+                "or choose a rate-independent model"
+            )
+    if all(np.ptp(record.y[record.used]) == 0 for record in data):
+        raise DataError("the output is constant: there is nothing to fit")
