@@ -14,6 +14,10 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.models.registry import make_model
+from hystfit.reading import registry
+from hystfit.reading.array_table import table_of_arrays
+from hystfit.reading.raw_table import Table
+from hystfit.reading.text_file import TextFile
 from hystfit.testing import check_model
 
 from .conftest import ROOT
@@ -67,6 +71,20 @@ def test_skeleton_keeps_the_laws_and_fits(skeleton):
     assert result.usable
     for name, truth in (("gain", 2.0), ("gap", 0.8), ("offset", 1.0)):
         assert abs(result[name].value - truth) < 4 * result[name].stderr < 0.05
+
+
+def test_layout_of_the_example_reads_its_files(tmp_path, monkeypatch):
+    (source,) = [block for block in blocks("CONTRIBUTING.md", "python") if "read_hash_loop" in block]
+    names = {"np": np, "TextFile": TextFile, "Table": Table, "table_of_arrays": table_of_arrays}
+    exec(source, names)
+    monkeypatch.setattr(registry, "TEXTS", (names["read_hash_loop"], *registry.TEXTS))
+    phase = np.linspace(0, 8, 300)
+    u, y = np.sin(phase), np.sin(phase - 0.2)
+    path = tmp_path / "loop.dat"
+    path.write_text("\n".join(["#LOOP V um", *(f"{value:.6f}" for pair in zip(u, y, strict=True) for value in pair)]))
+    record = hf.read(path)
+    np.testing.assert_allclose([record.u, record.y], [u, y], atol=1e-6)
+    assert (record.u_unit, record.y_unit) == ("V", "um")
 
 
 def by_itself(code: str) -> subprocess.CompletedProcess:
