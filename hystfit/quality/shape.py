@@ -11,8 +11,10 @@ from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import APART, SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
 
-# Least area of an open loop over that of the box around it: the narrowest loops of piezo actuators have ten thousandths.
+# Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
+# substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
+_LINEAR = 1e-3  # least part of the output that is not the straight line: less may be rounding
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
@@ -81,7 +83,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     largest = max(stroke for _, _, stroke in usable)
     chosen = [(start, stop) for start, stop, stroke in usable if stroke >= (1 - APART) * largest][-20:]
-    area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0)
+    area, stroke, width, asymmetry, _, bent = np.median(
+        [_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0
+    )
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
@@ -89,7 +93,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
     crossing = bool(abs(area) < _CROSSING * between and between > lobes)
-    is_open = fullness > 100 * NARROWEST and abs(area) > CLEAR * chance
+    is_open = abs(area) > max(CLEAR * chance, NARROWEST * max(bent, _LINEAR * stroke) * largest)
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
     if turning is None and not crossing and not closed and loops and len(cycles):
         first = max(loops, key=lambda loop: loop.stroke)
@@ -161,8 +165,8 @@ def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return turned(u), turned(y)
 
 
-def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Area, stroke of y, width, asymmetry and pinching of one loop."""
+def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float]:
+    """Area, stroke of y, width, asymmetry and pinching of one loop, and the stroke of y without a straight line."""
     outer = outline(u)
     u, y = u[outer], y[outer]
     centers, rising, falling = loop_branches(u, y)
@@ -170,7 +174,9 @@ def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, 
     mirrored = rising + falling[::-1]
     middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
     pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
-    return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching
+    line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1), u)
+    bent = float(np.ptp(y - line))
+    return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching, bent
 
 
 def outline(u: np.ndarray) -> np.ndarray:

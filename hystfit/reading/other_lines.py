@@ -130,7 +130,12 @@ def _apart(text: Text, block: Block) -> int:
         row = [cells.clean(cell) for cell in block.rows[place - 1]]
         named = dialect.width > 2 or any(split_unit(cell)[1] for cell in row)
         wide = len(row) - dialect.width  # rows that a first one with more cells follows lack the cells at its end
-        if dialect.delimiter is None or not 0 <= wide <= _WIDER * other or not named or any("=" in cell for cell in row):
+        if (
+            dialect.delimiter is None
+            or not 0 <= wide <= _WIDER * other
+            or not named
+            or any("=" in cell for cell in row)
+        ):
             continue
         if all(map(fits, row, dialect.kinds)):
             return place
