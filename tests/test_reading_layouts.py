@@ -697,3 +697,17 @@ def test_ratios_of_magnetizations_are_no_times(tmp_path: Path) -> None:
     is_loop(record)
     assert record.t is None
     assert conversion("Gs", "mT") == pytest.approx(0.1)
+
+
+def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) -> None:
+    """A table for each quarter of a loop of few points, as in a laboratory course; loops in files of their own stay apart."""
+    cuts = [0, 21, 41, 61, 81]
+    table = lambda rows: "#current induction\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in rows)
+    quarters = [written(tmp_path, table(PAIRS[a:b]), f"{k}.txt") for k, (a, b) in enumerate(itertools.pairwise(cuts))]
+    joined = read(quarters)
+    assert isinstance(joined, Record)
+    is_loop(joined)
+    assert any("parts of one loop" in note.text for note in joined.notes)
+    loops = [written(tmp_path, table(PAIRS), f"loop{k}.txt") for k in range(2)]
+    assert len(Dataset.of(read(loops))) == 2
+    assert len(Dataset.of(read([quarters[0], quarters[2]]))) == 2
