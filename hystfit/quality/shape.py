@@ -83,7 +83,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     largest = max(stroke for _, _, stroke in usable)
     chosen = [(start, stop) for start, stop, stroke in usable if stroke >= (1 - APART) * largest][-20:]
-    area, stroke, width, asymmetry, _, bent = np.median(
+    area, stroke, width, asymmetry, _, bent, apart = np.median(
         [_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0
     )
     if stroke == 0:
@@ -93,7 +93,10 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
     crossing = bool(abs(area) < _CROSSING * between and between > lobes)
-    is_open = abs(area) > max(CLEAR * chance, NARROWEST * max(bent, _LINEAR * stroke) * largest)
+    least = NARROWEST * max(bent, _LINEAR * stroke)
+    # By area, and by the samples: with a last point far in saturation the box around the loop is nearly empty.
+    by_chance = 2 * noise / np.sqrt(sum(b - a for a, b in chosen))
+    is_open = abs(area) > max(CLEAR * chance, least * largest) or apart > max(CLEAR * by_chance, least)
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
     if turning is None and not crossing and not closed and loops and len(cycles):
         first = max(loops, key=lambda loop: loop.stroke)
@@ -147,8 +150,8 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
 def _area_between(u: np.ndarray, y: np.ndarray) -> float:
     """Area between the branches of one loop, whichever is above [unit of u times unit of y]."""
     outer = outline(u)
-    _, rising, falling = loop_branches(u[outer], y[outer])
-    return float(np.mean(np.abs(rising - falling)) * np.ptp(u))
+    centers, rising, falling = loop_branches(u[outer], y[outer])
+    return float(np.sum(np.abs(rising - falling) * np.gradient(centers)))
 
 
 def _turn(u: np.ndarray) -> int:
@@ -165,8 +168,8 @@ def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return turned(u), turned(y)
 
 
-def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float]:
-    """Area, stroke of y, width, asymmetry and pinching of one loop, and the stroke of y without a straight line."""
+def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
+    """Area, stroke of y, width, asymmetry and pinching of one loop, stroke of y without a straight line, and mean distance of branches."""
     outer = outline(u)
     u, y = u[outer], y[outer]
     centers, rising, falling = loop_branches(u, y)
@@ -174,9 +177,10 @@ def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, 
     mirrored = rising + falling[::-1]
     middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
     pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
-    line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1), u)
+    line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1, w=np.sqrt(np.gradient(centers))), u)
     bent = float(np.ptp(y - line))
-    return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching, bent
+    apart, size = abs(float(np.mean(rising - falling))), float(np.ptp(y))
+    return loop_area(u, y), size, float(gap.max()), float(0.5 * np.std(mirrored)), pinching, bent, apart
 
 
 def outline(u: np.ndarray) -> np.ndarray:
