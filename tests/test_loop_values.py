@@ -155,3 +155,19 @@ def test_a_loop_of_growing_amplitude_has_the_energy_of_its_largest_cycle(count):
     found = values_of(hf.Record(u, y, u_unit="mm", y_unit="kN", u_name="x", y_name="F"))
     # From the end of the third cycle, where F = 1 at x = 0, the largest one slides 5 - 0 up, 10 - 2 down and 5 - 2 up again.
     assert found["loop_area"].value == pytest.approx(5 + 8 + 3, rel=0.01)
+
+
+@pytest.mark.parametrize("lift", [0.0, 20.0])
+def test_a_charge_counted_from_the_start_of_a_record_has_its_zero_in_the_middle(lift):
+    """The integrator of a tester starts at zero, where the capacitor is at its remanence; a loop measured about zero is left alone."""
+    share = np.r_[np.linspace(0, 1, 500), np.linspace(1, -1, 1000)[1:], np.linspace(-1, 0, 500)[1:]]
+    rises = np.gradient(share) > 0
+    charge = 20 * np.tanh((5 * share - np.where(rises, 1, -1)) / 0.6)
+    record = hf.Record(5 * share, charge + lift, u_unit="V", y_unit="uC/cm2", u_name="V", y_name="P")
+    record = record.replace(y=record.y - lift - charge[0] if lift else record.y)
+    found = values_of(record)
+    assert found["coercive_input_rising"].value == pytest.approx(1.0, abs=0.01)
+    assert found["coercive_input_falling"].value == pytest.approx(-1.0, abs=0.01)
+    assert found["offset_input"].value == pytest.approx(0.0, abs=0.01)
+    (notes,) = quantities(record).notes.values() if lift else ((),)
+    assert bool(lift) == any("counted from the start" in note.text for note in notes)

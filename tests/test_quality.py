@@ -1078,3 +1078,19 @@ def test_the_current_of_a_capacitor_is_integrated_and_not_damaged(sign, tmp_path
     run(["check", str(tmp_path / "pulse.csv")])
     command = capsys.readouterr().out.strip().splitlines()[-1]
     assert run(command.split()[1:]) == 0  # integrated: a loop of charge
+
+
+def test_a_loop_is_open_on_a_steep_line_and_with_points_far_in_saturation():
+    """A film on a magnetic substrate, and a table whose last points are a thousand coercivities away; neither is a butterfly."""
+    branch = lambda u, sign: np.tanh((u - sign * 160.0) / 300.0)
+    steps = np.linspace(-9e4, 9e4, 3001)
+    field = np.concatenate([steps, steps[-2::-1]])
+    moment = np.concatenate([branch(steps, 1.0), branch(steps[-2::-1], -1.0)])
+    film = check(Record(field, moment + 1e-4 * field + 1e-3 * np.random.default_rng(0).normal(size=field.size)))
+    assert film.records[0].shape.circulation == "counter-clockwise"
+    far = np.concatenate([[-1e7], np.linspace(-1000, 1000, 41), [1e7]])
+    table = np.round(np.concatenate([branch(far, 1.0), branch(far[-2::-1], -1.0)]), 4)
+    shape = check(Record(np.concatenate([far, far[-2::-1]]), table)).records[0].shape
+    assert shape.circulation == "counter-clockwise"
+    assert not shape.crossing
+    assert shape.width == pytest.approx(2 * np.tanh(160 / 300), rel=0.05)

@@ -606,3 +606,114 @@ def test_tables_of_nearly_the_same_columns_are_records_of_one_kind(tmp_path: Pat
     assert len(data) == 3
     for record, scale in zip(data, (1, 2, 3), strict=True):
         is_loop(record, y=scale * MOMENT)
+
+
+# Headers that differ in shape from their rows -------------------------------------------------------------------------------------
+
+PAIRS = [*zip(FIELD, MOMENT, strict=True)]
+NAMED_OTHERWISE = {  # file, with the input, the output and the unit of the input as they are named in it
+    "formats of the numbers between units and rows": (
+        "  Time,   H_vsm,   m\n     s,       T, emu\n\n   6:0      6:0   6:0\n"
+        + "".join(f"{k:.1f} {u:.8f} {y:.8f}\n" for k, (u, y) in enumerate(PAIRS)),
+        ("H_vsm", "m", "T"),
+    ),
+    "two tabs between cells and one between names": (
+        "# Loop\tRead Volt (V)\tWrite Volt (V)\tAmplitude (a.u)\t\n"
+        + "".join(f"1\t\t0.00\t\t{u:.8f}\t\t{y:.8f}\n" for u, y in PAIRS),
+        ("Write Volt (V)", "Amplitude (a.u)", "V"),
+    ),
+    "rows with names of their own": (
+        "field,moment,spread\n" + "".join(f"s{k},{u:.8f},{y:.8f},0.01\n" for k, (u, y) in enumerate(PAIRS)),
+        ("field", "moment", ""),
+    ),
+    "results in the first row": (
+        "Time\tAI\tAV\tIHRS\tRATIO\n9.5\t1E-3\t0.1\t#REF\t33.8\n"
+        + "".join(f"{10 + k}\t{y:.8f}\t{u:.8f}\t\n" for k, (u, y) in enumerate(PAIRS)),
+        ("AV", "AI", ""),
+    ),
+    "current of a coil": ("#strom magnetfeld\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in PAIRS), ("strom", "magnetfeld", "")),
+    "iterator": (
+        "iterator\tField Output (T)\tR\n" + "".join(f"{k}\t{u:.8f}\t{y:.8f}\n" for k, (u, y) in enumerate(PAIRS)),
+        ("Field Output (T)", "R", "T"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NAMED_OTHERWISE)
+def test_names_of_columns_whatever_the_shape_of_the_header(kind: str, tmp_path: Path) -> None:
+    text, names = NAMED_OTHERWISE[kind]
+    record = one(written(tmp_path, text))
+    is_loop(record)
+    assert (record.u_name, record.y_name, record.u_unit) == names
+
+
+def test_settings_of_an_oscilloscope_beside_the_first_rows(tmp_path: Path) -> None:
+    """Two exported channels, each with its settings to the left, pasted beside each other."""
+    settings = ["Record Length,810,Points", "Source,{},", "Vertical Scale,200.0E-3,", "Probe Atten,1.0,"]
+    beside = [*settings, *[",,"] * (10 * 81 - len(settings))]
+    cells = lambda k, channel, value: f"{beside[k].format(channel)},{1e-5 * k:.6f},{value:.8f},"
+    rows = [
+        f"{cells(k, 'CH1', u)},{cells(k, 'CH2', y)}"
+        for k, (u, y) in enumerate(zip(np.repeat(FIELD, 10), np.repeat(MOMENT, 10), strict=True))
+    ]
+    record = one(written(tmp_path, "\n".join(rows) + "\n"))
+    is_loop(record, np.repeat(FIELD, 10), np.repeat(MOMENT, 10))
+    assert record.dt == pytest.approx(1e-5)
+
+
+def test_a_magic_contribution_begins_with_a_rule_and_has_several_experiments(tmp_path: Path) -> None:
+    names = "experiment\tspecimen\tmethod_codes\tmeas_field_dc\ttreat_dc_field\tmagn_mass"
+    lines = [">>>>>>>>>>", "tab\tsites", "site\tlat", "A\t47.2", ">>>>>>>>>>", "tab\tmeasurements", names]
+    for k in (1, 2):
+        lines += [f"HYS-{k}\ts1\tLP-HYS\t{u:e}\t\t{k * y:e}" for u, y in PAIRS]
+    lines += [f"BCR-3\ts1\tLP-BCR-BF\t\t{-y:e}\t{y:e}" for y in np.linspace(0.1, 1, 20)]
+    data = read(written(tmp_path, "\n".join(lines) + "\n", "contribution.txt"))
+    assert [record.name for record in Dataset.of(data)] == ["HYS-1", "HYS-2"]
+    for k, record in enumerate(Dataset.of(data), 1):
+        is_loop(record, FIELD, k * MOMENT)
+        assert (record.u_unit, record.y_unit) == ("T", "Am2/kg")
+
+
+def test_branches_in_two_matrices_of_a_program(tmp_path: Path) -> None:
+    up, down = slice(40, 81), slice(0, 41)
+    matrix = lambda part: ";\n".join(f"    {u:.8f}, {y:.8f}" for u, y in PAIRS[part])
+    text = f"record Steel\n  parameter Real[:,:] tabris=[\n{matrix(up)}];\n  parameter Real[:,:] tabfal=[\n{matrix(down)}];\nend Steel;\n"
+    joined = lambda of: np.concatenate([of[up], of[down]])
+    is_loop(one(written(tmp_path, text, "Steel.mo")), joined(FIELD), joined(MOMENT))
+
+
+def test_reversal_curves_after_a_row_of_another_step(tmp_path: Path) -> None:
+    """A remanence is measured before the first curve; all curves end at the same field."""
+    curves = [np.linspace(start, 500.0, 12) for start in (-50.0, -110.0, -190.0)]
+    rows = ["AF,400,0.1", *(f"FORC,{u:.3f},{0.001 * u:.6f}" for curve in curves for u in curve)]
+    data = read(written(tmp_path, "step,field,moment\n" + "\n".join(rows) + "\n", "a.rmg"))
+    assert [record.u[0] for record in Dataset.of(data)] == [-50.0, -110.0, -190.0]
+
+
+def test_ratios_of_magnetizations_are_no_times(tmp_path: Path) -> None:
+    """Ms is a saturation and no megasecond, and Gs is a gauss."""
+    rows = "".join(f"{u:.8f},{y:.8f},{0.5 - 0.1 * u:.8f}\n" for u, y in PAIRS)
+    record = one(written(tmp_path, f"H (Gs),M (emu),Mr/Ms\n{rows}"))
+    is_loop(record)
+    assert record.t is None
+    assert conversion("Gs", "mT") == pytest.approx(0.1)
+
+
+def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) -> None:
+    """A table for each quarter of a loop of few points, as in a laboratory course; loops in files of their own stay apart."""
+    cuts = [0, 21, 41, 61, 81]
+    table = lambda rows: "#current induction\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in rows)
+    quarters = [written(tmp_path, table(PAIRS[a:b]), f"{k}.txt") for k, (a, b) in enumerate(itertools.pairwise(cuts))]
+    joined = read(quarters)
+    assert isinstance(joined, Record)
+    is_loop(joined)
+    assert any("parts of one loop" in note.text for note in joined.notes)
+    loops = [written(tmp_path, table(PAIRS), f"loop{k}.txt") for k in range(2)]
+    assert len(Dataset.of(read(loops))) == 2
+    assert len(Dataset.of(read([quarters[0], quarters[2]]))) == 2
+
+
+def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:
+    rows = "".join(f"S-{k},{2 + np.sin(k):.5f},{1 + np.cos(7 * k):.5f}\n" for k in range(20))
+    record = one(written(tmp_path, f"specimen,Ms,Mr\n{rows}"))
+    assert any("no samples of a loop" in note.text for note in record.notes if note.severity is Severity.WARNING)

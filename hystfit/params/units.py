@@ -120,7 +120,7 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "N": (1.0, "kg*m/s^2", True), "Pa": (1.0, "N/m^2", True), "J": (1.0, "N*m", True), "W": (1.0, "J/s", True),
     "C": (1.0, "A*s", True), "V": (1.0, "W/A", True), "Ohm": (1.0, "V/A", True), "F": (1.0, "C/V", True),
     "H": (1.0, "V*s/A", True), "Wb": (1.0, "V*s", True), "T": (1.0, "V*s/m^2", True), "Hz": (1.0, "1/s", True),
-    "G": (1e-4, "T", True), "Oe": (1e3 / (4 * math.pi), "A/m", True), "emu": (1e-3, "A*m^2", True),
+    "G": (1e-4, "T", True), "Gs": (1e-4, "T", True), "Oe": (1e3 / (4 * math.pi), "A/m", True), "emu": (1e-3, "A*m^2", True),
     "erg": (1e-7, "J", False), "cc": (1e-6, "m^3", False), "bar": (1e5, "Pa", True), "hPa": (100.0, "Pa", False),
     "Torr": (133.322368421053, "Pa", True), "min": (60.0, "s", False), "h": (3600.0, "s", False),
     "deg": (math.pi / 180, "rad", True), "rpm": (math.pi / 30, "rad/s", False), "in": (0.0254, "m", False),
@@ -219,8 +219,8 @@ def _symbol(symbol: str) -> Unit | None:
     size, base = 1.0, symbol
     if symbol not in _SYMBOLS:
         size, base = _PREFIXES.get(symbol[0], 0.0), symbol[1:]
-        if not size or base not in _SYMBOLS or not _SYMBOLS[base][2]:
-            return None
+        if not size or base not in _SYMBOLS or not _SYMBOLS[base][2] or (base == "s" and size > 1.0):
+            return None  # Ms is a saturation
     factor, behind, _ = _SYMBOLS[base]
     if not behind:
         return Unit(size * factor, ((base, 1.0),))

@@ -11,6 +11,7 @@ import numpy as np
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ
 SLACK = 0.01  # of a range, which noise and rounding may make up
+_CROWDED = 0.25  # of the samples in one bin; even steps have 0.02, and ten a decade over four decades 0.3
 _BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
 
 
@@ -197,7 +198,8 @@ def loop_branches(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
         y: output, shape (T,).
 
     Returns:
-        (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,).
+        (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,). The bins are even where the samples are
+        nearly so, and else have equally many.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     begins_low = u[0] < 0.5 * (u.min() + u.max())
@@ -206,5 +208,8 @@ def loop_branches(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
     rising, falling = parts if begins_low else parts[::-1]
     count = int(np.clip(min(turn, u.size - turn), 4, _BINS))
     edges = np.linspace(u.min(), u.max(), count + 1)
+    inside = np.histogram(u, edges)[0][1:-1].max()
+    if inside > max(_CROWDED, 3.0 / count) * u.size:  # logarithmic steps, or a last point far in saturation
+        edges = np.unique(np.quantile(u, np.linspace(0.0, 1.0, count + 1)))
     centers = 0.5 * (edges[1:] + edges[:-1])
     return centers, branch_means(u[rising], y[rising], edges), branch_means(u[falling], y[falling], edges)

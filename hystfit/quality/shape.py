@@ -11,8 +11,10 @@ from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import APART, SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
 
-# Least area of an open loop over that of the box around it: the narrowest loops of piezo actuators have ten thousandths.
+# Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
+# substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
+_LINEAR = 1e-3  # least part of the output that is not the straight line: less may be rounding
 _FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
@@ -81,7 +83,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     largest = max(stroke for _, _, stroke in usable)
     chosen = [(start, stop) for start, stop, stroke in usable if stroke >= (1 - APART) * largest][-20:]
-    area, stroke, width, asymmetry, _ = np.median([_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0)
+    area, stroke, width, asymmetry, _, bent, apart = np.median(
+        [_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0
+    )
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
@@ -89,7 +93,10 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
     crossing = bool(abs(area) < _CROSSING * between and between > lobes)
-    is_open = fullness > 100 * NARROWEST and abs(area) > CLEAR * chance
+    least = NARROWEST * max(bent, _LINEAR * stroke)
+    # By area, and by the samples: with a last point far in saturation the box around the loop is nearly empty.
+    by_chance = 2 * noise / np.sqrt(sum(b - a for a, b in chosen))
+    is_open = abs(area) > max(CLEAR * chance, least * largest) or apart > max(CLEAR * by_chance, least)
     turning = ("counter-clockwise" if area > 0 else "clockwise") if is_open and not crossing else None
     if turning is None and not crossing and not closed and loops and len(cycles):
         first = max(loops, key=lambda loop: loop.stroke)
@@ -143,8 +150,8 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
 def _area_between(u: np.ndarray, y: np.ndarray) -> float:
     """Area between the branches of one loop, whichever is above [unit of u times unit of y]."""
     outer = outline(u)
-    _, rising, falling = loop_branches(u[outer], y[outer])
-    return float(np.mean(np.abs(rising - falling)) * np.ptp(u))
+    centers, rising, falling = loop_branches(u[outer], y[outer])
+    return float(np.sum(np.abs(rising - falling) * np.gradient(centers)))
 
 
 def _turn(u: np.ndarray) -> int:
@@ -161,8 +168,8 @@ def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return turned(u), turned(y)
 
 
-def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Area, stroke of y, width, asymmetry and pinching of one loop."""
+def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
+    """Area, stroke of y, width, asymmetry and pinching of one loop, stroke of y without a straight line, and mean distance of branches."""
     outer = outline(u)
     u, y = u[outer], y[outer]
     centers, rising, falling = loop_branches(u, y)
@@ -170,7 +177,10 @@ def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, 
     mirrored = rising + falling[::-1]
     middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
     pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
-    return loop_area(u, y), float(np.ptp(y)), float(gap.max()), float(0.5 * np.std(mirrored)), pinching
+    line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1, w=np.sqrt(np.gradient(centers))), u)
+    bent = float(np.ptp(y - line))
+    apart, size = abs(float(np.mean(rising - falling))), float(np.ptp(y))
+    return loop_area(u, y), size, float(gap.max()), float(0.5 * np.std(mirrored)), pinching, bent, apart
 
 
 def outline(u: np.ndarray) -> np.ndarray:

@@ -20,6 +20,10 @@ _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
+# Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas.
+_TERMINAL = re.compile(
+    r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?|([VI])_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate)\d?"
+)
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
@@ -39,6 +43,8 @@ def column_quantity(name: str, unit: str = "") -> str:
         return by_unit  # its letter is that of the channel
     if _TEMPERATURES.fullmatch(base):
         return "temperature"
+    if terminal := _TERMINAL.fullmatch(base):
+        base = terminal[1] or terminal[2]
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)

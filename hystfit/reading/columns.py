@@ -25,6 +25,9 @@ from hystfit.reading.signal_evidence import proportional
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
 )
+# Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
+# oscilloscope, 15 in 2500 rows.
+_SETTINGS = 0.01
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -106,6 +109,8 @@ def choose(
         raise DataError(f"{table.source}: input and output are the same column, {table.names[given['input']]!r}")
     used = {*taken, *given.values()}
     free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
+    filled = {k: np.isfinite(table.columns[k]).mean() for k in free}
+    free = [k for k in free if filled[k] > _SETTINGS * max(filled.values())]
     kinds = {k: column_quantity(table.names[k], table.units[k]) if table.named else "" for k in range(len(table.names))}
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)
     if no_time:

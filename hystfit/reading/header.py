@@ -10,7 +10,7 @@ from hystfit.reading import cells
 from hystfit.reading.scaled_units import factor_of
 
 _BASE = (
-    r"(?:[pnuµμmckMG]?(?:s|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
+    r"(?:[pnuµμm]?s|[pnuµμmckMG]?(?:Gs|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
     r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
 )
 _POWER = r"(?:\^?[-⁻]?[1-4¹²³])?"
@@ -322,6 +322,8 @@ def read_header(
             parts = _fields(above[position], width, delimiter)
         if parts is None or not _is_header(parts := _named(parts), decimal):
             break
+        if width > 2 and len(set(parts)) == 1:  # the format of the numbers, as "6:0" over each column
+            continue
         headers.append((position, parts))
     if not headers:
         names = _numbered(above[-1] if above else "", width, delimiter, decimal)

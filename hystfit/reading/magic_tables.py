@@ -31,7 +31,8 @@ _LOOPS = re.compile(r"\bLP-HYS\b")  # method code of hysteresis loops; others ar
 
 def read_magic(text: TextFile) -> Table | None:
     """MagIC 2 and 3: the measurements of the file, a record for each specimen."""
-    if not text.head or not _FIRST_LINE.fullmatch(text.head[0]):
+    first = next((line for line in text.head if not line.startswith(_END)), "")
+    if not _FIRST_LINE.fullmatch(first):
         return None
     tables = _tables(text)
     name, rows = max(tables, key=lambda table: ("measurements" in table[0], len(table[1])))

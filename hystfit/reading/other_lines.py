@@ -17,6 +17,7 @@ from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _BETWEEN = 3  # lines between the names and the numbers
+_WIDER = 2  # names without a column at the end of a header
 _WORDS = {
     "header": "repeated header",
     "cells": "row with another number of cells than {width}",
@@ -65,8 +66,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     low = max(0, first - 12)
     cut = {k - low: block.rows[k] for k in range(low, first)}
     names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)
-    empty = range(len(dialect.kinds.rstrip(cells.MISSING)), dialect.width)
-    for nameless in (empty, extra, [*extra, *empty]):
+    empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
+    at_end = [k for k in empty if k >= len(dialect.kinds.rstrip(cells.MISSING))]
+    for nameless in (at_end, extra, [*extra, *at_end], empty):
         if used or not nameless:
             continue
         fewer = dialect.width - len(nameless)
@@ -85,10 +87,10 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         names, units = listed, [split_unit(name, listed)[1] for name in listed]
     elif place:
         names, units, used = read_header(text.lines[low:place], dialect.width, dialect.delimiter, dialect.decimal, cut)
-    elif not used and first and text.lines[first - 1].strip():
-        names, used = _uneven(text, block)
+    if not used and not listed and not titled and first and text.lines[first - 1].strip():
+        names, used = _uneven(text, block, place or first)
         units = [split_unit(name, names)[1] for name in names]
-        if not used:
+        if not used and not place:
             names, units, used = _labeled_units(text, block)
     if not any(units):
         units = stated_units(text.lines[:first], dialect.width, dialect.delimiter)
@@ -127,7 +129,13 @@ def _apart(text: Text, block: Block) -> int:
             break
         row = [cells.clean(cell) for cell in block.rows[place - 1]]
         named = dialect.width > 2 or any(split_unit(cell)[1] for cell in row)
-        if dialect.delimiter is None or len(row) != dialect.width or not named or any("=" in cell for cell in row):
+        wide = len(row) - dialect.width  # rows that a first one with more cells follows lack the cells at its end
+        if (
+            dialect.delimiter is None
+            or not 0 <= wide <= _WIDER * other
+            or not named
+            or any("=" in cell for cell in row)
+        ):
             continue
         if all(map(fits, row, dialect.kinds)):
             return place
@@ -136,18 +144,22 @@ def _apart(text: Text, block: Block) -> int:
     return 0
 
 
-def _uneven(text: Text, block: Block) -> tuple[list[str], int]:
-    """Names from a header with one name fewer (row numbers have none) or up to two more than there are columns."""
+def _uneven(text: Text, block: Block, place: int) -> tuple[list[str], int]:
+    """Names from a header with one name fewer (row numbers and names of rows have none) or up to two more than there are columns.
+
+    Args:
+        place: line after the header.
+    """
     dialect, first = text.dialect, int(block.index[0])
-    width, row = dialect.width, [cells.clean(cell) for cell in block.rows[first - 1]]
+    width, row = dialect.width, [cells.clean(cell) for cell in block.rows[place - 1]]
     if any(cells.kind(cell, dialect.decimal) != cells.TEXT or "=" in cell for cell in row):
         return [""] * width, 0
     numbered = [block.rows[k][0].strip(' "') for k in range(first, min(first + 2, len(block.rows))) if block.rows[k]]
-    if len(row) == width - 1 and numbered in (["0", "1"], ["1", "2"]):
+    if len(row) == width - 1 and (numbered in (["0", "1"], ["1", "2"]) or dialect.kinds[0] == cells.TEXT):
         return ["", *row], 1
     if len(row) == width + 1 and re.fullmatch(r"[#%!]+\w*", row[0]):  # a word of the program before the names
         return row[1:], 1
-    if dialect.delimiter is not None and width < len(row) <= width + 2 and not all(map(is_unit, row[1:])):
+    if dialect.delimiter is not None and width < len(row) <= width + _WIDER and not all(map(is_unit, row[1:])):
         return row[:width], 1
     return [""] * width, 0
 

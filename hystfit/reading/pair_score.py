@@ -76,6 +76,8 @@ _PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
+    | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
+    | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
 )  # fmt: skip
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
@@ -212,7 +214,7 @@ class _Evidence:
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
         points = usual.get(self.kinds[position], _SELDOM)
-        return max(points, usual[""]) if told else points
+        return max(points, usual[""]) if told and self.kinds[position] != "index" else points
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""

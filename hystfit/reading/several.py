@@ -70,7 +70,7 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
 def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them."""
     halves = [record for _, data in parts for record in Dataset.of(data)]
-    cycle = cycled(halves)
+    cycle = cycled(halves, of_files=len(halves) == len(parts) > 1)
     if len(cycle) < len(halves):
         return cycle[0]
     if len(parts) == 1:

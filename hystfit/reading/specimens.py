@@ -8,6 +8,7 @@ import re
 import numpy as np
 
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
@@ -28,6 +29,11 @@ def divided(table: Table) -> Table | None:
     """Specimens, tests or frequencies below each other, told apart by a column, are a record each; None for other tables."""
     if table.part is not None:
         return None
+    if (own := _own_names(table)) is not None:
+        text = (
+            f"column {table.names[own]!r} has another name in every row: results of specimens are no samples of a loop"
+        )
+        return table.noted(warn(Code.CURVES, text))
     best: tuple[tuple[int, int], int, np.ndarray] | None = None
     for position in range(len(table.names)):
         labels = _labels(table, position)
@@ -53,6 +59,12 @@ def divided(table: Table) -> Table | None:
         part=np.searchsorted(changes, np.arange(table.rows)),
         parts=tuple(dataclasses.replace(base, name=name, stated=()) for name in names),
     ).noted(Note(Code.CURVES, text))
+
+
+def _own_names(table: Table) -> int | None:
+    """Position of a column of text that names a specimen or test of its own in every row; None without one."""
+    named = [k for k in table.labels if _rank(table.names[k]) < len(_OBJECTS)]
+    return next((k for k in named if table.rows == np.unique(table.labels[k]).size >= _FEWEST), None)
 
 
 def _labels(table: Table, position: int) -> np.ndarray | None:

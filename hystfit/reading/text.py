@@ -31,6 +31,7 @@ from hystfit.reading.text_file import TextFile
 
 _MOST_COLUMNS = 5000
 _FIRST = 30  # lines that may hold names
+_SHOWN = 8  # empty columns that a note lists
 
 
 def plain_text(text: TextFile, header: Header | None = None) -> Table:
@@ -200,7 +201,7 @@ def _columns(
         numbers.append(column)
     empty = [k for k, column in enumerate(numbers) if k not in labels and np.isnan(column).all()]
     if empty:
-        numbered = ", ".join(map(str, empty))
+        numbered = ", ".join(map(str, empty[:_SHOWN])) + f", ... ({len(empty)} columns)" * (len(empty) > _SHOWN)
         notes.append(Note(Code.LEFT_OUT, f"empty columns are not used: {numbered} (numbered from 0)"))
     return numbers, labels, stamps, notes, problems
 

@@ -22,6 +22,7 @@ _OPEN = 0.02  # of the range of the outputs, by which numbered branches have to 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
+_OF_MATRIX = re.compile(r"\[\d+\]$")  # column of a matrix
 _UNSPACED = re.compile(
     "|".join(word for word in sorted(RISING | FALLING) if not word.isascii() and ord(word[0]) > 0x3000)
 )
@@ -102,6 +103,10 @@ def _named_alike(table: Table) -> list[_Pair]:
 
 def _branch(name: str) -> tuple[str, str]:
     """A name without its unit and the word of a branch, in lower case, and that word; "" without one."""
+    name, column = _OF_MATRIX.sub("", name), "".join(_OF_MATRIX.findall(name))
+    if column:
+        base, word = _branch(name)
+        return base + column, word
     spaced = _UNSPACED.sub(r" \g<0> ", split_unit(name)[0])
     tokens = [token.lower() for token in _TOKEN.findall(spaced)]
     numbers = {word for pair in _NUMBERED for word in pair}

@@ -74,7 +74,8 @@ def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
     if clock is not None and not (np.diff(clock)[begins - 1] > _JUMP * np.median(np.diff(clock))).all():
         return np.empty(0, dtype=int)
     ends = np.append(begins - 1, u.size - 1)
-    alike = _begin_alike(u, begins) or (begins.size > 1 and np.ptp(u[ends]) <= _NEAR * np.ptp(u))
+    ends = ends[1:] if begins[0] == 1 else ends  # a first row that is no curve, such as a remanence measured before
+    alike = _begin_alike(u, begins) or (ends.size > 2 and np.ptp(u[ends]) <= _NEAR * np.ptp(u))
     return begins if alike else np.empty(0, dtype=int)
 
 

@@ -36,7 +36,7 @@ from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.magnetic_values import magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
-from hystfit.results.polarization_values import polarization_values
+from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
@@ -138,7 +138,10 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     u, y = record.u[kept], record.y[kept]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return (), (), ()
-    kind, (noise, is_bound) = LoopKind.of(Dataset((record,))), noise_rms(y)
+    kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
+    if kind is LoopKind.FERROELECTRIC:
+        record, of_zero = centered(record)
+        y = record.y[kept]
     sigma = None if is_bound or noise is None else noise
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
     turns = turns_of(u)
@@ -154,9 +157,9 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
-    return _with_data_sheet(
-        rows, record, sample, correct, sigma, magnetic, closed=any(closes(*pair, y) for pair in pairs)
-    )
+    closed = any(closes(*pair, y) for pair in pairs)
+    rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
+    return rows, corrections, (*of_zero, *notes)
 
 
 def _with_data_sheet(

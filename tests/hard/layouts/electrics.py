@@ -58,6 +58,38 @@ def tektronix(draw: Draw) -> Layout:
     return _scope(draw, head, ("TIME", "CH1", "CH2"), [], "V", draw.pick("tek0001ALL.csv", "T0012.CSV"))
 
 
+@kind("channels with their settings to the left")
+def pasted(draw: Draw) -> Layout:
+    """Files of single channels of a Tektronix TDS, beside each other."""
+    n = 10 * draw.whole(50, 200)
+    u = draw.size(0.1, 5) * sine(n, draw.pick(1, 2))
+    one = Column("CH1", u, "", ".6f")
+    other = Column("CH2", draw.noise(draw.size(0.1, 5) * saturating(draw, u / u.max()), 1e-3), "", ".6f")
+    step = draw.pick(1e-5, 4e-6)
+    t = Column("t", step * np.arange(n), "s", ".7E")
+    settings = [
+        f"Record Length,{n},Points",
+        f"Sample Interval,{step},s",
+        "Source,CH,",
+        "Vertical Units,V,",
+        "Probe Atten,1.0,",
+    ]
+    beside = [*settings, *[",,"] * (n - len(settings))]
+    lines = [
+        ",,".join(f"{mark},{clock},{value}" for value in values)
+        for mark, clock, *values in zip(beside, t.cells, one.cells, other.cells, strict=True)
+    ]
+    answer = {"input": 4, "output": 10}
+    return Layout(
+        "",
+        {"F0000ALL.CSV": packed(draw, lines)},
+        loops(loop(one, other, t)),
+        either_order=True,
+        may_ask=True,
+        answer=answer,
+    )
+
+
 @kind("Rigol CSV")
 def rigol(draw: Draw) -> Layout:
     style = draw.pick(("Time(s)", "CH1(V)", "CH2(V)"), ("Time(s)", "CH1V", "CH2V"), ("X", "CH1", "CH2"))

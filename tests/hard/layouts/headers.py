@@ -141,3 +141,32 @@ def some_units(draw: Draw) -> Layout:
     ]
     lines += rows(columns, Dialect(","))
     return Layout("", {"logger.CSV": packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("header of another shape than its rows")
+def misshapen(draw: Draw) -> Layout:
+    """Formats below the units, cells set apart by two tabs, names of rows, results in a longer first row."""
+    n = 2 * draw.whole(60, 200)
+    field = draw.size(0.1, 2) * major_loop(n)
+    h = Column("Field", field, "T", ".6f")
+    m = Column(
+        "Moment", draw.noise(draw.size(1e-4, 1) * saturating(draw, field / field.max(), begin=1), 1e-3), "emu", ".6e"
+    )
+    bare = Dialect("\t", style="none")
+    body = rows([h, m], bare)
+    names = [f"{c.name} ({c.unit})" for c in (h, m)]
+    shape = draw.pick("formats", "tabs", "names of rows", "first row")
+    if shape == "formats":
+        head = ["Fri Dec 02 14:06:15 2011", "", "  No,  Field,  Moment", "  -,  T,  emu", "", "  6:0  6:0  6:0"]
+        lines = head + [f"{k} " + row.replace("\t", " ") for k, row in enumerate(body)]
+    elif shape == "tabs":
+        lines = [
+            "# Loop\t" + "\t".join(names) + "\t",
+            *(f"1\t\t{row}".replace("\t\t", "\t").replace("\t", "\t\t") for row in body),
+        ]
+    elif shape == "names of rows":
+        lines = ["\t".join(names), *(f"s{k}\t{row}" for k, row in enumerate(body))]
+    else:
+        lines = ["\t".join(["Time (s)", *names, "Level", "Ratio"]), "0.5\t0\t0\t#REF\t33.8"]
+        lines += [f"{1 + k}\t{row}\t" for k, row in enumerate(body)]
+    return Layout("", {draw.pick("loop.fld", "loop.txt"): packed(draw, lines)}, loops(loop(h, m)))
