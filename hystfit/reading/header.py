@@ -50,7 +50,10 @@ _OF_CIRCUITS = {"V": "V", "I": "A"}  # voltage of a node and current of an eleme
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
-    re.compile(r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=]?\s*[,;\t]++|[:=](?!\s*[,;\t])|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"),
+    re.compile(r"\"(?P<key>[^\"]{2,40})\"\s*[,;\t]\s*(?P<value>\S.{0,99}?)[,;\s]*"),
+    re.compile(
+        r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=]?\s*[,;\t]++|[:=](?!\s*[,;\t])|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"
+    ),
 )
 _MOST_METADATA = 40
 _WORD = 4  # letters from which a unit is written as a word
@@ -165,7 +168,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
         key, text = setting_of(line) or ("", "")
         if not _SAMPLE.match(key) or "sampl" in text.lower():
             continue
-        value = re.sub(r"\s*,\s*(?=\[)", " ", cells.clean(text))  # 0.0813,[g]
+        value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
         column = {key, value}.intersection(names)
         if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
             known.setdefault(key, value)
@@ -248,7 +251,9 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     of the columns after the first ("Y_Unit_Label", "VUnit", not "HUnit")."""
     width = len(names)
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
-    known = {(match["of"] or match["by"]).lower(): unit for key, unit in settings if (match := _UNIT_KEY.fullmatch(key))}
+    known = {
+        (match["of"] or match["by"]).lower(): unit for key, unit in settings if (match := _UNIT_KEY.fullmatch(key))
+    }
     if any(named := [unit if is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
         return named
     for line in reversed(above):
