@@ -162,7 +162,8 @@ _QUANTITIES = {
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
-    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading", "temperature in degC": "temperature", "temperature in degF": "temperature",
+    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
+    "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {
     r"emu/.*": "magnetization",

@@ -255,8 +255,8 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
             notes.append(Note(Code.LEFT_OUT, f"column {k} repeats column {source} and is not used"))
     if len(kept) + len(given) < 2:
         raise DataError(
-            f"{table.source}: the columns {', '.join(map(str, free))} are one signal, of equal or opposite sign; a loop needs an input and an "
-            f"output; {_half_of_pair(table)}"
+            f"{table.source}: the columns {', '.join(map(str, free))} are one signal, of equal or opposite sign; a loop needs an input and "
+            f"an output; {_half_of_pair(table)}"
         )
     return kept
 

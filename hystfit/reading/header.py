@@ -247,8 +247,11 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
 
 
 def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
-    """Units in lines of the header that are called so: those of a column by its name ("loading_unit", "Units of force"), or those
-    of the columns after the first ("Y_Unit_Label", "VUnit", not "HUnit")."""
+    """Units in lines of the header that are called so.
+
+    They are those of a column by its name ("loading_unit", "Units of force"), or those of the columns after the first ("Y_Unit_Label",
+    "VUnit", not "HUnit").
+    """
     width = len(names)
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
     known = {

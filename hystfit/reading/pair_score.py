@@ -30,7 +30,8 @@ from hystfit.reading.signal_evidence import (
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "mass": 0.8, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "mass": 0.8,
+    "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
