@@ -196,6 +196,8 @@ def test_jumps_are_not_noise():
 def test_noise_of_sparse_samples_is_an_upper_bound_and_of_few_unknown():
     _, bound = small.noise_rms(np.sin(np.arange(300) * 0.9))
     assert bound
+    ramp = np.round(0.7 + 0.0577 * np.arange(26), 6)
+    assert small.noise_rms(ramp) == (0.0, False)  # the arithmetic of the computer is no noise of a sensor
     assert small.noise_rms(np.arange(10.0)) == (None, False)
 
 
@@ -550,6 +552,14 @@ def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
         assert make_model(report.advice.model) is not None
         parts = [judged_as(part.partition(":")[0]) for part in report.advice.model.split("+")]
         assert report.determines[0].model in parts
+
+
+def test_a_few_samples_of_a_curve_are_said_to_show_no_loop():
+    """An isotherm of 46 samples up and down: `check` named no model and no reason."""
+    x = np.append(np.linspace(0, 1, 30) ** 3, np.linspace(0.98, 0.1, 16))
+    report = check(Record(x, 4 + 3 * np.tanh(40 * x) + 5 * x**3))
+    assert report.advice is None
+    assert any("better than a single-valued curve" in note.text for note in report.findings)
 
 
 def test_no_model_is_advised_for_a_record_without_a_loop():

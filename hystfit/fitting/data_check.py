@@ -15,11 +15,11 @@ from hystfit.fitting.screening import Screened, best_screened, screen
 from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as
 from hystfit.models.starting import output_range
-from hystfit.outcome import Code
-from hystfit.outcome.note import has
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
-from hystfit.quality.determination import Verdict
+from hystfit.quality.determination import Verdict, count
 from hystfit.quality.held_out import held_out
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
@@ -54,6 +54,8 @@ def _checked(records: Dataset) -> QualityReport:
     shown = _traits(records, every) if every else ()
     screened = () if damaged else every
     advice = _advice(records, screened) if screened else None
+    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING)
+    more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
     if searched is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
@@ -62,7 +64,7 @@ def _checked(records: Dataset) -> QualityReport:
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(
         report,
-        findings=(*report.findings, *([drift] if drift else [])),
+        findings=(*report.findings, *more, *([drift] if drift else [])),
         advice=advice,
         traits=shown,
         determines=tuple(sorted(report.determines, key=rank)),
@@ -75,6 +77,14 @@ def _screened(records: Dataset) -> tuple[Screened, ...]:
         return tuple(screen(records))
     except HystfitError:
         return ()
+
+
+def _no_better(models: int) -> Note:
+    text = (
+        f"none of the {count(models, 'model')} with hysteresis that were tried describes these data better than a single-valued curve: "
+        "there is no loop, or it is too narrow for the noise and the distance of the samples, or of a kind that they do not describe"
+    )
+    return warn(Code.SINGLE_VALUED, text)
 
 
 def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]:

@@ -144,7 +144,7 @@ _SPELLINGS = {
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
     "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T", "dyne": "dyn", "dynes": "dyn",
     "ounce": "oz", "ounces": "oz", "usec": "us", "nsec": "ns", "KN": "kN", "KPa": "kPa", "Kpa": "kPa", "Mpa": "MPa",
-    "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V",
+    "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V", "ml": "cc", "mL": "cc", "pct": "%",
 }  # fmt: skip
 # Words before the name of a unit: "millitesla", "kiloamperes".
 _WORDS = {"pico": "p", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "kilo": "k", "mega": "M", "giga": "G"}
@@ -156,12 +156,14 @@ _QUANTITIES = {
     "acceleration": "m/s^2", "force": "N", "torque": "N*m", "stiffness": "N/m", "stress": "Pa", "power": "W", "mass": "kg",
     "moment": "A*m^2", "magnetization": "A*m^2/kg", "molar moment": "A*m^2/mol", "induction": "T", "flux": "Wb",
     "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "capacitance": "F", "inductance": "H", "temperature": "K",
-    "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts",
+    "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
+    "specific volume": "m^3/kg",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
-    "molar moment": "magnetization", "temperature in degC": "temperature", "temperature in degF": "temperature",
+    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
+    "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {
     r"emu/.*": "magnetization",
@@ -181,7 +183,7 @@ def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
     plain = re.sub(r"\s+vs\b.*", "", text.strip().rstrip("."))  # of a voltage against a reference
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(_MARKS))
-    plain = re.sub(r"[ _(]+STP\)?$", "", plain)  # of gas at standard temperature and pressure
+    plain = re.sub(r"[ _(]+STP\b\)?", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
     plain = _HYPHEN.sub("*", re.sub(r"[ _]+per[ _]+", "/", plain))
     plain = re.sub(r"([A-Za-z]{3,})[ _]squared?\b", r"\1^2", plain)

@@ -47,12 +47,15 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
         differences = np.diff(differences)
         sizes.append(MAD_TO_RMS * _median_size(differences) / math.sqrt(math.comb(2 * order, order)))
     step, least = resolution(values) or 0.0, min(sizes)
-    floor = max(float(np.finfo(float).eps * np.max(np.abs(values))), _PRINTED * step)
+    precision = float(np.finfo(float).eps * np.max(np.abs(values)))
+    floor = max(precision, _PRINTED * step)
     if least <= floor:  # most samples repeat their neighbors: a rounded signal, or one with jumps
         moves = np.concatenate([[False], np.diff(values) != 0, [False]])
         isolated = moves[1:-1] & ~moves[:-2] & ~moves[2:]
         rounded = sizes[-1] > floor or (isolated.sum() > 0.5 * moves.sum() and moves.mean() < 0.75)
-        return (step / math.sqrt(12) if rounded and step < _COARSE * np.ptp(values) else least), False
+        if rounded and step < _COARSE * np.ptp(values):
+            return step / math.sqrt(12), False
+        return (least if least > precision else 0.0), False  # below: that of the arithmetic
     return least, sizes[-1] < 0.8 * sizes[1]
 
 

@@ -171,9 +171,8 @@ def _guess_pair(
     if len(free) + len(given) < 2:
         beside = " beside the time" if clock is not None else ""
         remedy = "name them with input= and output=, or check delimiter= and decimal="
-        if len(free) == 1 and not table.labels:  # a file of one signal is half of a pair
-            own = str(table.source)
-            remedy = f"if the other one is in a file of its own, INPUT_FILE+{own} or {own}+OUTPUT_FILE reads both"
+        if len(free) == 1 and not table.labels:
+            remedy = _half_of_pair(table)
         raise DataError(
             f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of "
             f"changing numbers{beside}. "
@@ -251,7 +250,7 @@ def _as_option(table: Table, position: int) -> str:
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
-    """The columns that do not repeat an earlier one, where there are enough of others."""
+    """The columns that do not repeat an earlier one, as they are or with the other sign."""
     kept: list[int] = []
     for k in free:
         source = next((j for j in (*given.values(), *kept) if _repeats(table.columns[j], table.columns[k])), None)
@@ -259,25 +258,45 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
             kept.append(k)
         else:
             notes.append(Note(Code.LEFT_OUT, f"column {k} repeats column {source} and is not used"))
-    return kept if len(kept) + len(given) >= 2 else free
+    if len(kept) + len(given) < 2:
+        raise DataError(
+            f"{table.source}: the columns {', '.join(map(str, free))} are one signal, of equal or opposite sign; a loop needs an input and "
+            f"an output; {_half_of_pair(table)}"
+        )
+    return kept
+
+
+def _half_of_pair(table: Table) -> str:
+    """The remedy for a file of one signal: it may be half of a pair."""
+    own = str(table.source)
+    return f"if the other one is in a file of its own, INPUT_FILE+{own} or {own}+OUTPUT_FILE reads both"
 
 
 def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether `other` has the very values of `one` at most samples where that moves."""
+    """Whether `other` has the very values of `one`, or their opposites, at most samples where that moves."""
     moves = np.diff(one, prepend=one[0]) != 0
-    return bool(moves.any() and np.mean(one[moves] == other[moves]) > 0.5)
+    return bool(moves.any() and max(np.mean(one[moves] == sign * other[moves]) for sign in (1, -1)) > 0.5)
 
 
 def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F."""
+    """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F, and a V that is the rate of D."""
     first, *others = [k for k in free if kinds[k] == "" and not column_role(table.names[k])] or [-1]
     for k in others if len(others) > 1 else ():
-        with np.errstate(all="ignore"):  # of numbers near the largest
-            rate, column = np.gradient(table.columns[first]), table.columns[k]
-            known = np.isfinite(rate) & np.isfinite(column)
-            if known.sum() > 9 and np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0:
-                if np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE:
-                    kinds[k] = "velocity"
+        if _is_rate(table.columns[k], table.columns[first]):
+            kinds[k] = "velocity"
+    bare = {table.names[k]: k for k in free if not table.units[k]}
+    if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
+        kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}
+
+
+def _is_rate(column: np.ndarray, of: np.ndarray) -> bool:
+    """Whether a column has the shape of the rate of another one."""
+    with np.errstate(all="ignore"):  # of numbers near the largest
+        rate = np.gradient(of)
+        known = np.isfinite(rate) & np.isfinite(column)
+        if known.sum() <= 9 or not (np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0):
+            return False
+        return bool(np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE)
 
 
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:

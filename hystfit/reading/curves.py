@@ -25,6 +25,7 @@ _JUMP = 5.0  # step to the next curve over the steps around it
 _MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
+_USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
@@ -83,6 +84,10 @@ def split_curves(
             "most; remove them, or write fewer curves in a file"
         )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
+    if choice.time is not None and _clock_goes_on(table.columns[choice.time], bounds[1:-1]):
+        text = f"{len(bounds) - 1} blocks are read as one record: the time goes on at its usual steps from each to the next"
+        notes.append(Note(Code.CURVES, text))
+        return [("", np.arange(table.rows))], False
     pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
     single = sum(piece.size == 1 for piece in pieces)
     pieces = [piece for piece in pieces if piece.size > 1]
@@ -102,6 +107,12 @@ def split_curves(
     if not has(table.notes, Code.CURVES):
         notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+
+
+def _clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
+    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
+    steps = np.diff(clock)
+    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
 
 
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
@@ -287,7 +298,7 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
-        elif position in table.labels or kind == "index" or table.pair is not None or _STATE.search(name):
+        elif position in table.labels or kind in ("index", "time") or table.pair is not None or _STATE.search(name):
             continue
         elif levels := _levels(table.columns[position]):
             shown_levels = ", ".join(f"{level:g}" for level in levels)

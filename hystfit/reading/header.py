@@ -50,7 +50,10 @@ _OF_CIRCUITS = {"V": "V", "I": "A"}  # voltage of a node and current of an eleme
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
-    re.compile(r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=,;\t]|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"),
+    re.compile(r"\"(?P<key>[^\"]{2,40})\"\s*[,;\t]\s*(?P<value>\S.{0,99}?)[,;\s]*"),
+    re.compile(
+        r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=]?\s*[,;\t]++|[:=](?!\s*[,;\t])|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"
+    ),
 )
 _MOST_METADATA = 40
 _WORD = 4  # letters from which a unit is written as a word
@@ -71,6 +74,7 @@ _NAME_CELL = re.compile(
 _UNIT_CELL = re.compile(
     r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
 )
+_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]units?", re.IGNORECASE)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -95,9 +99,9 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
         return name, ""
     if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
         return name, name  # Volts
-    if name.endswith(("]", ")", ">")) and (start := max(name.rfind(mark) for mark in "[(<")) > 0:
+    if name.endswith(("]", ")", ">")) and (start := _opening(name)) > 0:
         base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
-        closed = not re.search(r"[\])>]", unit)
+        closed = not re.search(r"[\])>]", unit) or is_unit(unit)
         if base.upper() in _OF_CIRCUITS and not (closed and is_unit(unit)):  # V(out), I(L1)
             return name, _OF_CIRCUITS[base.upper()]
         inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
@@ -132,6 +136,16 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     return name, ""
 
 
+def _opening(name: str) -> int:
+    """Place of the bracket that the last one of a name closes; -1 without one."""
+    marks, depth = {"]": "[", ")": "(", ">": "<"}, 0
+    for place in range(len(name) - 1, -1, -1):
+        depth += (name[place] == name[-1]) - (name[place] == marks[name[-1]])
+        if not depth:
+            return place
+    return -1
+
+
 def _is_role(base: str, unit: str, siblings: Sequence[str]) -> bool:
     """Whether the "in" after a name is no inch: v_in is an input voltage, beside v_out."""
     beside = any(f"{base}{mark}out".lower() == other.lower() for mark in "_ " for other in siblings)
@@ -154,7 +168,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
         key, text = setting_of(line) or ("", "")
         if not _SAMPLE.match(key) or "sampl" in text.lower():
             continue
-        value = cells.clean(text)
+        value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
         column = {key, value}.intersection(names)
         if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
             known.setdefault(key, value)
@@ -232,8 +246,19 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     return names, units, used
 
 
-def stated_units(above: Sequence[str], width: int, delimiter: str | None) -> list[str]:
-    """Units in a line of the header that is called so ("Y_Unit_Label", "VUnit", not "HUnit"), for the columns after the first."""
+def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
+    """Units in lines of the header that are called so.
+
+    They are those of a column by its name ("loading_unit", "Units of force"), or those of the columns after the first ("Y_Unit_Label",
+    "VUnit", not "HUnit").
+    """
+    width = len(names)
+    settings = (pair for line in above if (pair := setting_of(line)) is not None)
+    known = {
+        (match["of"] or match["by"]).lower(): unit for key, unit in settings if (match := _UNIT_KEY.fullmatch(key))
+    }
+    if any(named := [unit if is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
+        return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         known = [is_unit(unit) for unit in units if unit]

@@ -207,9 +207,12 @@ def _array(items: list[Any]) -> np.ndarray | None:
 
 
 def _unit_texts(tree: Any) -> Iterator[tuple[str, str]]:
-    """Units anywhere in the tree, with the name of the column where {"units": {"force": "N"}} gives it and "" where a list does not."""
+    """Units anywhere in the tree, with the name of their column where the text gives it, else ""."""
     for key, item in tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ():
-        if str(key).lower() in ("unit", "units"):
+        title, _, last = str(key).lower().rpartition("_")
+        if title and last in ("unit", "units") and isinstance(item, str):  # "pressure_unit": "bar"
+            yield str(key)[: len(title)], item
+        elif str(key).lower() in ("unit", "units"):
             pairs = (
                 item.items()
                 if isinstance(item, Mapping)

@@ -93,7 +93,7 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         if not used and not place:
             names, units, used = _labeled_units(text, block)
     if not any(units):
-        units = stated_units(text.lines[:first], dialect.width, dialect.delimiter)
+        units = stated_units(text.lines[:first], names, dialect.delimiter)
     over = () if not used or place else _over(text, block, first - used - 1)
     return Header(names, units, used, apart=place > 0, over=over)
 

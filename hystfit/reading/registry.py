@@ -36,6 +36,7 @@ from hystfit.reading.scaled_units import unscaled
 from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
 from hystfit.reading.specimens import divided
+from hystfit.reading.star_loops import read_star
 from hystfit.reading.successive_tables import read_tables
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import Opening, TextFile, text_of
@@ -146,6 +147,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_key_values,
     read_console_log,
     read_igor,
+    read_star,
     read_wrapped_blocks,
     read_sections,
     read_tables,

@@ -20,6 +20,7 @@ from . import (  # noqa: F401 - they register their kinds
     reports,
     sensors,
     slow,
+    sorption,
     structures,
 )
 from .registry import KINDS, layout_of

@@ -128,3 +128,22 @@ def long_format(draw: Draw) -> Layout:
         ]
     head = mark.join(draw.pick(("time", "sensor", "value"), ("Time (s)", "channel", "reading")))
     return Layout("", {draw.pick("log.csv", "sensors.csv"): packed(draw, [head, *lines])}, loops(loop(x, f, t)))
+
+
+@kind("segments of one test between blank lines")
+def segments(draw: Draw) -> Layout:
+    """A blank line after each segment of an indentation or a step of a test, while the clock goes on."""
+    n = draw.whole(200, 600)
+    half = n // 2
+    depth = 300 * np.append(np.linspace(0, 1, half) ** 0.5, 1 - 0.3 * np.linspace(0, 1, n - half) ** 0.7)
+    force = 9 * np.append(np.linspace(0, 1, half), np.linspace(1, 0, n - half) ** 1.5)
+    t = Column("Time", np.arange(n) * 0.01, "s", ".6f", "s")
+    x = Column("Depth", draw.noise(depth, 2e-4), "nm", ".6f", "nm")
+    f = Column("Load", draw.noise(force, 2e-4), "mN", ".6f", "mN")
+    volts = [Column("Depth", -1.9e-4 * x.values, "V", ".6f", "V"), Column("Load", 0.3 * f.values, "V", ".6f", "V")]
+    columns = [x, f, t, *(volts if draw.chance(0.5) else [])]
+    lines = table(draw, columns, Dialect(draw.pick("\t", ","), style="parentheses"))
+    for place in sorted({1, half, draw.whole(half, n - 2)}, reverse=True):
+        lines.insert(place + 1, "")
+    head = ["Tue Nov 22 15:58:19 2022", "", f"Number of Points = {n}"][: draw.pick(0, 3)]
+    return Layout("", {draw.pick("indent_00001.txt", "segments.csv"): packed(draw, head + lines)}, loops(loop(x, f, t)))

@@ -139,3 +139,24 @@ def mr_damper(draw: Draw) -> Layout:
     style = draw.pick("parentheses", "brackets", "row", "slash", "underscore", "comma")
     lines = table(draw, columns, Dialect("\t" if style == "comma" else draw.pick(",", "\t", ";"), style=style))
     return Layout("", {draw.pick("MR_1A_2Hz.csv", "damper.txt"): packed(draw, lines)}, truths)
+
+
+@kind("damper under single letters")
+def letters(draw: Draw) -> Layout:
+    """Displacement, velocity and force as D, V and F without units, maybe with the acceleration and a constant in the first row."""
+    n = draw.whole(600, 2000)
+    x = growing(n, draw.whole(3, 6))
+    v = np.gradient(x) / 0.001
+    t, d = Column("t", 0.001 * np.arange(n), "", ".6f"), Column("D", x, "", ".6g")
+    rate, force = (
+        Column("V", draw.noise(v, 1e-3), "", ".6g"),
+        Column("F", 1000 * damping(x, v / np.abs(v).max(), draw), "", ".4f"),
+    )
+    accelerations = Column("A", draw.noise(np.gradient(v) / 0.001, 1e-2), "", ".5g")
+    columns = [t, *([accelerations] if draw.chance(0.5) else []), *draw.pick([d, rate], [rate, d]), force]
+    dialect = Dialect(",", quoted=draw.chance(0.5), trailing=draw.chance(0.5))
+    return Layout(
+        "",
+        {draw.pick("ranran_50.csv", "mr.csv"): packed(draw, table(draw, columns, dialect))},
+        loops(loop(d, force, t)),
+    )
