@@ -363,6 +363,16 @@ def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(
     assert {row.asked: row.score_percent for row in run.rows} == dict.fromkeys(begun, 1.0)
 
 
+def test_progress_counts_a_model_once_and_those_that_join():
+    shares = []
+    shown = ShownProgress(lambda text, share: shares.append((text, share)), ["plays", "relays"])
+    for name in ("plays", "plays", "lag+relays", "relays"):  # plays are fitted again
+        shown.step(name, "fit")
+        shown.done(name)
+    assert shares[-1] == ("relays: done (3 of 3)", 1.0)
+    assert all(share <= 1 for _, share in shares)
+
+
 def _numbers(comparison):
     rows = [(r.name, r.asked, r.score_percent, r.in_sample_percent, r.parameters, r.status) for r in comparison.rows]
     return rows, {name: result.x.tolist() for name, result in comparison.fits.items()}

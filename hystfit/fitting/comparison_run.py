@@ -26,7 +26,7 @@ from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
@@ -84,6 +84,7 @@ class ComparisonRun:
         self._solved: dict[str, Solved] = {}
         self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
         self._errors: list[Exception] = []
+        self.early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -95,7 +96,7 @@ class ComparisonRun:
 
     def run_again(self, names: Sequence[str], options: FitOptions) -> None:
         """Forget what was found, and run candidates with other options."""
-        self.options, self.rows, self.fits, self._errors = options, [], {}, []
+        self.options, self.rows, self.fits, self._errors, self.early = options, [], {}, [], {}
         self.run(names)
 
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
@@ -219,7 +220,8 @@ class ComparisonRun:
         elif not sized:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
-        one.solved = solve_model(given, self.data, self.options)
+        early = self.early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
+        one.solved = early or solve_model(given, self.data, self.options)
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
