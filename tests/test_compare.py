@@ -23,6 +23,7 @@ from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
+from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.ridge import LinearSystem
 from hystfit.fitting.sizes import SizeSearch
@@ -340,6 +341,17 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
         assert (comparing.rows[1].score_percent is not None) == validated
         assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
         assert bool(comparing.rows[1].note) != validated
+
+
+def test_a_fit_that_is_worth_nothing_is_not_finished():
+    data = stepped_loops()
+    whole = solve_model("duhem", data, FitOptions())
+    error = whole.unjudged.train.rmse
+    for worth, finished in ((2 * error, True), (0.5 * error, False)):
+        ended = solve_model("duhem", data, FitOptions(), worth).estimate
+        assert ended.converged == finished
+        assert (ended.evaluations == whole.estimate.evaluations) == finished
+        assert ended.cost == pytest.approx(whole.estimate.cost, rel=0.01)
 
 
 def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(monkeypatch):

@@ -193,9 +193,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            # The error on held-out samples is that of all only where all are held out in turn.
-            every = all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
-            alike = every and [*map(len, fitted)] == [*map(len, self.data)]
+            alike = self._all_held and [*map(len, fitted)] == [*map(len, self.data)]
             lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
@@ -221,7 +219,13 @@ class ComparisonRun:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
         early = self.early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
-        one.solved = early or solve_model(given, self.data, self.options)
+        one.solved = early or solve_model(given, self.data, self.options, self._worth())
+
+    def _worth(self) -> float:
+        """The rms error [y] of a descent above which the finished fit would be beaten."""
+        if self.named or self.best is None or not self._all_held:
+            return np.inf
+        return self.equal * self.best * self.span / 100 / _LOWERED
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
@@ -362,6 +366,11 @@ class ComparisonRun:
     def held(self) -> HeldOut:
         """The groups that are held out in turn."""
         return held_out(list(self.data))
+
+    @functools.cached_property
+    def _all_held(self) -> bool:
+        """Whether all samples are held out in turn: only then the error on held-out samples is that of all."""
+        return all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
 
     @functools.cached_property
     def span(self) -> float:
