@@ -23,6 +23,7 @@ from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
+from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.ridge import LinearSystem
 from hystfit.fitting.sizes import SizeSearch
@@ -342,6 +343,17 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
         assert bool(comparing.rows[1].note) != validated
 
 
+def test_a_fit_that_is_worth_nothing_is_not_finished():
+    data = stepped_loops()
+    whole = solve_model("duhem", data, FitOptions())
+    error = whole.unjudged.train.rmse
+    for worth, finished in ((2 * error, True), (0.5 * error, False)):
+        ended = solve_model("duhem", data, FitOptions(), worth).estimate
+        assert ended.converged == finished
+        assert (ended.evaluations == whole.estimate.evaluations) == finished
+        assert ended.cost == pytest.approx(whole.estimate.cost, rel=0.01)
+
+
 def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(monkeypatch):
     """`preisach` errs ten times more when it is validated than at first; `preisach-magnetic` begins below that."""
     begun = {"preisach": 0.1, "preisach-magnetic": 0.2}
@@ -361,6 +373,16 @@ def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(
     run = ComparisonRun(stepped_loops(), "auto", "prediction", FitOptions(), {}, shown, Workers(1))
     run.run(list(begun))
     assert {row.asked: row.score_percent for row in run.rows} == dict.fromkeys(begun, 1.0)
+
+
+def test_progress_counts_a_model_once_and_those_that_join():
+    shares = []
+    shown = ShownProgress(lambda text, share: shares.append((text, share)), ["plays", "relays"])
+    for name in ("plays", "plays", "lag+relays", "relays"):  # plays are fitted again
+        shown.step(name, "fit")
+        shown.done(name)
+    assert shares[-1] == ("relays: done (3 of 3)", 1.0)
+    assert all(share <= 1 for _, share in shares)
 
 
 def _numbers(comparison):

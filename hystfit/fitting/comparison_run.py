@@ -26,7 +26,7 @@ from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
@@ -84,6 +84,7 @@ class ComparisonRun:
         self._solved: dict[str, Solved] = {}
         self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
         self._errors: list[Exception] = []
+        self.early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -95,7 +96,7 @@ class ComparisonRun:
 
     def run_again(self, names: Sequence[str], options: FitOptions) -> None:
         """Forget what was found, and run candidates with other options."""
-        self.options, self.rows, self.fits, self._errors = options, [], {}, []
+        self.options, self.rows, self.fits, self._errors, self.early = options, [], {}, [], {}
         self.run(names)
 
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
@@ -192,9 +193,7 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points)
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            # The error on held-out samples is that of all only where all are held out in turn.
-            every = all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
-            alike = every and [*map(len, fitted)] == [*map(len, self.data)]
+            alike = self._all_held and [*map(len, fitted)] == [*map(len, self.data)]
             lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
@@ -219,7 +218,14 @@ class ComparisonRun:
         elif not sized:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
-        one.solved = solve_model(given, self.data, self.options)
+        early = self.early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
+        one.solved = early or solve_model(given, self.data, self.options, self._worth())
+
+    def _worth(self) -> float:
+        """The rms error [y] of a descent above which the finished fit would be beaten."""
+        if self.named or self.best is None or not self._all_held:
+            return np.inf
+        return self.equal * self.best * self.span / 100 / _LOWERED
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
@@ -360,6 +366,11 @@ class ComparisonRun:
     def held(self) -> HeldOut:
         """The groups that are held out in turn."""
         return held_out(list(self.data))
+
+    @functools.cached_property
+    def _all_held(self) -> bool:
+        """Whether all samples are held out in turn: only then the error on held-out samples is that of all."""
+        return all((fold >= 0)[record.used].all() for fold, record in zip(self.held.folds, self.data, strict=True))
 
     @functools.cached_property
     def span(self) -> float:

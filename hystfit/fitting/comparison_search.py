@@ -11,7 +11,7 @@ from hystfit.fitting.comparison_run import WHITE, ComparisonRun, correlation_of,
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.structure import Structure, structure_of
-from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 
@@ -70,7 +70,8 @@ def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
     least, best = min(firsts, key=lambda first: first.error, default=None), run.best_row
     if least is not None and least.model is not None:
         if best is None or least.error / run.span < score_of(best) / 100:
-            return correlation_of(solve_model(least.model, run.data, run.options).unjudged)
+            fit = run.early[model_name(least.model)] = solve_model(least.model, run.data, run.options)
+            return correlation_of(fit.unjudged)
     return 1 if best is None else correlation_of(run.fits[best.asked])
 
 

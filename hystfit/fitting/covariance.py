@@ -251,7 +251,7 @@ def _spectrum(
     rows = information.root[:, live]
     if information.ridge.any():
         rows = np.vstack([rows, np.diag(np.sqrt(information.ridge[live]))])
-    if rows.shape[0] > rows.shape[1]:
+    if rows.shape[1] <= FEW and rows.shape[0] > rows.shape[1]:
         rows = np.linalg.qr(rows, mode="r")
     rows, back = centered(rows, offsets)
     size = np.linalg.norm(rows, axis=0)

@@ -76,3 +76,7 @@ class AbstractEstimator(eqx.Module):
     def quick(self) -> AbstractEstimator:
         """The same with tolerances for a quick first fit of a model; by default as it is."""
         return self
+
+    def up_to(self, most: float) -> AbstractEstimator:
+        """The same, which need not finish a fit whose cost will be above `most`; by default as it is."""
+        return self

@@ -74,9 +74,15 @@ def fit_model(
 
 
 def solve_model(
-    model: AbstractHysteresis | type[AbstractHysteresis] | str, data: Dataset, options: FitOptions
+    model: AbstractHysteresis | type[AbstractHysteresis] | str,
+    data: Dataset,
+    options: FitOptions,
+    worth: float = np.inf,
 ) -> Solved:
-    """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers."""
+    """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers.
+
+    A fit with an rms error above `worth` [y] need not be finished.
+    """
     named, notes = not isinstance(model, AbstractHysteresis), list[Note]()
     watch = Stopwatch()
     if isinstance(model, str) and model == SEARCH:
@@ -91,7 +97,8 @@ def solve_model(
         made = Varying.of(made, dependences(options.covariates), list(data))
         notes += made.notes(list(data))
     setup = set_up_fit(made, data, options, held=not named, notes=tuple(notes))
-    return Solved(setup, solve(setup.problem, setup.method, options.starts, options.seed, setup.points), options, watch)
+    estimate = solve(setup.problem, setup.method, options.starts, options.seed, setup.points, worth)
+    return Solved(setup, estimate, options, watch)
 
 
 @dataclasses.dataclass(frozen=True)

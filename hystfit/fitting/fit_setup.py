@@ -128,16 +128,23 @@ def choose_method(problem: Problem) -> str:
 
 
 def solve(
-    problem: Problem, method: str | AbstractEstimator, starts: int, seed: int, points: Sequence[AbstractHysteresis] = ()
+    problem: Problem,
+    method: str | AbstractEstimator,
+    starts: int,
+    seed: int,
+    points: Sequence[AbstractHysteresis] = (),
+    worth: float = np.inf,
 ) -> Estimate:
     """Run one estimator from several models, or from the values of one and a hypercube about them.
 
-    It starts from `points`, the best first, or from the problem's model; `seed` is that of the hypercube.
+    It starts from `points`, the best first, or from the problem's model; `seed` is that of the hypercube. A fit with an rms error above
+    `worth` [y] need not be finished.
 
     Raises:
         ParameterError: nothing is free.
     """
-    estimator = ESTIMATORS.make(method)
+    weight = float(np.asarray(problem.objective.batch.weight).sum())
+    estimator = ESTIMATORS.make(method).up_to(0.5 * weight * (worth / problem.scales.y) ** 2)
     return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))
 
 

@@ -39,15 +39,21 @@ class LeastSquares(AbstractEstimator):
     Attributes:
         method: "lm" or "dogleg".
         brief: a first look at a model: no polish, and no trust region for what has not converged.
+        most: cost above which a start that converged is not polished.
     """
 
     needs_starts: ClassVar[bool] = True
     method: Literal["lm", "dogleg"] = eqx.field(static=True, default="lm")
     brief: bool = eqx.field(static=True, default=False)
+    most: float = eqx.field(static=True, default=np.inf)
 
     def quick(self) -> LeastSquares:
         """See the base class."""
         return dataclasses.replace(self, brief=True)
+
+    def up_to(self, most: float) -> LeastSquares:
+        """See the base class."""
+        return dataclasses.replace(self, most=most)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`."""
@@ -65,10 +71,12 @@ class LeastSquares(AbstractEstimator):
             cost *= total / thinned
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
-            exact = () if short is not None else (_STEPS, EXACT)
-            z, cost, success, more, linearized = polish(problem, z, *exact)
+            exact, most = () if short is not None else (_STEPS, EXACT), self.most if success else np.inf
+            z, cost, success, more, linearized = polish(problem, z, *exact, most=most)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
+            if cost > most:
+                return Estimate(problem.space.physical(z), cost, False, "not finished", steps, costs)
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)

@@ -33,7 +33,13 @@ class Polished(NamedTuple):
 
 
 def polish(
-    problem: Problem, z: np.ndarray, steps: int = 40, within: float = NEAR, *, held: np.ndarray | None = None
+    problem: Problem,
+    z: np.ndarray,
+    steps: int = 40,
+    within: float = NEAR,
+    *,
+    held: np.ndarray | None = None,
+    most: float = np.inf,
 ) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
@@ -46,6 +52,7 @@ def polish(
         steps: linearizations at most.
         within: standard errors from the minimum, in the linear model, at which the fit has converged.
         held: which parameters stay, shape (p,), bool; None for none.
+        most: cost of the start above which it is the end.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
@@ -53,7 +60,7 @@ def polish(
     gain = gain_within(within, samples)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
-    while evaluations < steps:
+    while evaluations < steps and at.cost <= most:
         floor = _floor(problem, at.x, samples, largest)
         if not np.isfinite(at.cost + floor):
             break

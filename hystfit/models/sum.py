@@ -61,9 +61,10 @@ class Sum(AbstractComposition):
         """Starting values of each part come from the residuals of the parts before it."""
         started, remaining = [], list(records)
         for part in self.parts:
+            if started:
+                outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in remaining]
+                remaining = [r.replace(y=r.y - y) for r, y in zip(remaining, outputs, strict=True)]
             started.append(part.start(remaining))
-            outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in remaining]
-            remaining = [r.replace(y=r.y - y) for r, y in zip(remaining, outputs, strict=True)]
         return type(self)(*started)
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:

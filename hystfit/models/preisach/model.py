@@ -16,6 +16,7 @@ from numpy.polynomial.legendre import legder, legval
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
+from hystfit.models.base import Use
 from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.compiled import compile_for, respond
@@ -330,6 +331,10 @@ class Preisach(AbstractPlane):
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PreisachStep`; a search for point relays."""
         return PreisachStep.of(self) if self.elements == "cells" and not self.no_inverse else super().step_inverse(sign)
+
+    def obstacle(self, use: Use) -> str | None:
+        """See the base class; cells have none, which needs no tables of an inverse."""
+        return None if self.elements == "cells" and not self.no_inverse else super().obstacle(use)
 
     def c_part(self) -> CPart:
         """Stack of extrema with the tables of the inverse.

@@ -142,7 +142,8 @@ class SmoothSystem:
         if product is not None:
             basis, inside = blocks[product].columns.basis, slice(starts[product], starts[product + 1])
         others = np.delete(np.arange(p + 1), inside)
-        sums, counts = [_Gram(basis, inside, others) for _ in range(number_of)], np.zeros(number_of)
+        grams, counts = np.zeros((number_of, p + 1, p + 1)), np.zeros(number_of)
+        sums = [_Gram(basis, inside, others, gram) for gram in grams]
         # One level for all records.
         origin = layout.levels * _far(np.mean([np.mean(record.y[record.used]) for record in records]) / size)
         with_cells = [
@@ -164,7 +165,8 @@ class SmoothSystem:
                 columns = design.blocks[layout.kept[k]].columns[seen]
                 dense = not isinstance(columns, Factored)
                 visited[k].append(np.stack([columns.min(axis=0), columns.max(axis=0)]) if dense else columns)
-        grams = np.stack([part.finish() for part in sums])
+        for part in sums:
+            part.finish()
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
         for block, own, start, end in zip(blocks, layout.own, starts, starts[1:], strict=False):
@@ -253,13 +255,13 @@ class _Gram:
         basis: of the product; None without one.
         inside: which columns of A the product is.
         others: which ones stand for themselves; the output is the last.
+        whole: where the sum is made, zeros at first, shape (p + 1, p + 1).
     """
 
-    def __init__(self, basis: Basis | None, inside: slice, others: np.ndarray):
+    def __init__(self, basis: Basis | None, inside: slice, others: np.ndarray, whole: np.ndarray):
         self._basis, self._inside, self._others = basis, inside, others
-        q, width = 0 if basis is None else basis.shape[0], others.size
-        self._whole = np.zeros((width + inside.stop - inside.start,) * 2)
-        self._few, self._between = np.zeros((q, q)), np.zeros((q, width))
+        q, width, self._whole = 0 if basis is None else basis.shape[0], others.size, whole
+        self._few, self._between, self._spread = np.zeros((q, q)), np.zeros((q, width)), False
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
@@ -301,18 +303,17 @@ class _Gram:
             return
         if few.nnz > _SPARSE * few.shape[0] * few.shape[1]:
             few = few.toarray()
-        product = few.T @ few
+        product, self._spread = few.T @ few, True
         self._few += product.toarray() if scipy.sparse.issparse(product) else product
         self._between += few.T @ rows
         self._whole[np.ix_(self._others, self._others)] += rows.T @ rows
 
-    def finish(self) -> np.ndarray:
-        """The sum, shape (p + 1, p + 1)."""
+    def finish(self) -> None:
+        """Complete the sum."""
         self._multiply()
-        if self._basis is not None and self._few.any():
+        if self._basis is not None and self._spread:
             inside, others, spread = self._inside, self._others, self._basis.spread
             between = spread(self._between)
             self._whole[inside, inside] += spread(spread(self._few).T)
             self._whole[inside, others] += between
             self._whole[others, inside] += between.T
-        return self._whole

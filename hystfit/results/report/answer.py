@@ -93,7 +93,7 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
     rows = [("Error", _error(result)), *_numbers(result)]
     if (lag := _lag(result.data[0])) is not None:
         rows.append(lag)
-    if result.usable and result.model.obstacle("inverse") is None and (why := result.obstacle("inverse")):
+    if result.usable and (why := result.obstacle("inverse")) and result.model.obstacle("inverse") is None:
         rows.append(("Inverse", f"none: {why}"))
     return (*rows, ("Not determined", _undetermined(result)))
 
