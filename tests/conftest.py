@@ -15,10 +15,9 @@ from hypothesis import settings
 
 from hystfit.config import enable_x64
 
+from . import FAST_TO_COMPILE
+
 enable_x64()
-# Two thirds of the quick form's time is compilation, of programs that run for milliseconds: 22 % less without optimization, and a quarter
-# less of the rest where a program is compiled by one thread, not in parts for several.
-FAST_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 # The same examples every time; `--hypothesis-profile=default` looks for new ones.
 settings.register_profile("constant", derandomize=True, deadline=None)
 settings.load_profile("constant")
@@ -28,6 +27,7 @@ MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
+COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 LONGEST = (
     "quality",
     "sampling",
@@ -66,8 +66,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported out of every later garbage collection."""
+    """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
     gc.freeze()
+    gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
 
 
 @pytest.fixture(autouse=True, scope="module")
