@@ -82,6 +82,16 @@ def execute(source: Path, target: Path, limit: float) -> str | None:
             partial.replace(target)
 
 
+def compile_fast() -> None:
+    """Have the kernels compile as the quick tests do, which takes a fifth less time in all."""
+    sys.path.insert(0, str(HERE.parent))
+    from hystfit.config import set_compiler_flags
+    from tests import FAST_TO_COMPILE
+
+    set_compiler_flags()
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the notebooks named on the command line, or all; returns the exit status."""
     parser = argparse.ArgumentParser(description="Execute the notebooks of this folder.")
@@ -94,6 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
     if unknown := [name for name in names if name not in found]:
         parser.error(f"no notebook {', '.join(unknown)}; there are {', '.join(found)}")
     os.environ["HYSTFIT_QUICK"] = "1" if chosen.quick else "0"
+    if chosen.quick:
+        compile_fast()
     (HERE / "out").mkdir(exist_ok=True)
     failed = 0
     with tempfile.TemporaryDirectory(prefix="hystfit-") as scratch:

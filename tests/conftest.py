@@ -1,7 +1,9 @@
 """Double precision for the whole session; measured data where they are."""
 
+import functools
 import gc
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -15,10 +17,9 @@ from hypothesis import settings
 
 from hystfit.config import enable_x64
 
+from . import FAST_TO_COMPILE
+
 enable_x64()
-# Two thirds of the quick form's time is compilation, of programs that run for milliseconds: 22 % less without optimization, and a quarter
-# less of the rest where a program is compiled by one thread, not in parts for several.
-FAST_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1"
 # The same examples every time; `--hypothesis-profile=default` looks for new ones.
 settings.register_profile("constant", derandomize=True, deadline=None)
 settings.load_profile("constant")
@@ -28,6 +29,7 @@ MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
+COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 LONGEST = (
     "quality",
     "sampling",
@@ -59,15 +61,27 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
 
 
+@functools.cache
+def looks_inside(path: Path) -> bool:
+    """Whether a test file imports from a room whose functions are traced, so that shapes are checked in its quick form too."""
+    return bool(
+        re.search(r"^from hystfit\.(identify|inference|models)\b", path.read_text(encoding="utf-8"), re.MULTILINE)
+    )
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first: two workers that take whole files then end at about the same time."""
+    """The longest files first: two workers that take whole files then end at about the same time.
+
+    Before them all those that check shapes, as a program that another file has traced is not traced again.
+    """
     place = {f"test_{name}": k for k, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
+    items.sort(key=lambda item: (not looks_inside(item.path), place.get(item.path.stem, len(place))))
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported out of every later garbage collection."""
+    """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
     gc.freeze()
+    gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -79,12 +93,20 @@ def _few_programs() -> Iterator[None]:
         gc.collect()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _shapes_checked(request: pytest.FixtureRequest) -> None:
+    """In the quick form only files that look inside a traced room check shapes: in all files it takes a ninth of the time."""
+    checked = request.config.option.markexpr != "not slow" or looks_inside(request.path)
+    jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
 @pytest.fixture
 def as_users_run() -> Iterator[None]:
     """Without the type checks of this session, which refuse bad arguments before the library's own errors can."""
+    before = jaxtyping.config.jaxtyping_disable
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
-    jaxtyping.config.update("jaxtyping_disable", False)
+    jaxtyping.config.update("jaxtyping_disable", before)
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.outcome import Column, Table
-from hystfit.outcome.wrapping import within
+from hystfit.outcome.wrapping import NAMED, listed, within
 from hystfit.params.units import with_unit
 
 from .conftest import ROOT
@@ -25,6 +25,12 @@ def test_prose_goes_on_below_its_own_beginning():
     assert within("  - one two three four", 12) == "  - one two\n    three\n    four"
     assert within("  yes  lag: one two three", 20) == "  yes  lag: one two\n       three"
     assert within("note: one two three four", 15) == "note: one two\n  three four"
+
+
+def test_a_long_list_names_the_first_and_counts_the_others():
+    names = [f"w[{k}]" for k in range(NAMED + 2)]
+    assert listed(names[:NAMED]) == ", ".join(names[:NAMED])
+    assert listed(names) == ", ".join(names[:NAMED]) + " and 2 more"
 
 
 def test_every_word_is_kept_and_short_lines_stay():

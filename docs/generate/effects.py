@@ -21,23 +21,21 @@ DT = 0.01  # sampling interval of the pictures [s]
 Curve = tuple[np.ndarray, np.ndarray]
 
 
-def effects(entry: Facts) -> dict[str, list[Curve]]:
-    """The curves of a model by varied parameter; none where its entry varies no parameter."""
+def varied(entry: Facts) -> dict[str, list[AbstractHysteresis]]:
+    """The models to draw by varied parameter, none where its entry varies no parameter; a value outside the bounds is refused."""
     model = entry.model()
-    return {
-        name: [_curve(model.replace(**{name: value}), entry.view) for value in values]
-        for name, values in entry.vary.items()
-    }
+    return {name: [model.replace(**{name: value}) for value in values] for name, values in entry.vary.items()}
 
 
-def draw_effects(entry: Facts, curves: dict[str, list[Curve]], target: Path) -> None:
+def draw_effects(entry: Facts, models: dict[str, list[AbstractHysteresis]], target: Path) -> None:
     """Write the pictures of a model.
 
     Args:
         entry: facts of the model.
-        curves: from `effects`.
+        models: from `varied`.
         target: path of the pictures without a suffix.
     """
+    curves = {name: [_curve(model, entry.view) for model in each] for name, each in models.items()}
     save_both(lambda: _figure(entry, curves), target)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from generate.effects import draw_effects, effects
+from generate.effects import draw_effects, varied
 from generate.markdown import docstring, interval, plain, table, write
 from generate.model_facts import Facts, facts
 from generate.style import SCHEMES, both
@@ -30,19 +30,19 @@ def draw_pictures(folder: Path, quick: bool) -> None:
 
     Args:
         folder: of the pictures.
-        quick: simulate every model, and draw only the picture of the first one, which stands for the others.
+        quick: give every model the values to be drawn, and draw only the picture of the first one, which stands for the others.
     """
     folder.mkdir(parents=True)
     drawn: Path | None = None
     for name, known in facts().items():
-        if not (curves := effects(known)):
+        if not (models := varied(known)):
             continue
         if quick and drawn is not None:
             for color in SCHEMES:
                 shutil.copy2(f"{drawn}.{color}.svg", folder / f"{name}.{color}.svg")
             continue
         drawn = folder / name
-        draw_effects(known, curves, drawn)
+        draw_effects(known, models, drawn)
 
 
 def write_model_pages(folder: Path) -> None:

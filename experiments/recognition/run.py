@@ -26,9 +26,9 @@ ALL_RECORDS = (
 )  # fmt: skip
 TIMED = ("bouc-wen+log-creep", "bouc-wen+relaxation", "bouc-wen+second-order", "bouc-wen-force+viscous", "lag+bouc-wen")
 UNTIMED = ("preisach-magnetic",)
-# Kinds of the quick form: those that no model describes, and two that one does. `measured` searches the models of piezos and dampers,
-# `choice` those of relays.
-QUICK = ("degrading", "noise only", "line only", "few samples")
+# Kinds of the quick form: those that no model describes, and a line. `measured` searches the models of piezos and dampers, `choice`
+# those of relays, and the tests compare models of few samples.
+QUICK = ("degrading", "noise only", "line only")
 FACTOR = 1.5  # error on left-out data, over that of the best model, up to which the choice is right
 HEAD = [
     "record", "kind", "check advises", "search takes", "status", "error on left-out data, %", "best model", "its error, %",

@@ -25,6 +25,7 @@ from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
@@ -130,9 +131,9 @@ def _compared(
     status = Status.OK if trial is None else trial.status
     status = Status.NOT_FINITE if not finite else status if result.usable else Status.FIT_NOT_USABLE
     metrics = None if trial is None else trial.metrics
-    names = [record.name for record in data]
-    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-    lines = [f"{result.name} on {shown}: {sum(len(record) for record in data)} samples"]
+    lines = [
+        f"{result.name} on {listed([record.name for record in data])}: {sum(len(record) for record in data)} samples"
+    ]
     lines += [f"  error against the measured output: {metrics_words(metrics)}", *items(notes)]
     content = {
         "schema": "hystfit.predict/1",

@@ -15,13 +15,13 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
+from hystfit.inference.newton import LONGEST
 from hystfit.inference.problem import Problem
 from hystfit.inference.whitened import Whitened
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
-_LONGEST = 2.0  # step of an unconstrained coordinate
 _EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
 _END = 16.0  # |z| beyond which no step leads towards a bound
 _INSIDE = 3.0  # |z| from which a search is started again where a parameter lies on its bound
@@ -143,7 +143,7 @@ class BoundedNewton:
         for _ in range(steps):
             step = _step(point, damping, low, high, moving)
             longest = np.max(np.abs(step[~self.linear]), initial=0.0)
-            step = step * min(1.0, _LONGEST / max(longest, 1e-300))
+            step = step * min(1.0, LONGEST / max(longest, 1e-300))
             gain = -(point.gradient @ step + 0.5 * step @ point.matrix @ step)
             if not gain > tolerance:
                 break

@@ -12,11 +12,11 @@ from jaxtyping import Array, Float
 from hystfit.models.shapes import Scalar
 
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
-_LONGEST = 2.0  # step in z, infinity norm
+LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
 _NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
-_DIFFERENCE = 1e-4  # in z, before any curvature is known
+DIFFERENCE = 1e-4  # in z, before any curvature is known
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
 # do not look like curvature.
@@ -132,7 +132,7 @@ def maximize(
         size = jnp.maximum(jnp.abs(size), 1e-8 * jnp.max(jnp.abs(size)) + 1e-12)
         along = jnp.where(jnp.isfinite(gradients), gradients, 0.0) @ axes
         step = axes @ (along[0] / size)
-        step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
+        step = step * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
         gain = jnp.sum(along**2 / size, axis=1)
         small = ((gain[0] < 1e-7) & (last.count > 0)) | polishing
         step = jax.lax.cond(small, lambda: jnp.zeros_like(z), lambda: search(z, value, step))
@@ -149,7 +149,7 @@ def maximize(
         value=jnp.asarray(-jnp.inf),
         hessian=jnp.zeros((d, d)),
         axes=jnp.eye(d),
-        width=jnp.full(d, _DIFFERENCE),
+        width=jnp.full(d, DIFFERENCE),
         phase=jnp.asarray(_CLIMBING),
         count=jnp.asarray(0),
         near=jnp.zeros((), bool),
@@ -192,7 +192,7 @@ def descend(
         scaled = jnp.where(both, matrix, 0.0) * scale[:, None] * scale[None, :]
         scaled = scaled + jnp.diag(jnp.where(moving, damping, 1.0))
         step = -scale * jnp.linalg.solve(scaled, scale * g)
-        step = step * jnp.minimum(1.0, _LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
+        step = step * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
         new = cost(z + step)
         better = new < value
         gain = -jnp.sum(g * step)

@@ -19,11 +19,11 @@ from hystfit.models.shapes import Scalar
 from hystfit.params.coordinates import BOTH, LOWER, REAL
 from hystfit.params.space import ParameterSpace
 
-_WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
+WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
 # Standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way.
 _LOG_WIDE = 3.0
 _INSIDE = 0.01  # of the natural size, by which a value on its bound is moved off it
-_DRAWS = 2000  # of a prior, to see where it lies
+SEEN = 2000  # draws of a prior, to see where it lies
 _NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
 _LOG_ROOT = float(0.5 * np.log(2 * np.pi))
 
@@ -246,12 +246,12 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
     for k, (name, info, kind) in enumerate(zip(space.names, space.infos, space.kinds, strict=True)):
         if kind == REAL:
             size = scale[k] if x is None else max(scale[k], abs(float(x[k])))
-            priors[name] = Normal(0.0, _WIDE * size)
+            priors[name] = Normal(0.0, WIDE * size)
         elif kind == BOTH:
             priors[name] = Uniform(lower[k], upper[k])
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
-            weight = HalfNormal(_WIDE * scale[k] / effect[k], edge, side)
+            weight = HalfNormal(WIDE * scale[k] / effect[k], edge, side)
             priors[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
     return priors
 
@@ -284,7 +284,7 @@ def choose_priors(
         _check(name, prior)
         bounds = {space.infos[space.names.index(hit)].bounds for hit in hits}
         for low, high in bounds:
-            drawn = np.asarray(prior.sample(jax.random.key(0), (_DRAWS,)))
+            drawn = np.asarray(prior.sample(jax.random.key(0), (SEEN,)))
             if not np.any((drawn >= low) & (drawn <= high)):
                 raise ParameterError(
                     f"the prior of {name!r} ({prior}) lies outside the parameter's bounds, {low:g} to {high:g}"

@@ -28,7 +28,7 @@ from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs
 
 FIRST_CURVE = 64  # steps from the demagnetized state to the first input
-_STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
+STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
 _SERIES = 1e-2  # argument below which the Langevin function is its series
 CURVES = {"langevin": 1.0 / 3.0, "tanh": 1.0}  # anhysteretic curves, and their slope at zero
 # Shapes of the anhysteretic curve, coupling, pinning and reversible part over the scales of a record, from which a fit starts.
@@ -140,7 +140,7 @@ class JilesAtherton(AbstractHysteresis):
         """The state at u1, where He - alpha M = u1: differentiable by the implicit function theorem."""
         s = jnp.sign(u1 - u0)
         search = lambda function, start: solve_rising(function, start, *self.span(state, u1, u1)).x
-        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
+        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), STEEPEST)
         miss = lambda field: field - self.mean_field * self.total(self.at_field(state, s, field)) - u1
         return self.at_field(state, s, jax.lax.custom_root(miss, state[0], search, steep))
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
-from hystfit.models.jiles_atherton import JilesAtherton, JilesAthertonStep, search_in_c
+from hystfit.models.jiles_atherton import STEEPEST, JilesAtherton, JilesAthertonStep, search_in_c
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import run
 from hystfit.models.starting import best_of_grid, input_range, offset_columns, speeds, thinned, used_samples
@@ -24,7 +24,6 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
-_STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
 _SLOW = 1.5  # typical rate over the slowest one, up to which a record counts for the static law
 _SHARES = (
     3e-3,
@@ -101,7 +100,7 @@ class JilesAthertonDynamic(JilesAtherton):
 
         span = self.span(state, jnp.minimum(u1, inside), jnp.maximum(u1, inside))
         search = lambda function, start: solve_rising(function, start, *span).x
-        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
+        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), STEEPEST)
         moved = self.at_field(state, s, jax.lax.custom_root(miss, state[0], search, steep))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Sequence
 
+NAMED = 5  # names of a list that prose gives one by one
 PROSE = 100  # columns from which a line of prose is hard to read
 _LAST_COLUMN = re.compile(r"^.*\S {2,}(?=\S)")
 _HANG = 0.7  # part of the width behind which the last column of a table is no prose that could wrap
 _COMMAND = re.compile(r"\s*(?:\$ )?(?:hystfit|cc|printf) ")  # whole, to be copied
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def within(text: str, width: int) -> str:

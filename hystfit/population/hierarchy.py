@@ -17,7 +17,8 @@ of the Royal Statistical Society C 62:551).
 from __future__ import annotations
 
 import dataclasses
-import math
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -79,15 +80,12 @@ def draw_hierarchy(
         thin: steps for each draw.
         seed: of the random numbers.
     """
-    each = [
-        _Chain(means, precisions, design, pools or {}, np.random.default_rng([seed, number])).run(draws, thin)
-        for number in range(chains)
-    ]
-    return Hierarchy(*(np.stack(parts) for parts in zip(*each, strict=True)))
+    chain = _Chains(means, precisions, design, pools or {}, [np.random.default_rng([seed, k]) for k in range(chains)])
+    return Hierarchy(*chain.run(draws, thin))
 
 
-class _Chain:
-    """One chain: its data, and the present values."""
+class _Chains:
+    """Chains side by side, each with random numbers of its own: their data, and the present values with an axis of chains in front."""
 
     def __init__(
         self,
@@ -95,10 +93,9 @@ class _Chain:
         precisions: np.ndarray,
         design: np.ndarray,
         pools: dict[int, Pool],
-        rng: np.random.Generator,
+        sources: Sequence[np.random.Generator],
     ):
-        self.precisions, self.design, self.pools, self.rng = precisions, design, pools, rng
-        self.means = means
+        self.means, self.precisions, self.design, self.pools, self.sources = means, precisions, design, pools, sources
         self.free = np.setdiff1d(np.arange(len(means)), sorted(pools))  # devices whose values can be moved
         self.pull = np.einsum("dij,dj->di", precisions, means)
         self.inverse = np.linalg.inv(design.T @ design)
@@ -107,13 +104,16 @@ class _Chain:
         # Devices that a direction leaves open start at the weighted mean of the others.
         weight = np.einsum("dii->di", precisions)
         center = np.sum(weight * means, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
-        known = weight > 1e-6 * weight.max(axis=0)
-        self.z = np.where(known, means, center)
-        spread = np.maximum(self.z.std(axis=0), 1e-3)
-        self.covariance = np.diag((spread * np.exp(rng.normal(0, 0.5, p))) ** 2)
+        z = np.where(weight > 1e-6 * weight.max(axis=0), means, center)
+        spread = np.maximum(z.std(axis=0), 1e-3) * np.exp(self._each(lambda rng: rng.normal(0, 0.5, p)))
+        self.z = np.repeat(z[None], len(sources), axis=0)
+        self.covariance = spread[:, :, None] ** 2 * np.eye(p)
         self.effects = self.inverse @ design.T @ self.z
-        self.at = {d: int(rng.integers(len(pool.z))) for d, pool in pools.items()}
-        self.prior_scale = np.ones(p)
+        self.at = {d: self._each(lambda rng, pool=pool: rng.integers(len(pool.z))) for d, pool in pools.items()}
+
+    def _each(self, draw: Callable[[np.random.Generator], Any]) -> np.ndarray:
+        """Random numbers of every chain."""
+        return np.stack([draw(rng) for rng in self.sources])
 
     def run(self, draws: int, thin: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Kept draws of B, Sigma and z."""
@@ -126,43 +126,42 @@ class _Chain:
             self._scale()
             if k >= 0 and k % thin == 0:
                 kept.append((self.effects, self.covariance, self.z))
-        effects, covariance, z = (np.stack(part) for part in zip(*kept, strict=True))
+        effects, covariance, z = (np.stack(part, axis=1) for part in zip(*kept, strict=True))
         return effects, covariance, z
 
     def _devices(self) -> None:
         inverse = np.linalg.inv(self.covariance)
         middle = self.design @ self.effects
-        total = self.precisions + inverse * (1 + _RIDGE)
-        factor = np.linalg.cholesky(total)
+        total = self.precisions + inverse[:, None] * (1 + _RIDGE)
         mean = np.linalg.solve(total, (self.pull + middle @ inverse)[..., None])[..., 0]
-        noise = self.rng.normal(size=mean.shape)
-        self.z = mean + np.linalg.solve(np.swapaxes(factor, 1, 2), noise[..., None])[..., 0]
+        noise = self._each(lambda rng: rng.normal(size=mean.shape[1:]))
+        self.z = mean + np.linalg.solve(np.linalg.cholesky(total).swapaxes(2, 3), noise[..., None])[..., 0]
         for d, pool in self.pools.items():
-            other = int(self.rng.integers(len(pool.z)))
-            pair = np.array([self.at[d], other])
-            away = pool.z[pair] - middle[d]
-            score = -0.5 * np.einsum("ki,ij,kj->k", away, inverse, away) - pool.log_prior[pair]
-            if np.log(self.rng.uniform()) < score[1] - score[0]:
-                self.at[d] = other
-            self.z[d] = pool.z[self.at[d]]
+            pair = np.stack([self.at[d], self._each(lambda rng, pool=pool: rng.integers(len(pool.z)))], axis=1)
+            away = pool.z[pair] - middle[:, None, d]
+            score = -0.5 * np.einsum("cki,cij,ckj->ck", away, inverse, away) - pool.log_prior[pair]
+            taken = np.log(self._each(lambda rng: rng.uniform())) < score[:, 1] - score[:, 0]
+            self.at[d] = np.where(taken, pair[:, 1], pair[:, 0])
+            self.z[:, d] = pool.z[self.at[d]]
 
     def _effects(self) -> None:
         mean = self.inverse @ self.design.T @ self.z
-        noise = self.rng.normal(size=mean.shape)
-        self.effects = mean + self.root @ noise @ np.linalg.cholesky(self.covariance).T
+        noise = self._each(lambda rng: rng.normal(size=mean.shape[1:]))
+        self.effects = mean + self.root @ noise @ np.linalg.cholesky(self.covariance).swapaxes(1, 2)
 
     def _covariance(self) -> None:
-        count, p = self.z.shape
+        _, count, p = self.z.shape
+        diagonal = np.arange(p)
         away = self.z - self.design @ self.effects
         shape = (_NU + p) / 2
-        rate = _NU * np.diag(np.linalg.inv(self.covariance)) + _SCALE**-2
-        self.prior_scale = rate / self.rng.gamma(shape, size=p)
-        scale = 2 * _NU * np.diag(1 / self.prior_scale) + away.T @ away
+        rate = _NU * np.linalg.inv(self.covariance)[:, diagonal, diagonal] + _SCALE**-2
+        scale = away.swapaxes(1, 2) @ away
+        scale[:, diagonal, diagonal] += 2 * _NU * self._each(lambda rng: rng.gamma(shape, size=p)) / rate
         # Bartlett's decomposition of the Wishart matrix, a tenth of the time of scipy.stats.invwishart.
-        lower = np.tril(self.rng.normal(size=(p, p)), -1)
-        lower[np.diag_indices(p)] = np.sqrt(self.rng.chisquare(_NU + p - 1 + count - np.arange(p)))
-        root = np.linalg.solve(lower, np.linalg.cholesky(scale).T)
-        self.covariance = root.T @ root
+        lower = np.tril(self._each(lambda rng: rng.normal(size=(p, p))), -1)
+        lower[:, diagonal, diagonal] = np.sqrt(self._each(lambda rng: rng.chisquare(_NU + p - 1 + count - diagonal)))
+        root = np.linalg.solve(lower, np.linalg.cholesky(scale).swapaxes(1, 2))
+        self.covariance = root.swapaxes(1, 2) @ root
 
     def _shift(self) -> None:
         """Move the mean and all devices together, which the population leaves free."""
@@ -170,38 +169,41 @@ class _Chain:
             return
         total = self.precisions.sum(axis=0)
         total = total + _RIDGE * np.trace(total) * np.eye(len(total))
-        factor = np.linalg.cholesky(total)
-        mean = np.linalg.solve(total, (self.pull - np.einsum("dij,dj->di", self.precisions, self.z)).sum(axis=0))
-        shift = mean + np.linalg.solve(factor.T, self.rng.normal(size=mean.size))
-        self.z = self.z + shift
-        self.effects = self.effects + np.eye(len(self.effects))[0][:, None] * shift
+        pull = (self.pull - np.einsum("dij,cdj->cdi", self.precisions, self.z)).sum(axis=1)
+        noise = self._each(lambda rng: rng.normal(size=len(total)))
+        shift = np.linalg.solve(total, pull.T) + np.linalg.solve(np.linalg.cholesky(total).T, noise.T)
+        self.z = self.z + shift.T[:, None]
+        self.effects = self.effects.copy()
+        self.effects[:, 0] += shift.T
 
     def _scale(self) -> None:
         """Scale one standard deviation after another together with the deviations from the mean."""
-        p, middle, free = self.z.shape[1], self.design @ self.effects, self.free
-        inverse = np.linalg.inv(self.covariance)
+        p, middle, free = self.z.shape[2], self.design @ self.effects, self.free
+        new = inverse = np.linalg.inv(self.covariance)
         z, curvature = self.z.copy(), self.precisions[free]
-        slope = np.einsum("dij,dj->di", curvature, z[free] - self.means[free])
-        steps, levels = _STEP * self.rng.normal(size=p), np.log(self.rng.uniform(size=p))
-        factors = np.ones(p)
+        slope = np.einsum("dij,cdj->cdi", curvature, z[:, free] - self.means[free])
+        steps = _STEP * self._each(lambda rng: rng.normal(size=p))
+        levels = np.log(self._each(lambda rng: rng.uniform(size=p)))
+        factors = np.ones_like(steps)
         for k in range(p):
-            c = math.exp(steps[k])
-            move = (c - 1) * (z[free, k] - middle[free, k])
-            gain = (1 - _NU - p) * steps[k] - float(move @ slope[:, k] + 0.5 * (move * move) @ curvature[:, k, k])
-            before, after = _NU * inverse[k, k] + _SCALE**-2, _NU * inverse[k, k] / c**2 + _SCALE**-2
-            gain += 0.5 * (_NU + p) * math.log(before / after)
-            new = inverse
+            c = np.exp(steps[:, k])
+            move = (c - 1)[:, None] * (z[:, free, k] - middle[:, free, k])
+            gain = (1 - _NU - p) * steps[:, k]
+            gain -= np.sum(move * (slope[:, :, k] + 0.5 * move * curvature[:, k, k]), axis=1)
+            own = _NU * inverse[:, k, k]
+            gain += 0.5 * (_NU + p) * np.log((own + _SCALE**-2) / (own / c**2 + _SCALE**-2))
             if self.pools:
-                scale = np.ones(p)
-                scale[k] = c
-                new = inverse / scale[:, None] / scale
+                shrunk = np.ones_like(steps)
+                shrunk[:, k] = 1 / c
+                new = inverse * shrunk[:, :, None] * shrunk[:, None]
                 for d in self.pools:
-                    away = z[d] - middle[d]
-                    gain += 0.5 * float(away @ (inverse - new) @ away) - steps[k]
-            if levels[k] < gain:
-                z[free, k] += move
-                slope += curvature[:, :, k] * move[:, None]
-                factors[k] = c
-                if self.pools:
-                    inverse = new
-        self.z, self.covariance = z, self.covariance * factors[:, None] * factors
+                    away = z[:, d] - middle[:, d]
+                    gain += 0.5 * np.einsum("ci,cij,cj->c", away, inverse - new, away) - steps[:, k]
+            taken = levels[:, k] < gain
+            move *= taken[:, None]
+            z[:, free, k] += move
+            slope += curvature[:, :, k] * move[:, :, None]
+            factors[:, k] = np.where(taken, c, 1.0)
+            if self.pools:
+                inverse = np.where(taken[:, None, None], new, inverse)
+        self.z, self.covariance = z, self.covariance * factors[:, :, None] * factors[:, None]

@@ -16,8 +16,7 @@ ENDS = 0.95  # of the largest input, from which the output counts as that of the
 _LARGE = 0.9  # of the input's range that a branch of the largest loops covers
 _GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
 _STEP = 0.02  # of the input's range: the same of the inputs, where 0.08 hides 13 % of the area of a loop that grows
-_OPEN = 4.0  # standard errors by which an area differs from zero where there is a loop
-_ABOUT = 4.0  # standard deviations of the noise, within which samples are averaged about a crossing
+_CLEAR = 4.0  # standard errors from which an area is no chance, and standard deviations of the noise that a sample may be off
 _WITHIN = 0.9  # of the largest input that both branches reach, within which they are compared
 _GRID = 400  # inputs of that comparison
 
@@ -147,7 +146,7 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
 def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
     error = area_error(pairs[0], sigma) or 0.0
-    return bool(abs(np.median([area(*pair) for pair in pairs])) > _OPEN * error / np.sqrt(len(pairs)))
+    return bool(abs(np.median([area(*pair) for pair in pairs])) > _CLEAR * error / np.sqrt(len(pairs)))
 
 
 def crossing(
@@ -165,8 +164,8 @@ def crossing(
         return None
     k = int(passed[len(passed) // 2])
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
-    near = np.flatnonzero(np.abs(level) <= _ABOUT * (sigma or 0.0))
-    if near.size < 5 or abs(step) > _ABOUT * (sigma or 0.0):
+    near = np.flatnonzero(np.abs(level) <= _CLEAR * (sigma or 0.0))
+    if near.size < 5 or abs(step) > _CLEAR * (sigma or 0.0):
         error = of_values if sigma is None else sigma * abs(run / step)
         return float(values[k] - level[k] * run / step), None if error is None else float(error)
     # Noise crosses zero several times: a straight line through the samples about it.

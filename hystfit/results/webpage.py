@@ -134,12 +134,12 @@ def svg(figure: Figure) -> bytes:
     return buffer.getvalue().encode("utf-8")
 
 
-_POINTS = 72  # of vector graphics in an inch
+POINTS = 72  # of vector graphics in an inch
 
 
 def _panels(figure: Figure) -> list[dict[str, Any]]:
     """Place and data coordinates of the axes of a figure that was drawn, for the script that rescales them."""
-    height, k = figure.get_figheight() * _POINTS, _POINTS / figure.dpi
+    height, k = figure.get_figheight() * POINTS, POINTS / figure.dpi
     panels = []
     for ax in figure.axes:
         if ax.get_label() == "<colorbar>" or ax.name != "rectilinear":

@@ -13,6 +13,7 @@ from hystfit.outcome.table import rounded
 from hystfit.params.units import axis_label
 from hystfit.results.colors import HELD_OUT, MODEL, THIRD
 from hystfit.results.labels import column_label, use_available_fonts
+from hystfit.results.webpage import POINTS
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
@@ -20,7 +21,6 @@ _LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
 _MOST = 24  # parameters in a trace or rank plot, which is as high as they are many
 _FEW = 3  # parameters up to which a corner plot has no room at its upper right
 _TICKS = 0.8  # room for the tick labels of a corner plot [inches]
-_POINTS = 72  # in an inch
 _BINS = 20
 _CHAINS = (MODEL, HELD_OUT, THIRD, "#cc79a7")
 _KINDS = ("corner", "trace", "rank", "bands")
@@ -78,7 +78,7 @@ def _corner(posterior: Posterior) -> Any:
 
 def _widen_margins(figure: Any, size: float, above: int) -> None:
     """Make room in a corner plot for labels of two lines of this size [points], and for as many lines `above` as given."""
-    line, (wide, high) = 1.3 * size / _POINTS, figure.get_size_inches()
+    line, (wide, high) = 1.3 * size / POINTS, figure.get_size_inches()
     side = _TICKS + 2 * line
     figure.subplots_adjust(left=side / wide, bottom=side / high, top=1 - (0.1 + above * line) / high)
 

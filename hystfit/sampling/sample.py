@@ -19,10 +19,11 @@ from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
-from hystfit.inference.priors import AbstractPrior, LogNormal
+from hystfit.inference.priors import SEEN, AbstractPrior, LogNormal
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
+from hystfit.outcome.wrapping import listed
 from hystfit.results.agreement import differences
 from hystfit.results.folders import alone
 from hystfit.results.provenance import provenance
@@ -35,8 +36,6 @@ from hystfit.sampling.registry import SAMPLERS
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
-_PRIOR_DRAWS = 2000  # of a prior, for its quartiles
-_NAMED = 4  # parameters that a note names
 
 
 @verb
@@ -169,7 +168,7 @@ def _log_densities(priors: tuple[AbstractPrior, ...], dependence: Dependence | N
 
 def _quartiles(prior: AbstractPrior) -> list[float]:
     """Lower and upper quartile of a prior."""
-    return np.quantile(np.asarray(prior.sample(jax.random.key(0), (_PRIOR_DRAWS,))), [0.25, 0.75]).tolist()
+    return np.quantile(np.asarray(prior.sample(jax.random.key(0), (SEEN,))), [0.25, 0.75]).tolist()
 
 
 def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:
@@ -178,7 +177,7 @@ def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draw
     wide: dict[str, list[tuple[str, float]]] = {}
     for name, prior in setup.priors.items():
         k = setup.names.index(name)
-        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,)))
+        expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (SEEN,)))
         middle = np.median(draws[:, :, k])
         if not np.any(expected < middle) or not np.any(expected > middle):
             text = f"the posterior of {name} lies in the far tail of its prior ({prior}): the prior is inconsistent with the data"
@@ -197,9 +196,8 @@ def _as_wide_words(prior: str, rows: Sequence[tuple[str, float]]) -> str:
         return (
             f"the data hardly determine {names[0]}: its posterior is {ratios[0]:.0f} % as wide as its prior ({prior})"
         )
-    shown = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
     return (
-        f"the data hardly determine {shown}: their posteriors are {min(ratios):.0f} to {max(ratios):.0f} % as wide as their prior "
+        f"the data hardly determine {listed(names)}: their posteriors are {min(ratios):.0f} to {max(ratios):.0f} % as wide as their prior "
         f"({prior})"
     )
 

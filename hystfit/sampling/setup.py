@@ -20,7 +20,7 @@ from hystfit.inference.density import Density
 from hystfit.inference.newton import maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
-from hystfit.inference.priors import AbstractPrior
+from hystfit.inference.priors import WIDE, AbstractPrior
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis, analyze, diagnose
 from hystfit.outcome import Code, Note
@@ -35,7 +35,6 @@ _MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
-_PRIOR_SCALES = 10.0  # standard deviation in natural sizes that weights have before any data
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
@@ -172,7 +171,7 @@ def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
     """
     space = problem.space
     soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
-    precision = np.sum((root * space.scale) ** 2, axis=0) + _PRIOR_SCALES**-2
+    precision = np.sum((root * space.scale) ** 2, axis=0) + WIDE**-2
     return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - soft.size))
 
 

@@ -10,10 +10,9 @@ import numpy as np
 from hystfit.config import verb
 from hystfit.errors import DataError, ModelError
 from hystfit.quality.drift import cycle_means, drift
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import SAME_LEVEL, cycles
 from hystfit.results.result import FitResult
 
-_TURN = 0.02  # of the input's range, which a turning point must stand out by
 _STEP = 1e-3  # finite difference, in standard errors: the output is nearly linear over that far
 
 
@@ -70,7 +69,7 @@ def explain_drift(result: FitResult, name: str | None = None) -> DriftExplained:
     if still is None:
         raise ModelError(f"{result.name} has no creep: fit a model with creep or log-creep in it")
     y = np.where(record.used, record.y, np.nan)
-    loops = cycles(record.u, _TURN * float(np.ptp(record.u)))
+    loops = cycles(record.u, SAME_LEVEL * float(np.ptp(record.u)))
     found = drift(record.u, y, record.t, loops)
     if found is None or found.per_decade is None or found.r2_log is None:
         raise DataError(

@@ -25,6 +25,7 @@ from hystfit.inference.whitened import Whitened
 from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.table import rounded
+from hystfit.outcome.wrapping import listed
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
 from hystfit.results.agreement import differences
@@ -278,8 +279,7 @@ def _other_optimum(result: FitResult, profiles: dict[str, Profile]) -> list[Note
             moved.append(f"{name} {p.value:.4g} (fitted {fitted.value:.4g})")
     if not moved:
         return []
-    shown = ", ".join(moved[:6]) + (f" and {len(moved) - 6} more" if len(moved) > 6 else "")
-    text = f"without the regularization of the fit, the likelihood has its maximum elsewhere: {shown}"
+    text = f"without the regularization of the fit, the likelihood has its maximum elsewhere: {listed(moved)}"
     return [warn(Code.OTHER_OPTIMUM, text)]
 
 

@@ -12,6 +12,7 @@ from hystfit.config import verb
 from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Column, Note, Status, Table
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
 from hystfit.results.estimates import grouped
@@ -20,7 +21,6 @@ from hystfit.sampling.sample import sample, suited_sampler
 from hystfit.uncertainty.block_covariance import covariance
 
 SCHEMA = "hystfit.errors/1"
-_NAMED = 6  # parameters named in a note
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,7 +201,6 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
     nowhere = ~np.any([np.isfinite(error) for error in errors.values()], axis=0)
     unknown = [name for name, missing in zip(result.free_names, nowhere, strict=True) if missing]
     if unknown:
-        named = ", ".join(unknown[:_NAMED]) + (f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else "")
-        text = f"no method gives a standard error for parameters at a bound or not determined by the data: {named}"
+        text = f"no method gives a standard error for parameters at a bound or not determined by the data: {listed(unknown)}"
         notes.append(warn(Code.NOT_DETERMINED, text))
     return StandardErrors(result, errors, factors, span, tuple(notes))

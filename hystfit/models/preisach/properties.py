@@ -12,12 +12,12 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.staircase import compile_input, turning_points
+from hystfit.quality.loops import SAME_LEVEL
 
 # Extrema of the test signals of Song et al. 2005 (their Figs. 7 to 15), in volts; the last is one of our choice.
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-NOISE = 0.02  # reversals smaller than this fraction of the input's range count as noise
 _ALIKE = 0.01  # difference of two inputs, as a fraction of their range, up to which branches end at the same input
 
 
@@ -56,7 +56,7 @@ def wiping_out(record: Record) -> Closures:
     """Return-point memory: every time the input passes an earlier dominant extremum, the output should pass its value there.
 
     Args:
-        record: measured; reversals smaller than `NOISE` do not count.
+        record: measured; reversals smaller than `SAME_LEVEL` do not count.
     """
     u, y = record.u, record.y
     corners = _corners(u)
@@ -94,7 +94,7 @@ def _crossing(u: np.ndarray, y: np.ndarray, level: float, sign: float) -> float:
 
 def _corners(u: np.ndarray) -> np.ndarray:
     """First sample, reversals larger than the noise, last sample."""
-    least, corners, best = NOISE * float(np.ptp(u)), [0], 0
+    least, corners, best = SAME_LEVEL * float(np.ptp(u)), [0], 0
     direction = 0
     for k in turning_points(u) if not (u[1:] == u[:-1]).any() else range(u.size):
         step = u[k] - u[best]
@@ -132,7 +132,7 @@ def congruency(record: Record) -> list[Congruency]:
     """Compare all branches that run between the same two inputs in the same direction, and wipe out nothing on their way.
 
     Args:
-        record: measured; reversals smaller than `NOISE` do not count.
+        record: measured; reversals smaller than `SAME_LEVEL` do not count.
 
     Returns:
         One comparison per pair of inputs and direction that occurs more than once, widest first. Branches that follow

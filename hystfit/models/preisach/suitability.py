@@ -12,7 +12,6 @@ from hystfit.data.record import Record
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.properties import (
-    NOISE,
     Closures,
     Congruency,
     congruency,
@@ -23,6 +22,8 @@ from hystfit.models.preisach.properties import (
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.models.preisach.staircase import Rest
 from hystfit.outcome.status import Status
+from hystfit.outcome.wrapping import listed
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
@@ -31,7 +32,7 @@ _MAJOR = 0.95  # fraction of the input's range from which a loop is the major on
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _CELLS = 20  # along an axis, of the model whose errors are split by order
 _FIRST = 1  # reversals that the memory holds on a first-order curve
-_MOST_GROUPS, _MOST_NAMES = 8, 5  # of equal texts, and of records in a line, in the text of a data set
+_MOST_GROUPS = 8  # of equal texts in the text of a data set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,14 +70,14 @@ def higher_order(record: Record) -> HigherOrder | None:
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
     model = Preisach.of(_CELLS, initial=_rest(record))
-    order = orders(model.start([record]), record, NOISE)
+    order = orders(model.start([record]), record, SAME_LEVEL)
     if not (record.used & (order > _FIRST)).any():
         return None
     first = record.used & (order <= _FIRST)
     known = _determined(model.start([record]), record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
     part = record.replace(weight=np.where(first, record.weight, 0.0)) if known >= _KNOWN else record
     fit = fit_preisach(part, model, smoothness=(1e-6,))
-    return HigherOrder(part is not record, known, error_by_order(fit.model, record, NOISE))
+    return HigherOrder(part is not record, known, error_by_order(fit.model, record, SAME_LEVEL))
 
 
 def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.ndarray) -> float:
@@ -206,8 +207,7 @@ class PreisachChecks:
         for one in tested or self.checks:
             groups.setdefault(one.text(), []).append(one.record)
         for text, names in list(groups.items())[:_MOST_GROUPS]:
-            more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-            lines += [f"  {', '.join(names[:_MOST_NAMES])}{more}", text]
+            lines += [f"  {listed(names)}", text]
         if self.outcome == "untested":
             lines.append(f"  not tested: {Status.UNTESTED.advice('check')}")
         if len(groups) > _MOST_GROUPS:

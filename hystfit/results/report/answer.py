@@ -15,7 +15,7 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, rounded
 from hystfit.quality.lag import estimate_lag
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import SAME_LEVEL, reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.loop_kinds import LoopKind
@@ -25,7 +25,6 @@ from hystfit.results.user_code import checksums
 
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
-_TURN = 0.02  # of the input's range: what counts as a turning point
 # Notes that may propose another fit: of a window, or with a robust loss.
 _REMEDIED = (Code.LAST_HALF_CYCLE, Code.INITIAL_STATE, Code.MODEL_MISMATCH, Code.SPIKES, Code.HEAVY_TAILS)
 _LAGS = 3.0  # standard errors from which a lag is reported
@@ -143,7 +142,7 @@ def _lag(record: Record) -> tuple[str, str] | None:
     """The measured lag or lead, where it is significant."""
     if not record.used.all() or record.t is None:
         return None
-    turns = reversals(record.u, _TURN * float(np.ptp(record.u)))
+    turns = reversals(record.u, SAME_LEVEL * float(np.ptp(record.u)))
     found = estimate_lag(record.u, record.y, record.sampling_interval, turns)
     if found is None or abs(found.samples) < _LAGS * found.stderr:
         return None
