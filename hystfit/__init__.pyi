@@ -51,6 +51,7 @@ from .models import SecondOrder as SecondOrder
 from .models import SelfSimilarStops as SelfSimilarStops
 from .models import Series as Series
 from .models import SignedPreisach as SignedPreisach
+from .models import Springpot as Springpot
 from .models import Steel02 as Steel02
 from .models import Sum as Sum
 from .models import TabulatedPreisach as TabulatedPreisach

@@ -1,5 +1,6 @@
 """The comparison of models: what is tried, what is left out and why, sizes that follow the data, names that make the winner again."""
 
+import dataclasses
 import gc
 import importlib
 import threading
@@ -577,6 +578,13 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
     assert [r.name for r in _ranked(rows, "prediction", equal=equal)] == ["small", "large", "worse", "stuck"]
     assert [r.name for r in _ranked(rows[:2], "prediction", equal=equal)] == ["large", "stuck"]
     assert [r.name for r in _ranked(rows, "prediction", 0.11, equal=equal)] == ["worse", "small", "large", "stuck"]
+    for against, first in (
+        (9.0, "small"),
+        (11.0, "large"),
+    ):  # BIC against the smaller model, which is strong evidence above 10
+        judged = [dataclasses.replace(r, bic=50.0 + against * (r.name != "large")) for r in rows]
+        assert _ranked(judged, "prediction", equal=equal)[0].name == first
+        assert _ranked(judged, "prediction", 0.11, equal=equal)[0].name == "worse"  # of rounding errors it is none
 
 
 def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():

@@ -68,6 +68,7 @@ CASES = {
     ),
     "voce_chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.2, b=0.5, D=0.1, a=2.0), -1.0, 1.0),
     "viscoelastic": (hf.Sum(PIEZO, hf.Viscoelastic(g=(0.03, 0.02), tau=(0.01, 0.1))), -20.0, 120.0),
+    "springpot": (hf.Sum(PIEZO, hf.Springpot(c=0.03, tau=(0.01, 0.1))), -20.0, 120.0),
     "dahl": (hf.Dahl(Fc=(0.4, 0.3), d=(0.05, 0.4), k=0.5, offset=0.1), -1.0, 1.0),
     "rate_plays": (hf.RateDependentPlays.of(6), -0.2, 1.2),
     "stops": (hf.PrandtlIshlinskii.of(6, operator="stop"), 0.0, 1.0),

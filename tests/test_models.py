@@ -93,6 +93,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
         dict(kinked=["r", "excess", "vs", "half"]),
     ),
     "viscoelastic": (hystfit.Viscoelastic(g=(0.3, 0.2, 0.5), tau=(0.01, 0.1, 1.0)), {}),
+    "springpot": (hystfit.Springpot(c=0.4, order=0.3, tau=(0.01, 0.1, 1.0)), {}),
     "rate shift": (hystfit.RateShift(c=0.1, q0=2.0), {}),
     "rate-dependent plays": (
         hystfit.RateDependentPlays(w=(0.2, 0.1, 0.4), r=(0.05, 0.17, 0.33), kappa=0.02, tau=0.03, low=-1.1, speed=30.0),

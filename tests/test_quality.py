@@ -638,6 +638,23 @@ def test_the_part_before_the_damage_is_proposed_for_a_fit(tmp_path, capsys):
     assert capsys.readouterr().out.rstrip().endswith(f"hystfit fit {tmp_path}/wall.csv --window=:{end:.10g}")
 
 
+def test_failure_is_where_later_strokes_stay_below_80_percent_of_the_largest_force(tmp_path, capsys):
+    """Twelve growing cycles of 100 samples; on its way to the ninth upper peak the device breaks."""
+    t = np.arange(1200) / 100
+    u = (0.2 + 0.1 * t) * np.sin(2 * np.pi * t)
+    record = Record(u, steel(u) * np.where(np.arange(t.size) < 810, 1.0, 0.2))
+    assert examined(record).records[0].fails_at == 810
+    assert has(examined(record).findings, Code.FAILURE)
+    for end in (810, 825):  # the rest of the branch on which it breaks tests no later stroke
+        assert not has(examined(record.segment(0, end)).findings, Code.FAILURE)
+    assert not has(examined(Record(u, steel(u))).findings, Code.FAILURE)
+    note = next(note for note in fit("self-similar-stops", record).notes if note.code is Code.FAILURE)
+    assert note.option == ("window", ":810")
+    np.savetxt(tmp_path / "joint.csv", np.column_stack([u, record.y]), delimiter=",", header="u,y")
+    run(["check", str(tmp_path / "joint.csv")])
+    assert "part before the failure" in capsys.readouterr().out
+
+
 def test_lost_strength_is_reported_where_no_two_cycles_have_one_stroke():
     t = np.linspace(0, 8, 1200)
     u = (0.2 + 0.1 * t) * np.sin(2 * np.pi * t)

@@ -55,9 +55,35 @@ def test_a_chain_predicts_a_rate_that_it_was_not_fitted_to() -> None:
     assert fit.usable
 
 
-def test_a_chain_of_no_elements() -> None:
+def test_a_springpot_follows_the_power_law_and_its_modulus() -> None:
+    record = sine_record(1.0, 0.35)
+    model = hf.Springpot(c=1.0, order=0.35).start([sine_record(f, 0.35) for f in (0.01, 100.0)]).replace(c=1.0)
+    y = np.asarray(hf.simulate(model, record.u, record.dt)[0])
+    np.testing.assert_allclose(y, record.y - 0.5 * record.u, atol=1e-3 * np.ptp(y))
+    assert abs(model.modulus(2.0)[0] - (2j * np.pi * 2.0) ** 0.35) < 1e-12
+
+
+@pytest.mark.parametrize("order", [1e-3, 0.999])
+def test_a_springpot_lies_between_a_spring_and_a_dashpot(order: float) -> None:
+    u = np.cumsum(np.random.default_rng(0).normal(size=50))
+    y = np.asarray(hf.simulate(hf.Springpot(c=1.0, order=order), u, 0.1)[0])
+    expected = u - u[0] if order < 0.5 else np.diff(u, prepend=u[0]) / 0.1
+    np.testing.assert_allclose(y, expected, atol=0.01 * np.ptp(expected))
+
+
+@pytest.mark.parametrize("unseen", [0.01, 100.0])
+def test_a_springpot_predicts_a_rate_two_decades_beyond_those_fitted(unseen: float) -> None:
+    records = [sine_record(f, 0.2, noise=0.002) for f in (0.01, 1.0, 100.0) if f != unseen]
+    fit = hf.fit("linear+springpot", records)
+    assert fit.metrics(sine_record(unseen, 0.2)).nrmse_percent < 2.0
+    assert abs(fit["order"].value - 0.2) < 4 * fit["order"].stderr
+
+
+def test_too_few_elements() -> None:
     with pytest.raises(ModelError):
         hf.Viscoelastic.of(0)
+    with pytest.raises(ModelError):
+        hf.Springpot.of(1)
     with pytest.raises(ModelError):
         hf.Viscoelastic(g=(1.0, 2.0), tau=(1.0,))
 

@@ -41,6 +41,7 @@ def relays():
     return eqx.tree_at(lambda m: (m.w, m.offset), model, (jnp.linspace(0.1, 0.4, model.w.size), jnp.asarray(0.2)))
 
 
+DAMAGE = {"dnu": 0.01, "deta": 0.03, "zs": 0.85, "p": 0.15, "q": 0.1, "psi": 0.3}
 CASES = {
     "duhem": (hf.Duhem(alpha=2.0, f=[0.1, 1.0, 0.1, -0.05], g=[0.5, 0.05, 0.02], w0=0.1), SWEEP),
     "bouc-wen": (hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5, offset=0.3), SWEEP),
@@ -79,6 +80,15 @@ CASES = {
     ),
     "lag": (hf.Series(hf.Lag(tau=0.04), hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5)), SWEEP),
     "delay": (hf.Series(hf.Delay(lag=2.4), hf.BoucWen(c=1.0, mu=0.45, tau=1.5, rho=0.5)), SWEEP),
+    "steel-02": (hf.Steel02(fy=1.0, E=4.0, b=0.05, cR1=0.9, cR2=0.2, a1=0.03, a3=0.05), SWEEP),
+    # Several backstresses may change places.
+    "voce-chaboche": (hf.VoceChaboche(E=5.0, sy0=0.4, Q=0.3, b=0.8, D=0.1, a=20.0, S=(0.3,), g=(8.0,)), SWEEP),
+    "bouc-wen-baber-noori": (hf.BoucWenBaberNoori(kappa_x=0.1, kappa_w=1.0, zy=0.15, beta=0.7, n=1.4, **DAMAGE), SWEEP),
+    "lugre": (hf.LuGre(sigma0=40.0, sigma1=0.1, sigma2=0.05, Fc=1.0, dFs=0.6, vs=3.0, k=0.3), RANDOM),
+    "springpot": (
+        hf.Sum(hf.Linear(k=0.4), hf.Springpot(c=0.5, order=0.3, tau=np.geomspace(1e-3, 50.0, 10))),
+        RANDOM,
+    ),
     "prandtl-ishlinskii": (plays(), RANDOM),
     "preisach": (relays(), RANDOM),
 }

@@ -1,4 +1,4 @@
-"""Simulated structures whose truth is known: damage, rate, friction and temperature."""
+"""Simulated loops whose truth is known: damage, rate, friction and temperature."""
 
 from __future__ import annotations
 
@@ -57,20 +57,52 @@ def elastomer(frequency: float, percent: float) -> hf.Record:
 
 
 def viscoelasticity(results: Results) -> list:
-    """A power law over six decades: one of three rates left out, and a rate between them."""
-    rates, largest = (0.01, 1.0, 100.0), []
+    """A power law over six decades: one of three rates left out, by a chain and by a springpot, and a rate between them."""
+    rates, rows, errors = (0.01, 1.0, 100.0), [], {}
     records = [elastomer(f, 0.2) for f in rates]
-    for k in range(3):
-        fit = hf.fit("linear+viscoelastic", [record for j, record in enumerate(records) if j != k])
-        largest.append(fit.metrics(elastomer(rates[k], 0.0)).nrmse_percent or np.nan)
-    results.add("elastomer: the rate between two fitted", largest[1])
-    results.add("elastomer: a rate beyond two fitted", max(largest[0], largest[2]))
+    for name in ("viscoelastic", "springpot"):
+        for k, unseen in enumerate(rates):
+            fit = hf.fit(f"linear+{name}", [record for j, record in enumerate(records) if j != k])
+            errors[name, k] = fit.metrics(elastomer(unseen, 0.0)).nrmse_percent or np.nan
+            rows.append([f"linear+{name}", f"{unseen:g} Hz of the other two rates", errors[name, k]])
+    results.add("elastomer: the rate between two fitted", errors["viscoelastic", 1])
+    results.add("elastomer: a rate beyond two fitted", max(errors["springpot", 0], errors["springpot", 2]))
     whole = hf.fit("linear+viscoelastic", records)
     results.add("elastomer: unseen rate of three fitted", whole.metrics(elastomer(8.0, 0.0)).nrmse_percent or np.nan)
-    return [
-        ["linear+viscoelastic", f"{f:g} Hz of the other two rates", error]
-        for f, error in zip(rates, largest, strict=True)
-    ]
+    return rows
+
+
+def ferroelectric(frequency: float, percent: float) -> hf.Record:
+    """A saturating loop whose coercive field grows with the logarithm of the rate: sharp branches, independent of hystfit's models."""
+    t = np.arange(601) / 200 / frequency
+    u, rate = 2.0 * np.sin(2 * np.pi * frequency * t), 4 * np.pi * frequency * np.cos(2 * np.pi * frequency * t)
+    coercive = 1.0 + 0.05 * np.log1p(np.abs(rate) / 3.0)
+    y = np.tanh(4.0 * (u - np.sign(rate) * coercive)) + 0.1 * u
+    return hf.Record(u=u, y=noisy(y, percent), t=t, name=f"{frequency:g} Hz").window(0.5 / frequency, None)
+
+
+def coercivity(record: hf.Record, y: np.ndarray) -> float:
+    """Mean size of the inputs where the output crosses zero, on the samples that count."""
+    at = np.flatnonzero(((y[:-1] < 0) != (y[1:] < 0)) & record.used[:-1])
+    u, step = record.u, y[at] / (y[at] - y[at + 1])
+    return float(np.mean(np.abs(u[at] + step * (u[at + 1] - u[at]))))
+
+
+def switching(results: Results) -> list:
+    """A coercive field over five decades of frequency, fitted at three of them and predicted at three others."""
+    if results.quick:
+        return []
+    records, rows, worst = [ferroelectric(f, 0.5) for f in (0.1, 10.0, 1000.0)], [], {}
+    for name in ("rate-shift+preisach", "preisach"):
+        fit = hf.fit(name, records)
+        for f in (1.0, 100.0, 10000.0):
+            unseen = ferroelectric(f, 0.0)
+            error = 100 * abs(coercivity(unseen, fit.predict(unseen)) / coercivity(unseen, unseen.y) - 1)
+            worst[name] = max(error, worst.get(name, 0.0))
+            rows.append([name, f"error of the coercivity at {f:g} Hz, %", error])
+    results.add("ferroelectric: coercivity at unseen frequencies, %", worst["rate-shift+preisach"])
+    results.add("ferroelectric: coercivity of a static model, %", worst["preisach"])
+    return rows
 
 
 def piezo(frequency: float, percent: float) -> hf.Record:
@@ -140,4 +172,4 @@ def temperature(results: Results) -> list:
 
 def laws(results: Results) -> list:
     """Rows of all."""
-    return [row for part in (damage, viscoelasticity, rate, friction, temperature) for row in part(results)]
+    return [row for part in (damage, viscoelasticity, switching, rate, friction, temperature) for row in part(results)]

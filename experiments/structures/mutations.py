@@ -146,6 +146,9 @@ MUTATIONS = (
     ),
     Mutation("no pinching", "slip", _held("bouc-wen-baber-noori", zs=0.1), laws.damage),
     Mutation("two relaxation times", "relaxation between the rates", _one_relaxation, laws.viscoelasticity),
+    Mutation(
+        "another power of time", "order of the relaxation", _held("linear+springpot", order=0.3), laws.viscoelasticity
+    ),
     Mutation("the inverse of static plays", "thresholds that grow with the rate", _inverse_at_rest, laws.rate),
     Mutation(
         "thresholds grow half as much",

@@ -51,7 +51,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
         content["preisach"] = properties.to_dict()
         text += f"\n\n{properties.text()}"
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
-    if report.advice is not None or any(note.option for note in report.findings) or _whole_part(report) is not None:
+    if report.advice is not None or any(note.option for note in report.findings) or _sound_part(report) is not None:
         text += _next_commands(loops, reading, remarks, report)
 
     def save(folder: Path) -> None:
@@ -66,8 +66,8 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
     changed = dict(note.option for note in report.findings if note.option is not None)
     options = {name: True if value == "true" else value for name, value in (found | changed).items()}
     command = command_words(loops, dataclasses.replace(reading, **options))
-    if report.advice is None and not changed:
-        return f"\n\nNext: fit the part before the damage\nhystfit fit {command} --window=:{_whole_part(report):.10g}"
+    if report.advice is None and not changed and (part := _sound_part(report)) is not None:
+        return f"\n\nNext: fit the part before the {part[0]}\nhystfit fit {command} --window=:{part[1]:.10g}"
     if changed or report.advice is None:  # the advice is for the output as it was read
         return f"\n\nNext: look at the output that is proposed above\nhystfit check {command}"
     lines = [
@@ -78,6 +78,8 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
     return "\n".join(lines)
 
 
-def _whole_part(report: QualityReport) -> float | None:
-    """End of the part of a single damaged record that no damage is seen in."""
-    return report.records[0].whole_until if len(report.records) == 1 else None
+def _sound_part(report: QualityReport) -> tuple[str, float] | None:
+    """What ends the part of a single damaged record that can be fitted, in a word, and where."""
+    ends = {"failure": report.records[0].fails_at, "damage": report.records[0].whole_until}
+    found = [(what, end) for what, end in ends.items() if end is not None]
+    return found[0] if found and len(report.records) == 1 else None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
-from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row, handicap
+from hystfit.fitting.comparison import STRONG, Comparison, Fits, Purpose, Row, handicap
 from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.comparison_search import search
@@ -121,7 +122,10 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
-    """From best to worst; among errors that do not differ, converged fits, fewer determined parameters and an inverse come first.
+    """From best to worst; among errors that do not differ, converged fits, those without strong evidence against them by BIC, fewer
+    determined parameters and an inverse come first.
+
+    A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better.
 
     Args:
         rows: of the models.
@@ -137,7 +141,12 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     most = max(equal * least, floor)
     alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.ranked_percent or 0.0) <= most]
     plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
-    simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, *plain(row)))
+    # Rounding errors are no evidence.
+    bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
+    limit = min(bics, default=math.inf) + STRONG
+    simple = sorted(
+        alike, key=lambda row: (row.status is Status.NOT_CONVERGED, (row.bic or -math.inf) > limit, *plain(row))
+    )
     return simple + ranked[len(alike) :]
 
 

@@ -16,6 +16,7 @@ SCHEMA = "hystfit.compare/1"
 # model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
 # less by it.
 MARGIN = 1.5
+STRONG = 10.0  # difference of BIC that is strong evidence against a model (Kass and Raftery 1995)
 Purpose = Literal["prediction", "inverse", "export"]
 
 
@@ -174,7 +175,8 @@ class Comparison:
         return [
             f"Error in percent of the output's range; 'cross-val.': on {self.scheme.held}, held out of the fit in turn. The winner "
             f"{self.scheme.tested}.",
-            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model.",
+            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model "
+            "and decides among equal errors.",
             "'invert', 'export': whether the model has an inverse and C code.",
         ]
 

@@ -13,7 +13,9 @@ from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.quality.damage import fails_at
 from hystfit.quality.faults import clipped_samples, saturated_samples
+from hystfit.quality.findings import AFTER_FAILURE, place_of
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
@@ -27,6 +29,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
     """Warnings of a fit that the status does not carry: another family, an end of the record, samples left out, a delay, a drift."""
     found = (
         better_family_warning(fitted.train, fitted.baselines),
+        _failed(fitted),
         _at_an_end(fitted),
         _clipped(fitted.data),
         _outliers(fitted.data),
@@ -37,6 +40,22 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         else drift_note(fitted.rows, fitted.data, fitted.baselines.span),
     )
     return [note for note in found if note is not None]
+
+
+def _failed(fitted: Fitted) -> Note | None:
+    """A warning where the fit is of a device that fails, and of what is left of it."""
+    if not fitted.may_change:
+        return None
+    for record, quality in zip(fitted.parts, fitted.qualities, strict=True):
+        if (end := fails_at(record, quality)) is not None:
+            text = (
+                f"{record.name!r} fails at {place_of(end, quality)}: {AFTER_FAILURE}. The fit includes them, though no model describes a "
+                "fracture: fit the part before (window=)"
+            )
+            # A window holds for all records, and counts from the first sample.
+            alone = len(fitted.data) == 1 and len(record) == len(fitted.data[0])
+            return dataclasses.replace(warn(Code.FAILURE, text), option=("window", f":{end:.10g}") if alone else None)
+    return None
 
 
 def _clipped(data: Dataset) -> Note | None:

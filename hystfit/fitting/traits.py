@@ -19,6 +19,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.self_similar import SelfSimilarStops
+from hystfit.models.springpot import Springpot
 from hystfit.models.viscoelastic import Viscoelastic
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Trait
@@ -84,7 +85,7 @@ def _kind(model: AbstractHysteresis) -> str | None:
     parts = getattr(model, "parts", (model,))
     if model.without_creep() is not None:
         return None
-    if any(isinstance(part, Viscoelastic) for part in parts):
+    if any(isinstance(part, (Springpot, Viscoelastic)) for part in parts):
         return "viscoelastic"
     return "degrading" if model.degrades else "" if model.rate_independent else "rate-dependent"
 

@@ -34,6 +34,7 @@ from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
 from .simulation import Resume as Resume
 from .simulation import simulate as simulate
+from .springpot import Springpot as Springpot
 from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum
 from .viscoelastic import Viscoelastic as Viscoelastic

@@ -211,6 +211,10 @@ MODELS: dict[str, Entry] = {
         "Maxwell elements with log-spaced relaxation times (elastomers, bearings); convex solve; needs time",
         tried=("linear+viscoelastic", "prandtl-ishlinskii-stop+viscoelastic"),
     ),
+    "springpot": Entry(
+        "springpot:Springpot.of", "beside", "force of fractional order: a power law of time (elastomers); 2 parameters; needs time",
+        tried=("linear+springpot",),
+    ),
     "excess": Entry(
         "rate:Excess", "beside", "proportional to the root of the input's rate: excess loss over B (Bertotti); needs time",
     ),

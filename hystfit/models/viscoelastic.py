@@ -21,7 +21,7 @@ from hystfit.params.param import element_places, element_weights
 from hystfit.quality.needs import Needs
 
 _BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
-_MODES = 16  # two a decade over eight decades
+MODES = 16  # two a decade over eight decades
 
 
 class Viscoelastic(AbstractHysteresis):
@@ -39,16 +39,16 @@ class Viscoelastic(AbstractHysteresis):
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(loop=False, time=True, rate=True, regularized=True)
 
-    g: Float[Array, " modes"] = element_weights((0.1,) * _MODES, unit="y/u", doc="stiffness of each element")
+    g: Float[Array, " modes"] = element_weights((0.1,) * MODES, unit="y/u", doc="stiffness of each element")
     tau: Float[Array, " modes"] = element_places(
-        tuple(np.geomspace(1e-3, 1e3, _MODES)), unit="s", doc="relaxation times"
+        tuple(np.geomspace(1e-3, 1e3, MODES)), unit="s", doc="relaxation times"
     )
 
     def __check_init__(self) -> None:
         check_same_length(self, "g", "tau", "element")
 
     @classmethod
-    def of(cls, modes: int = _MODES) -> Viscoelastic:
+    def of(cls, modes: int = MODES) -> Viscoelastic:
         """A chain of this many elements; take two for each decade of time.
 
         Args:
@@ -87,9 +87,14 @@ class Viscoelastic(AbstractHysteresis):
         return (turn / (1.0 + turn)) @ np.asarray(self.g)
 
     def start(self, records: Sequence[Record]) -> Viscoelastic:
-        """Relaxation times from a tenth of the shortest interval to ten times the longest record."""
-        shortest = min(sampling_interval([record]) for record in records)
-        longest = max([float(np.sum(record.dt)) for record in records] + [shortest])
-        tau = np.geomspace(shortest / _BEYOND, longest * _BEYOND, self.tau.shape[-1])
+        """Relaxation times of the records, and equal stiffnesses."""
+        tau = relaxation_times(records, self.tau.shape[-1])
         g = np.full(tau.shape, 0.2 * output_range(records).half / input_range(records).half / tau.size)
         return dataclasses.replace(self, g=g, tau=tau)
+
+
+def relaxation_times(records: Sequence[Record], modes: int) -> Float[np.ndarray, " modes"]:
+    """Times on a logarithmic scale, from a tenth of the shortest sampling interval to ten times the longest record [s]."""
+    shortest = min(sampling_interval([record]) for record in records)
+    longest = max([float(np.sum(record.dt)) for record in records] + [shortest])
+    return np.geomspace(shortest / _BEYOND, longest * _BEYOND, modes)

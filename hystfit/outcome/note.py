@@ -103,6 +103,7 @@ class Code(enum.StrEnum):
     SINGLE_VALUED = "single-valued"
     NOT_CLOSED = "not-closed"
     DEGRADING = "degrading"
+    FAILURE = "failure"
     DRIFT = "drift"
     LAG = "lag"
     DELAY = "delay"

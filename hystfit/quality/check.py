@@ -15,7 +15,7 @@ from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
 from hystfit.quality.coverage import coverage_notes
-from hystfit.quality.damage import whole_until
+from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
@@ -175,7 +175,9 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
 
 def _measured(record: Record, *, single: bool) -> RecordQuality:
     quality = summarize(record)
-    return dataclasses.replace(quality, whole_until=whole_until(record, quality)) if single else quality
+    if not single:
+        return quality
+    return dataclasses.replace(quality, whole_until=whole_until(record, quality), fails_at=fails_at(record, quality))
 
 
 def _by_family(item: Determination, family: ReversalFamily) -> Determination:

@@ -1,12 +1,15 @@
-"""The part of a damaged record before the damage, which models without terms for damage can describe."""
+"""The parts of a damaged record before the damage, which models without terms for it can describe, and before the failure."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from hystfit.data.record import Record
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import clear_reversals, cycles
 from hystfit.quality.record_quality import WHOLE, RecordQuality
 from hystfit.quality.summary import summarize
 
+FAILED = 0.8  # of the largest force, to which that of later peaks has fallen at failure (ASTM E2126)
 _FEWEST = 3  # cycles worth a fit
 
 
@@ -35,6 +38,30 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
         middle = (low + high) // 2
         low, high = (middle, high) if sound(ends[middle - 1]) else (low, middle)
     end = ends[low - 1]
+    return float(end) if record.t is None else float(record.t[end - 1])
+
+
+def fails_at(record: Record, quality: RecordQuality) -> float | None:
+    """Where a device fails: the last sample at which 80 % of the largest force is reached, though later strokes are as long.
+
+    Args:
+        record: what was measured.
+        quality: of that record.
+
+    Returns:
+        A time [unit of t], or a number of samples for a record without time; None for a device that loses no strength, and for one that
+        was not moved as far again.
+    """
+    if not quality.weakens or not quality.degrading or quality.softens_with_stroke:
+        return None
+    used = np.flatnonzero(record.used)
+    u, force = np.abs(record.u[used]), np.abs(record.y[used])
+    last = int(np.flatnonzero(force >= FAILED * force.max())[-1])
+    turns = clear_reversals(record.u[used])
+    later = turns[turns > last]  # the rest of the branch on which it fails is no later stroke
+    if not later.size or u[later[0] :].max() < u[: last + 1].max():
+        return None
+    end = int(used[last]) + 1
     return float(end) if record.t is None else float(record.t[end - 1])
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
 from hystfit.quality.chatter import MOST
+from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.record_quality import RecordQuality
@@ -17,6 +18,7 @@ from hystfit.quality.resonance import Dynamics
 
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
     "the time of evenly spaced samples"
@@ -146,18 +148,23 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     if record.degrading:
         yield warn(
             Code.DEGRADING,
-            f"loss of {_loss(record)}; Bouc-Wen, Duhem, play and Preisach models cannot describe this: fit the cycles "
-            f"{'after the largest stroke' if record.softens_with_stroke else 'before the damage'} (window=){_whole(record)}",
+            f"loss of {_loss(record)}; models without terms for damage cannot describe this: fit one that has them (such as "
+            f"self-similar-stops), or the cycles {'after the largest stroke' if record.softens_with_stroke else 'before the damage'} "
+            f"(window=){_whole(record)}",
         )
+    if record.fails_at is not None:
+        place = place_of(record.fails_at, record)
+        yield warn(Code.FAILURE, f"the device fails at {place}: {AFTER_FAILURE}; fit the part before (window=)")
+
+
+def place_of(at: float, record: RecordQuality) -> str:
+    """A sample or a time of a record, in words."""
+    return f"sample {at:.10g}" if record.sampling.rate is None else f"{at:.10g} {record.units['t']}".rstrip()
 
 
 def _whole(record: RecordQuality) -> str:
     """How long the device is undamaged."""
-    if record.whole_until is None:
-        return ""
-    until = f"{record.whole_until:.10g}"
-    place = f"sample {until}" if record.sampling.rate is None else f"{until} {record.units['t']}".rstrip()
-    return f"; no damage is seen before {place}"
+    return "" if record.whole_until is None else f"; no damage is seen before {place_of(record.whole_until, record)}"
 
 
 def _loss(record: RecordQuality) -> str:

@@ -13,6 +13,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Column, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
+from hystfit.quality.damage import FAILED
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import reversals
 from hystfit.results.loop_kinds import STRUCTURAL, LoopKind
@@ -23,9 +24,8 @@ if TYPE_CHECKING:
 _TURN = 0.01  # of the range of the displacement: smallest reversal that ends a half cycle
 _NEW = 1.02  # ratio to the largest displacement before, above which a peak is a new one
 _SAME = 1.1  # ratio of displacements up to which peaks repeat one another
-_FAILED = 0.8  # of the largest force, to which that of later peaks has fallen at failure (ASTM E2126)
 _SHOWN = 12  # rows of the table of cycles that are printed
-FAILURE = f"failure ({100 * _FAILED:.0f} % of the largest force)"
+FAILURE = f"failure ({100 * FAILED:.0f} % of the largest force)"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -273,7 +273,7 @@ def _failure(points: tuple[BackbonePoint, ...]) -> float | None:
     if not force.size:
         return None
     top = int(np.argmax(force))
-    level = _FAILED * force[top]
+    level = FAILED * force[top]
     below = top + np.flatnonzero(force[top:] <= level)
     if not below.size:
         return None
