@@ -10,7 +10,9 @@ import hystfit as hf
 from hystfit.batch import plain_fits, row_accuracy, simulated_rows, work
 from hystfit.batch.alike import Group, Loops
 from hystfit.batch.row import row_of
+from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Status
+from hystfit.params.space import ParameterSpace
 
 SAMPLES, LOOPS = 480, 12
 T = np.arange(SAMPLES) / 100
@@ -173,3 +175,17 @@ def test_a_loop_that_is_described_but_not_plain_is_solved_once(monkeypatch: pyte
     row = hf.fit_many("bouc-wen", records)["loop 12"]
     assert "loop 12" in judged
     same(row, row_of("", "", records[-1], hf.fit("bouc-wen", records[-1])))
+
+
+RATES = {hf.BoucWen: "tau", hf.AsymmetricBoucWen: "tau", hf.Duhem: "alpha"}
+
+
+@pytest.mark.parametrize("model", [hf.BoucWen(), hf.AsymmetricBoucWen(n=2.0), hf.Duhem(), hf.Duhem(scheme="explicit")])
+def test_the_size_of_a_step_says_where_a_model_has_advice(model: AbstractHysteresis) -> None:
+    """Of many models at once, beside the sentences of each."""
+    space = ParameterSpace.of(model)
+    x = space.vector(model) * np.geomspace(0.01, 20, 24)[:, None] ** (np.array(space.names) == RATES[type(model)])
+    ratio = space.coordinates.assemble_stacked(x).step_ratio(U)
+    told = [bool(one.advice(U)) for one in space.coordinates.assemble_rows(x)]
+    assert 0 < sum(told) < len(told)
+    assert (ratio > 1).tolist() == told

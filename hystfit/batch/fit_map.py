@@ -26,7 +26,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.threads import Workers, usable_cores
 
-_SAMPLES, _ON_GPU = 2**21, 2**24  # of the outputs of a part, on a CPU and with a GPU
+_SAMPLES, _ON_GPU = 2**20, 2**24  # of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them
 _THREADS = 16  # with a GPU: what is left to the host is copies and arithmetic on arrays, which run side by side
 Columns = dict[str, np.ndarray]
 
@@ -200,10 +200,7 @@ def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mappin
     together = {} if fits is None else fits.quantities
     for name in dict.fromkeys([*together, *(name for row in rows.values() for name in row.quantities)]):
         put(f"quantity {name}", together.get(name), lambda row, name=name: row.quantities.get(name))
-    status = lambda k: str(rows[k].status if k in rows else Status.OK)
-    codes = lambda k: rows[k].codes if k in rows else fits.codes(k)  # type: ignore[union-attr]
-    columns["status"] = np.array([status(k) for k in range(count)])
-    columns["codes"] = np.array([" ".join(codes(k)) for k in range(count)])
+    columns["status"], columns["codes"] = _texts(plain, fits, rows)
     numbers = sorted(rows)
     columns["reason_of"], columns["reason"] = (
         np.array(numbers, int),
@@ -214,3 +211,13 @@ def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mappin
     units = known[0] if known else {}
     columns["unit_of"], columns["unit"] = np.array(list(units), dtype=str), np.array(list(units.values()), dtype=str)
     return columns
+
+
+def _texts(plain: np.ndarray, fits: PlainFits | None, rows: Mapping[int, Row]) -> tuple[np.ndarray, np.ndarray]:
+    """Status of each loop, and the codes of its notes, separated by spaces."""
+    status, codes = np.full(len(plain), str(Status.OK), object), np.full(len(plain), "", object)
+    if fits is not None:
+        codes[plain] = np.array([" ".join(one) for one in fits.notes.sets], object)[fits.notes.of[plain]]
+    for k, row in rows.items():
+        status[k], codes[k] = str(row.status), " ".join(row.codes)
+    return status.astype(str), codes.astype(str)

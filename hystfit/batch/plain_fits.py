@@ -14,12 +14,12 @@ from hystfit.batch.bucketed import STEPS
 from hystfit.batch.plain_judge import Judged, judge_plain
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
+from hystfit.batch.row_notes import RowNotes, row_notes
 from hystfit.batch.simulated_rows import simulated
 from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.assessment import notes_of_model, notes_on_time
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
@@ -28,8 +28,7 @@ from hystfit.fitting.lanes import Stack
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Code, Note, Severity, Status
-from hystfit.quality.coverage import coverage_notes
+from hystfit.outcome import Note, Status
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
 from hystfit.results.timing import Stopwatch
@@ -45,7 +44,7 @@ class PlainFits(NamedTuple):
         names: of the free parameters.
         judged: numbers of each loop.
         quantities: of the fitted loops by name, shape (N,), NaN where unknown.
-        notes: on each loop besides its accuracy; of plain loops alone.
+        notes: on plain loops.
         samples: of each loop that count, shape (N,).
         example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
         common: what the loops have in common.
@@ -55,7 +54,7 @@ class PlainFits(NamedTuple):
     names: tuple[str, ...]
     judged: Judged
     quantities: dict[str, np.ndarray]
-    notes: Sequence[Sequence[Note]]
+    notes: RowNotes
     samples: np.ndarray
     example: Row | None
     common: Common
@@ -69,8 +68,8 @@ class PlainFits(NamedTuple):
             file=file,
             sha256=sha256,
             status=Status.OK,
-            reason=_reason(self.notes[k]),
-            codes=_codes(self.notes[k]),
+            reason=self.notes.reason(k),
+            codes=self.notes.codes(k),
             model=example.model,
             samples=int(self.samples[k]),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
@@ -81,10 +80,6 @@ class PlainFits(NamedTuple):
             quantities={key: _known(float(v[k])) for key, v in self.quantities.items()},
             units=example.units,
         )
-
-    def codes(self, k: int) -> tuple[str, ...]:
-        """The codes of the notes on a plain loop."""
-        return _codes(self.notes[k])
 
 
 def setup_of(common: Common, record: Record, options: FitOptions) -> FitSetup:
@@ -97,14 +92,6 @@ def setup_of(common: Common, record: Record, options: FitOptions) -> FitSetup:
 
 def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _codes(notes: Sequence[Note]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([str(Code.ACCURACY), *(str(note.code) for note in notes)]))
-
-
-def _reason(notes: Sequence[Note]) -> str:
-    return "; ".join(note.text for note in notes if note.severity is not Severity.INFO)
 
 
 def fit_plain(
@@ -129,7 +116,7 @@ def fit_plain(
         return None
     solved = _solved_weights if common.of_weights else _solved_lanes
     judged, on_errors, estimate, outputs = solved(common, loops, faultless.noise[sound])
-    notes = _notes(common, loops, judged, on_errors)
+    notes = row_notes(common, loops, judged, on_errors)
     examples = _examples(common, loops, judged, estimate, notes, options)
     if examples is None:
         judged = judged._replace(plain=np.zeros(len(loops), bool))
@@ -179,50 +166,22 @@ def _solved_weights(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
     return _Solved(judged, on_errors, weights.estimate, lambda records: weights.outputs(records[0]))
 
 
-def _notes(common: Common, loops: Loops, judged: Judged, on_errors: Sequence[Sequence[Note]]) -> list[tuple[Note, ...]]:
-    """Notes on each plain loop, in the order of a fit that is judged alone."""
-    model, space = common.setup.problem.model, common.setup.problem.space
-    advises, of_range = type(model).advice is not AbstractHysteresis.advice, not model.from_saturation
-    out = list[tuple[Note, ...]]()
-    told = np.flatnonzero(judged.plain & (advises | judged.slow))
-    models = dict(zip(told.tolist(), space.coordinates.assemble_rows(judged.x[told]), strict=True))
-    for record, y in loops.groups:
-        data = Dataset.of(record)
-        chosen = [Note(Code.CHOICE, "")] if common.of_weights else []  # as every estimate of weights has one
-        first = [*(coverage_notes(data) if of_range else ()), *common.setup.notes, *chosen, *notes_on_time(data)]
-        last = [note for note in record.notes if note.code is Code.UNITS]
-        same = (*first, *last)
-        for k in range(len(out), len(out) + len(y)):
-            if not judged.plain[k]:
-                out.append(())
-            elif k in models:
-                slow = [Note(Code.ERROR_RATIO, "residuals are autocorrelated")] if judged.slow[k] else []
-                out.append((*first, *notes_of_model(data, models[k]), *on_errors[k], *slow, *last))
-            else:
-                out.append((*first, *on_errors[k], *last) if on_errors[k] else same)
-    return out
-
-
 def _examples(
     common: Common,
     loops: Loops,
     judged: Judged,
     estimate: Callable[[int], Estimate],
-    notes: Sequence[Sequence[Note]],
+    notes: RowNotes,
     options: FitOptions,
 ) -> list[Row] | None:
     """Plain loops judged alone, one of each set of notes; None where such a judgment is another one."""
-    rows, seen = list[Row](), set[tuple[str, ...]]()
-    for k in np.flatnonzero(judged.plain):
-        codes = _codes(notes[k])
-        if codes in seen:
-            continue
-        seen.add(codes)
+    rows = list[Row]()
+    for k in notes.examples():
         (record, y), watch = loops.take(np.array([k])).groups[0], Stopwatch()
         record = record.replace(y=y[0])
-        row = row_of("", "", record, judge(setup_of(common, record, options), estimate(int(k)), options, watch))
+        row = row_of("", "", record, judge(setup_of(common, record, options), estimate(k), options, watch))
         errors = np.array([np.nan if value is None else value for value in row.stderr.values()], float)
-        same = (row.status, row.codes, row.reason) == (Status.OK, codes, _reason(notes[k]))
+        same = (row.status, row.codes, row.reason) == (Status.OK, notes.codes(k), notes.reason(k))
         if not same or not np.allclose(errors, judged.stderr[k], rtol=_SAME, equal_nan=True):
             return None
         rows.append(row)
@@ -297,13 +256,10 @@ def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
         out[at] = values
         return out
 
-    notes: list[Sequence[Note]] = [()] * count
-    for k, lines in zip(at.tolist(), fits.notes, strict=True):
-        notes[k] = lines
     return fits._replace(
         judged=Judged(*map(among, fits.judged)),
         quantities={name: among(values) for name, values in fits.quantities.items()},
-        notes=notes,
+        notes=fits.notes.among(at, count),
         samples=among(fits.samples),
         estimates={int(at[k]): estimate for k, estimate in fits.estimates.items()},
     )

@@ -161,6 +161,16 @@ class AbstractHysteresis(AbstractDynamics):
         """
         return ()
 
+    def step_ratio(self, u: np.ndarray) -> Any:
+        """Largest step of an input over the longest that the scheme is trusted with: above 1, and only then, there is `advice`.
+
+        None for models whose advice depends on more. Where the parameters have a leading axis of N, the result has it.
+
+        Args:
+            u: input, shape (T,).
+        """
+        return None
+
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
         """Fraction of the dissipated energy due to hysteresis, for models that also dissipate by rate; None for others."""
         return None

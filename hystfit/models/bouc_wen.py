@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -120,7 +120,11 @@ class BoucWen(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))), u)
+        return coarse(self.step_ratio(u))
+
+    def step_ratio(self, u: np.ndarray) -> Any:
+        """See `AbstractHysteresis`."""
+        return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), u)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
@@ -194,11 +198,16 @@ class BoucWenStep(AbstractStepInverse):
         return Root(u0 + s * x, slope > 0)
 
 
-def coarse(scheme: str, rate: float, u: np.ndarray) -> tuple[str, ...]:
-    """Advice where `rate` times the largest step of u, shape (T,), is too much for the cheap scheme."""
-    largest = rate * float(np.max(np.abs(np.diff(u)), initial=0.0))
-    if scheme == "exact" or largest <= COARSE:
+def step_ratio(scheme: str, rate: Any, u: np.ndarray) -> Any:
+    """`rate` times the largest step of u, shape (T,), over that for which the cheap scheme is trusted; 0 for the exact one."""
+    return np.asarray(rate) * (scheme != "exact") * np.max(np.abs(np.diff(u)), initial=0.0) / COARSE
+
+
+def coarse(ratio: Any) -> tuple[str, ...]:
+    """Advice where the ratio is above 1."""
+    if ratio <= 1:
         return ()
+    largest = COARSE * float(ratio)
     return (
         f"in one sample the input moves by up to {largest:.2g} times the length over which the hysteresis bends (1 / its rate), and the "
         f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (as text, add :scheme=exact to the "

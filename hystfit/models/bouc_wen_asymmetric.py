@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, get_args
+from typing import Any, ClassVar, get_args
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import coarse, grid_start
+from hystfit.models.bouc_wen import coarse, grid_start, step_ratio
 from hystfit.models.bouc_wen_steps import (
     Scheme,
     bound,
@@ -122,7 +122,12 @@ class AsymmetricBoucWen(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.scheme, float(self.tau) * (1 + abs(float(self.rho))) * max(1.0, float(self.n)), u)
+        return coarse(self.step_ratio(u))
+
+    def step_ratio(self, u: np.ndarray) -> Any:
+        """See `AbstractHysteresis`."""
+        rate = np.asarray(self.tau) * (1 + np.abs(self.rho)) * np.maximum(1.0, self.n)
+        return step_ratio(self.scheme, rate, u)
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:
         """As `BoucWen`, with the backbone's polynomials among the linear unknowns."""

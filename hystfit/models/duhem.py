@@ -201,13 +201,18 @@ class Duhem(AbstractHysteresis):
         remedy = (
             "sample faster, or take the exact step (scheme='exact'; at the shell :scheme=exact after the model's name)"
         )
-        if self.scheme == "exact" or drive <= _ALTERNATES[self.scheme]:
+        if self.step_ratio(u) <= 1:
             return ()
         if self.scheme == "explicit" and drive >= _UNSTABLE:
             return (
                 f"alpha |dv| reaches {drive:.2g} in one sample, and the explicit step is stable below {_UNSTABLE:g}: {remedy}",
             )
         return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
+
+    def step_ratio(self, u: np.ndarray) -> Any:
+        """See `AbstractHysteresis`."""
+        limit = _ALTERNATES.get(self.scheme, np.inf)
+        return np.asarray(self.alpha) * np.max(np.abs(np.diff(u)), initial=0.0) / limit
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Those on both sides of each branch of the loop over the whole range, between which all others run."""

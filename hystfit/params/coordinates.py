@@ -181,6 +181,13 @@ class Coordinates(eqx.Module):
 
     def assemble_rows(self, x: Float[np.ndarray, "N p"]) -> Iterator[Any]:
         """`assemble` of many parameter vectors of one record on the host: the leaves of all are set together."""
+        yield from (self.treedef.unflatten(row) for row in zip(*self._leaves_of(x), strict=True))
+
+    def assemble_stacked(self, x: Float[np.ndarray, "N p"]) -> Any:
+        """The trees of `assemble_rows` as one, whose arrays have a leading axis."""
+        return self.treedef.unflatten(self._leaves_of(x))
+
+    def _leaves_of(self, x: Float[np.ndarray, "N p"]) -> list[np.ndarray]:
         leaves = list(self.leaves)
         for index, rows in zip(self.constant_at, self.constants, strict=True):
             leaves[index] = np.asarray(rows)[0]
@@ -195,8 +202,7 @@ class Coordinates(eqx.Module):
             flat[index][:, k] = (
                 factor * flat.get(source, leaves[source].reshape(len(x), sizes[source]))[:, j] + constant
             )
-        rows = [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
-        yield from (self.treedef.unflatten(row) for row in zip(*rows, strict=True))
+        return [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
         """The tree at unconstrained coordinates z, with the parameters of record number `record`."""
