@@ -226,17 +226,20 @@ def test_results_of_a_magnetometer_are_met(name, measured):
 
 
 def test_results_of_a_ferroelectric_tester_are_met(measured):
-    """Vc+, Vc-, Pr+, Pr- and the loss of all ten tables of an aixACCT file."""
+    """Coercivities, remanences, tips, switched polarization, shift and loss of all ten tables of an aixACCT file."""
     data = hf.read(measured / "wild/pnzt_RMN_TRAP_SLOW.dat")
+    sides = {f"{name}_{side}" for name in ("coercive_input", "polarization_tip") for side in ("rising", "falling")}
+    others = {
+        "remanence_falling",
+        "remanence_end",
+        "remanence_start",
+        "switched_polarization",
+        "offset_input",
+        "loop_area",
+    }
     for record in data:
         beside = {one.name: one for one in values_of(record).values() if one.stated is not None}
-        assert {
-            "coercive_input_rising",
-            "coercive_input_falling",
-            "remanence_falling",
-            "remanence_end",
-        } <= beside.keys()
-        assert "loop_area" in beside
+        assert beside.keys() == sides | others
         for one in beside.values():
             assert one.value == pytest.approx(one.stated, rel=1e-3), (record.name, one)
 
