@@ -1,10 +1,12 @@
 """B to H: a core of known stops and eddy currents, whose sequences begin in unknown states."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.identify.field_from_induction import FieldFromInduction, FluxSequence
+from hystfit.identify.field_from_induction import FieldFromInduction, FluxSequence, _jackknife
 
 DT, COUNT, EDDY = 1e-6, 600, 4e-5
 WIDTHS, WEIGHTS = np.array([3e-3, 0.02, 0.08]), np.array([2e3, 600.0, 150.0])
@@ -58,7 +60,18 @@ def test_the_loss_over_frequency_is_that_of_the_core(model):
         b = 0.2 * np.sin(2 * np.pi * frequency * t)
         h = core(b, t[1])[2000:]
         loss = np.sum(0.5 * (h[1:] + h[:-1]) * np.diff(b[2000:]))
-        assert model.loss(0.2, frequency) == pytest.approx(loss, rel=0.06)
+        assert model.loss(0.2, frequency)[0] == pytest.approx(loss, rel=0.06)
+
+
+def test_the_error_of_the_loss_is_that_of_its_coefficients(model):
+    """The jackknife of a mean is its standard error; the error of the loss is the scatter of losses over drawn coefficients."""
+    y = np.random.default_rng(0).normal(size=9)
+    found = _jackknife(np.stack([np.ones(9), y], axis=-1)[:, None, :], 0.0)
+    assert found.item() == pytest.approx(y.var(ddof=1) / 9)
+    assert np.isnan(_jackknife(np.ones((1, 1, 2)), 0.0)).all()
+    drawn = np.random.default_rng(1).multivariate_normal(model.w, model.covariance, 80, method="eigh")
+    losses = [dataclasses.replace(model, w=w).loss(0.2, 1e3)[0] for w in drawn]
+    assert np.std(losses) == pytest.approx(model.loss(0.2, 1e3)[1], rel=0.3)
 
 
 def test_bad_sequences_are_refused(model):

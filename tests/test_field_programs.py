@@ -1,5 +1,6 @@
 """Exports for field programs: every written file is read again by code of its own and simulated by the equations of its program."""
 
+import math
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,15 +11,20 @@ from scipy.integrate import solve_ivp
 
 import hystfit as hf
 from hystfit.control.field_programs import export_field_programs
+from hystfit.control.magnetic_law import parts_of
+from hystfit.control.spice_winding import winding
+from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
+from hystfit.models.jiles_atherton_field import JilesAthertonField
+from hystfit.models.rate import Viscous
 from hystfit.params.units import MU0
 
 TURN = 300.0
 SHAPE = {"Ms": 1.5, "a": 40.0, "coupling": 0.6, "k": 45.0, "c": 0.25, "slope": MU0}
 
 
-def fitted(**changes):
+def fitted(kind=hf.JilesAtherton, **changes):
     """What an export reads of a fit: its model, the units of its data and the range of its input."""
-    model = hf.JilesAtherton(**{**SHAPE, **changes})
+    model = kind(**{**SHAPE, **changes})
     return SimpleNamespace(model=model, data=[SimpleNamespace(u_unit="A/m", y_unit="T")], input_range=(-TURN, TURN))
 
 
@@ -133,6 +139,65 @@ def test_spice_has_the_law_of_1984_without_alpha(tmp_path, written):
     core = {key: float(value) for key, value in re.findall(r"\b(MS|A|K|C)=([-\d.e+]+)", line)}
     slope = law_of(0.0, core["A"], core["MS"], 1 / (core["K"] * (1 + core["C"])), core["C"] / (1 + core["C"]))
     assert_same(simulated(slope), loop_of(result)[1:])
+
+
+FUNCTIONS = {"sqrt": math.sqrt, "tanh": math.tanh, "exp": math.exp, "max": max, "sgn": np.sign}
+
+
+def fields_of(netlist, voltage, times, **given):
+    """Field over time of a winding at a voltage, by an ODE solver on the sources of its netlist."""
+    sources, moved = {}, {}
+    for line in netlist.splitlines():
+        if line[0] == "B" and (source := re.fullmatch(r"B\w+ (\w+) (\w+) [VI]=(.*)", line)) and "p" not in source[1]:
+            filled = re.sub(r"\{(\w+)\}", lambda name: repr(given[name[1]]), source[3])
+            code = compile(re.sub(r"V\(([\w,]+)\)", r"v('\1')", filled), "source", "eval")
+            (moved if source[1] == "0" else sources)[source[2 if source[1] == "0" else 1]] = code
+    assert set(moved) == {"x", "m"}
+    assert all(f"C{node} {node} 0 1" in netlist for node in moved)
+
+    def at(t, state, *wanted):
+        known = {"p,n": voltage(t), "x": state[0], "m": state[1]}
+
+        def v(node):
+            if node not in known:
+                known[node] = eval(sources[node], {"v": v, **FUNCTIONS})
+            return known[node]
+
+        return (
+            [eval(moved[node], {"v": v, **FUNCTIONS}) for node in moved] if not wanted else [v(node) for node in wanted]
+        )
+
+    steps = solve_ivp(at, (0.0, times[-1]), [0.0, 0.0], t_eval=times, rtol=1e-6, atol=1e-7)
+    return np.array([at(t, state, "h", "b") for t, state in zip(times, steps.y.T, strict=True)]).T
+
+
+FREQUENCY = 50.0
+LOSSES = {"eddy": 0.05, "excess": 0.6, "e": 0.1}
+WINDINGS = {
+    "every term, driven by the field": JilesAthertonDynamic(**SHAPE, **LOSSES, q=[1.2], p=[0.7], r=[4.0]),
+    "tanh, driven by the flux density": hf.Sum(JilesAthertonField(**SHAPE, curve="tanh"), Viscous(c=LOSSES["eddy"])),
+}
+
+
+@pytest.mark.parametrize("label", WINDINGS)
+def test_a_winding_for_spice_has_the_field_of_every_term_of_the_law(label):
+    """Beside the library: of the first model the flux density over that field, of the second the field over the flux density."""
+    model, peak, w = WINDINGS[label], 1.1, 2 * np.pi * FREQUENCY
+    parts, core = parts_of(model), {"turns": 100.0, "area": 1e-4}
+    t, scale = np.arange(1, 2001) / 1000 / FREQUENCY, peak * w * core["turns"] * core["area"]
+    h, b = fields_of(winding(parts.law(1.0, 1.0)), lambda time: scale * np.cos(w * time), t, **core)
+    np.testing.assert_allclose(b, peak * np.sin(w * t), atol=2e-4)
+    given, expected = (b, h) if parts.by_flux else (h, b)
+    found = np.asarray(hf.simulate(model, np.append(0.0, given), np.diff(t, prepend=0.0, append=2 * t[-1] - t[-2]))[0])
+    np.testing.assert_allclose(found[1001:], expected[1000:], atol=1e-3 * np.ptp(expected))
+
+
+def test_programs_that_read_loops_get_that_of_a_slow_field(tmp_path, written):
+    files = export_field_programs(fitted(JilesAthertonDynamic, **LOSSES), tmp_path)
+    assert Path(files["Modelica"]).read_text() == Path(written[1]["Modelica"]).read_text()
+    assert all(f"{value}*V(rate)" in Path(files["SPICE subcircuit"]).read_text() for value in ("0.05", "0.6"))
+    with pytest.raises(hf.HystfitError, match="A/m,T"):
+        export_field_programs(fitted(JilesAthertonDynamic, **LOSSES, slope=0.0), tmp_path)
 
 
 def test_programs_without_a_term_of_the_model_get_no_file(tmp_path):

@@ -12,7 +12,7 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
 from hystfit.models.preisach.forc import density_of, fit_forc
-from hystfit.models.preisach.forc_diagram import forc_diagram
+from hystfit.models.preisach.forc_diagram import ForcDiagram, forc_diagram
 from hystfit.models.preisach.forc_numbers import forc_numbers
 from hystfit.outcome import Status
 from hystfit.quality.reversal_corrections import corrected_curves
@@ -91,6 +91,23 @@ def test_a_fitted_density_gives_the_same_numbers(curves, truth):
     assert ours["median_coercivity"] == pytest.approx(theirs["median_coercivity"], abs=0.04)
     assert ours["peak_interaction"] == pytest.approx(0.05, abs=0.03)
     assert ours["total"] == pytest.approx(theirs["total"], rel=0.05)
+
+
+def test_cells_of_unequal_size_leave_no_gaps_in_the_distribution():
+    """A density that is even over a square of reversals and fields has a triangle as distribution, also where most cells are coarse."""
+    levels = np.concatenate([np.arange(-6.6, -0.7, 0.3), np.linspace(-0.6, 0.6, 25), np.arange(0.9, 6.7, 0.3)])
+    width, middle = np.diff(levels), 0.5 * (levels[1:] + levels[:-1])
+    inside = np.abs(np.abs(middle) - 0.4) < 0.1
+    square = np.outer(inside & (middle < 0), inside & (middle > 0)).astype(float)
+    density = np.where(middle[None, :] > middle[:, None], square, np.nan)
+    draws = density * np.array([0.9, 1.0, 1.1])[:, None, None]
+    numbers = forc_numbers(ForcDiagram(middle, middle, density, np.outer(width, width), repeats=draws))
+    profile = numbers.profiles["coercivity"]
+    triangle = 0.4 * np.maximum(1 - np.abs(profile.x - 0.4) / 0.1, 0.0)
+    np.testing.assert_allclose(profile.values, triangle, atol=0.05)
+    assert profile.width() == pytest.approx(0.1, abs=0.025)  # half a bin
+    # Every draw has its peak in the same cells, and none says where in them it lies.
+    assert numbers.stderr["peak_coercivity"] == pytest.approx(0.5 * np.sqrt(2 * 0.05**2 / 12 / 16), rel=1e-6)
 
 
 def test_the_density_is_that_of_polynomials_point_by_point(curves):

@@ -122,6 +122,20 @@ def test_the_error_of_the_loss_counts_noise_that_is_correlated():
     assert 0.5 < np.median([one.stderr for one in found]) / np.std([one.value for one in found]) < 2
 
 
+def test_loops_of_several_temperatures_or_modes_in_one_record_are_named(tmp_path):
+    h, j = loop(turn=2e4, count=101)
+    rows = [f"{a:.6g},{(T / 300) * b:.6g},{T}" for T in (300, 100) for a, b in zip(h, j, strict=True)]
+    (tmp_path / "steps.csv").write_text("\n".join(["H (Oe),M (emu),T (K)", *rows, ""]))
+    (tmp_path / "modes.csv").write_text(
+        "\n".join(["H (Oe),M (emu),M fixed (emu)", *(f"{a:.6g},{b:.6g}," for a, b in zip(h, j, strict=True))])
+        + "\n"
+        + "\n".join([*(f"{a:.6g},,{b:.6g}" for a, b in zip(h, j, strict=True)), ""])
+    )
+    for name, words in (("steps", "from 100 to 300 K"), ("modes", "another mode")):
+        notes = quantities(hf.read(tmp_path / f"{name}.csv")).notes[name]
+        assert [words in str(note) for note in notes if note.code is Code.CONDITIONS] == [True]
+
+
 def test_an_open_loop_has_no_loss():
     h, j = loop()
     gap = np.linspace(0, 0.8 * JS, h.size)
@@ -212,17 +226,20 @@ def test_results_of_a_magnetometer_are_met(name, measured):
 
 
 def test_results_of_a_ferroelectric_tester_are_met(measured):
-    """Vc+, Vc-, Pr+, Pr- and the loss of all ten tables of an aixACCT file."""
+    """Coercivities, remanences, tips, switched polarization, shift and loss of all ten tables of an aixACCT file."""
     data = hf.read(measured / "wild/pnzt_RMN_TRAP_SLOW.dat")
+    sides = {f"{name}_{side}" for name in ("coercive_input", "polarization_tip") for side in ("rising", "falling")}
+    others = {
+        "remanence_falling",
+        "remanence_end",
+        "remanence_start",
+        "switched_polarization",
+        "offset_input",
+        "loop_area",
+    }
     for record in data:
         beside = {one.name: one for one in values_of(record).values() if one.stated is not None}
-        assert {
-            "coercive_input_rising",
-            "coercive_input_falling",
-            "remanence_falling",
-            "remanence_end",
-        } <= beside.keys()
-        assert "loop_area" in beside
+        assert beside.keys() == sides | others
         for one in beside.values():
             assert one.value == pytest.approx(one.stated, rel=1e-3), (record.name, one)
 

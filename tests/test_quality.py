@@ -25,6 +25,7 @@ from hystfit.quality import lag as lagging
 from hystfit.quality import loops as geometry
 from hystfit.quality.check import examine
 from hystfit.quality.coverage import Coverage, coverage_notes
+from hystfit.quality.delay import estimate_delay
 from hystfit.quality.determination import Verdict
 from hystfit.quality.held_out import held_out
 from hystfit.quality.needs import Needs
@@ -357,6 +358,14 @@ def test_lag_is_unknown_without_turns_or_time():
     assert examined(Record(u, u, t=t)).records[0].lag is None
     _, u = signals.sine(5, 200)
     assert examined(Record(u, piezo(u))).records[0].lag is None
+
+
+def test_one_loop_before_samples_without_output_shows_no_delay():
+    """As of a record whose second half was measured in another mode: the turns there tell nothing of the output."""
+    h = np.tile(np.interp(np.arange(400), [0, 200, 399], [10.0, -10.0, 10.0]), 2)
+    m = np.tanh(h + 1.5 * np.where(np.arange(800) % 400 < 200, 1.0, -1.0))
+    m = np.where(np.arange(800) < 400, m + np.random.default_rng(0).normal(0, 1e-3, 800), np.nan)
+    assert estimate_delay(h, m, 1.0, geometry.reversals(h, 0.02)) is None
 
 
 def test_speed_dependence_is_distinguished_from_a_lag():

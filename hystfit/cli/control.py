@@ -228,7 +228,7 @@ def export(
         s_function: with --c, also a level-2 C MEX S-function of the model for Simulink.
         mat: .mat file for parameters, errors and predictions.
         opensees: folder for the uniaxialMaterial line (Tcl and openseespy) and the covariance.
-        magnetic: folder for files of field and circuit programs (COMSOL, Flux, Ansys, JMAG, LTspice, SPICE, Modelica), of B(H) or M(H).
+        magnetic: folder for files of field and circuit programs (COMSOL, Flux, Ansys, JMAG, ngspice, LTspice, SPICE, Modelica).
         tag: of the material.
         name: prefix of files and functions.
     """

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hystfit.control.magnetic_law import Law, parts_of
+from hystfit.control.spice_winding import winding
 from hystfit.errors import ModelError
-from hystfit.models.jiles_atherton import JilesAtherton
 from hystfit.params.units import MU0, parse_unit
 from hystfit.results.steady_loops import Excitation
 
@@ -35,72 +36,67 @@ class Material:
     Attributes:
         h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T],
             shape (2, _POINTS).
-        law: parameters of Jiles-Atherton by name: Ms, a, k [A/m], alpha, c; None for other models.
-        lacking: terms of the law besides these, such as pinning that falls.
+        law: Jiles-Atherton; None for other models.
+        lacking: terms of the static law that the published one lacks, such as pinning that falls.
     """
 
     h: np.ndarray
     b: np.ndarray
-    law: dict[str, float] | None
+    law: Law | None
     lacking: str = ""
 
     @classmethod
     def of(cls, result: FitResult) -> Material:
-        """The material of a fit.
+        """The material of a fit: of a dynamic model its static loop, with the dynamic fields in the law.
 
         Raises:
-            ModelError: the input is no field in A/m, Oe or T, the output no flux density, polarization or magnetization, or the model
-                depends on time.
+            ModelError: field and output have other units, the model depends on time in another way, or its dynamic fields act on J.
         """
-        first = result.data[0]
-        powers = lambda unit: getattr(parse_unit(unit), "powers", None)
-        field, output = parse_unit(first.u_unit), parse_unit(first.y_unit)
-        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
-        per_output = {powers("T"): 1.0, powers("A/m"): MU0}.get(output.powers) if output else None
-        if field is None or output is None or per_field is None or per_output is None:
-            raise ModelError(
-                "a field program needs H in A/m, Oe or T and B, J or M in T or A/m; "
-                f"the fit has {first.u_unit or 'no unit'} and {first.y_unit or 'no unit'}: give --units, or divide the moment by the volume"
-            )
-        if not result.model.rate_independent:
-            raise ModelError("these programs read static loops: fit a model without terms of time")
-        per_field, per_output = per_field * field.factor, per_output * output.factor
+        parts = parts_of(result.model)
+        per_field, per_output = _sizes(result, by_flux=parts is not None and parts.by_flux)
+        model = result.model if parts is None else parts.static
+        if not model.rate_independent:
+            raise ModelError("these programs read static loops, or Jiles-Atherton with eddy and excess terms")
+        if parts is not None and parts.dynamic and float(parts.static.slope) == 0.0:
+            raise ModelError("the dynamic fields act on the polarization: fit B over H with --units A/m,T")
         low, high = result.input_range
+        if parts is not None and parts.by_flux:
+            low, high = (float(of([of(record.y[record.used]) for record in result.data])) for of in (np.min, np.max))
         excitation = Excitation(low, high, 1.0, points=2 * (_POINTS - 1))
-        steady, rise = excitation.loops(result.model.free_run(excitation.loop.u)[None]), excitation.inputs
-        has_vacuum = (
-            isinstance(result.model, JilesAtherton)
-            and float(result.model.slope) == 0.0
-            and output.powers == powers("A/m")
+        steady, rise = excitation.loops(model.free_run(excitation.loop.u)[None]), per_field * excitation.inputs
+        flux = per_output * np.stack([steady.rising[0], steady.falling[0]])
+        if parts is None:
+            return cls(np.stack([rise] * 2), flux, None, f"{type(model).__name__} is no Jiles-Atherton model")
+        if float(parts.static.slope) == 0.0 and per_output != 1.0:
+            flux = flux + MU0 * rise
+        law = parts.law(per_field, per_output)
+        return cls(np.stack([rise] * 2), flux, law, law.variants)
+
+
+def _sizes(result: FitResult, *, by_flux: bool) -> tuple[float, float]:
+    """Units of the field [A/m] and of the flux density, polarization or magnetization [T] of a fit.
+
+    Args:
+        by_flux: the input is not the field, but what it magnetizes.
+
+    Raises:
+        ModelError: the units are no such units.
+    """
+    first = result.data[0]
+    powers = lambda unit: getattr(parse_unit(unit), "powers", None)
+    names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)
+    field, output = map(parse_unit, names)
+    per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
+    per_output = {powers("T"): 1.0, powers("A/m"): MU0}.get(output.powers) if output else None
+    if field is None or output is None or per_field is None or per_output is None:
+        raise ModelError(
+            "a field program needs H in A/m, Oe or T and B, J or M in T or A/m; "
+            f"the fit has {first.u_unit or 'no unit'} and {first.y_unit or 'no unit'}: give --units, or divide the moment by the volume"
         )
-        flux = per_output * np.stack([steady.rising[0], steady.falling[0]]) + (
-            MU0 * per_field * rise if has_vacuum else 0.0
-        )
-        fields = np.stack([per_field * rise] * 2)
-        if not isinstance(result.model, JilesAtherton):
-            return cls(fields, flux, None, f"{type(result.model).__name__} is no Jiles-Atherton model")
-        return cls(fields, flux, *_law(result.model, per_field, per_output))
+    return per_field * field.factor, per_output * output.factor
 
 
-def _law(model: JilesAtherton, per_field: float, per_output: float) -> tuple[dict[str, float], str]:
-    """Parameters in A/m, and what the textbook law lacks."""
-    saturation = per_output / MU0 * float(model.Ms)
-    law = {
-        "Ms": saturation,
-        "a": per_field * float(model.a),
-        "k": per_field * float(model.k),
-        "alpha": per_field * float(model.mean_field) / saturation,
-        "c": float(model.c),
-    }
-    terms = {
-        "pinning that falls (q)": model.q.size > 0 and float(model.q[0]) != 0.0,
-        "a second anhysteretic curve (p, r)": model.p.size > 0,
-        "the curve tanh": model.curve != "langevin",
-    }
-    return law, ", ".join(name for name, present in terms.items() if present)
-
-
-def _needs_law(material: Material) -> dict[str, float]:
+def _needs_law(material: Material) -> Law:
     if material.law is None or material.lacking:
         raise ModelError(f"{material.lacking}: refit jiles-atherton without variants")
     return material.law
@@ -110,11 +106,11 @@ def _comsol(material: Material) -> str:
     """COMSOL: parameters as a text file of name, expression, description."""
     law = _needs_law(material)
     rows = [
-        ("Ms", f"{law['Ms']:.9g}[A/m]", "saturation magnetization"),
-        ("a_JA", f"{law['a']:.9g}[A/m]", "domain wall density"),
-        ("kp_JA", f"{law['k']:.9g}[A/m]", "pinning loss"),
-        ("cr_JA", f"{law['c']:.9g}", "magnetization reversibility"),
-        ("alpha_JA", f"{law['alpha']:.9g}", "inter-domain coupling, H and M in A/m"),
+        ("Ms", f"{law.Ms:.9g}[A/m]", "saturation magnetization"),
+        ("a_JA", f"{law.a:.9g}[A/m]", "domain wall density"),
+        ("kp_JA", f"{law.k:.9g}[A/m]", "pinning loss"),
+        ("cr_JA", f"{law.c:.9g}", "magnetization reversibility"),
+        ("alpha_JA", f"{law.alpha:.9g}", "inter-domain coupling, H and M in A/m"),
     ]
     return "\n".join([f'{name} {value} "{text}"' for name, value, text in rows]) + "\n"
 
@@ -123,7 +119,7 @@ def _flux(material: Material) -> str:
     """Altair Flux and others: the same numbers as a table with units and the convention."""
     law = _needs_law(material)
     units = {"Ms": "A/m", "a": "A/m", "k": "A/m", "alpha": "1", "c": "1"}
-    rows = [f"{name},{law[name]:.9g},{unit}" for name, unit in units.items()]
+    rows = [f"{name},{getattr(law, name):.9g},{unit}" for name, unit in units.items()]
     head = [f"# {_CONVENTION}", "# B = mu0 (H + M); matrices of anisotropic programs are diagonal", "name,value,unit"]
     return "\n".join([*head, *rows, ""])
 
@@ -131,17 +127,24 @@ def _flux(material: Material) -> str:
 def _spice(material: Material) -> str:
     """SPICE, CORE model: A/m; without alpha, c in the convention of 1984."""
     law = _needs_law(material)
-    if law["alpha"] != 0.0:
+    if law.alpha != 0.0:
         raise ModelError("the CORE model has no alpha: refit with --fix coupling=0")
-    if law["c"] >= 1.0:
+    if law.c >= 1.0:
         raise ModelError("c = 1 has no irreversible part")
-    c84, k84 = law["c"] / (1 - law["c"]), law["k"] * (1 - law["c"])
+    c84, k84 = law.c / (1 - law.c), law.k * (1 - law.c)
     head = [
         "* Jiles-Atherton 1984: dM/dH = (Man - M) / (s K (1 + C)) + C / (1 + C) dMan/dH, without alpha; fields in A/m",
         "* set AREA [cm^2], PATH and GAP [cm] of the core",
     ]
-    line = f".MODEL material CORE (MS={law['Ms']:.9g} A={law['a']:.9g} K={k84:.9g} C={c84:.9g} AREA=1 PATH=1 GAP=0)"
+    line = f".MODEL material CORE (MS={law.Ms:.9g} A={law.a:.9g} K={k84:.9g} C={c84:.9g} AREA=1 PATH=1 GAP=0)"
     return "\n".join([*head, line, ""])
+
+
+def _winding(material: Material) -> str:
+    """ngspice and LTspice: a winding as a subcircuit, with every term of the law."""
+    if material.law is None:
+        raise ModelError(material.lacking)
+    return winding(material.law)
 
 
 def _ltspice(material: Material) -> str:
@@ -200,6 +203,7 @@ PROGRAMS: dict[str, tuple[str, Callable[[Material], str]]] = {
     "COMSOL": ("comsol_parameters.txt", _comsol),
     "Flux": ("jiles_atherton.csv", _flux),
     "SPICE": ("spice_core.lib", _spice),
+    "SPICE subcircuit": ("winding.lib", _winding),
     "LTspice": ("ltspice_chan.net", _ltspice),
     "Ansys": ("ansys_bh.tab", _ansys),
     "JMAG": ("jmag_bh.csv", _jmag),

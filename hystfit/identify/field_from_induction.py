@@ -71,6 +71,7 @@ class FieldFromInduction:
         w: coefficients over the root mean squares of their columns, shape (28,).
         size: these root mean squares, shape (28,).
         normal: mean normal matrix of the scaled columns over all training samples, each sequence weighted by 1/rms(H)^2, shape (28, 28).
+        covariance: of w, by the jackknife over sequences, shape (28, 28); NaN of one sequence.
         saturation: Bs at 25 degC [T].
         drop: relative fall of Bs with the temperature [1/K].
     """
@@ -78,6 +79,7 @@ class FieldFromInduction:
     w: np.ndarray
     size: np.ndarray
     normal: np.ndarray
+    covariance: np.ndarray
     saturation: float = 0.47
     drop: float = 0.0025
 
@@ -101,24 +103,24 @@ class FieldFromInduction:
         weights = [1.0 / float(np.sqrt(np.mean(one.h[k] ** 2))) for one, k in zip(sequences, known, strict=True)]
         histories = [0] * len(sequences)
         count = 2 * (_STOPS + 6)
-        model = cls(np.zeros(count), np.ones(count), np.eye(count), saturation, drop)
+        model = cls(np.zeros(count), np.ones(count), np.eye(count), np.zeros((count, count)), saturation, drop)
         stops = [model.stops(one) for one in sequences]
         for turn in range(_ROUNDS + 1):
             if turn:
                 histories = [model._adapts_best(one, every) for one, every in zip(sequences, stops, strict=True)]
-            normal, right, squares, samples = np.zeros((count, count)), np.zeros(count), np.zeros(count), 0
+            each, squares, samples = [], np.zeros(count), 0
             for one, every, at, k, weight in zip(sequences, stops, histories, known, weights, strict=True):
                 columns, fading = model.columns(one, every[:, at])[k], model.fading(one)[k]
                 both = np.column_stack([columns, one.h[k]]) * weight
                 left = both - fading @ _solved(fading, both)
-                normal += left[:, :-1].T @ left[:, :-1]
-                right += left[:, :-1].T @ left[:, -1]
+                each.append(left[:, :-1].T @ left)
                 squares += np.sum((weight * columns) ** 2, axis=0)
                 samples += int(k.sum())
             size = np.where(squares > 0, np.sqrt(squares / samples), 1.0)  # none at one temperature
-            normal, right = normal / samples / np.outer(size, size), right / samples / size
+            scaled = np.array(each) / samples / size[:, None] / np.append(size, 1.0)
+            normal, right = scaled[..., :-1].sum(0), scaled[..., -1].sum(0)
             w = np.linalg.solve(normal + ridge * np.eye(count), right)
-            model = cls(w, size, normal, saturation, drop)
+            model = cls(w, size, normal, _jackknife(scaled, ridge), saturation, drop)
         return model
 
     def stops(self, one: FluxSequence) -> np.ndarray:
@@ -158,8 +160,10 @@ class FieldFromInduction:
         span = np.maximum.accumulate(one.b) - np.minimum.accumulate(one.b)
         return np.exp(-span[:, None] / (self.saturation * np.array(_FADE)))
 
-    def loss(self, peak: float, frequency: float, temperature: float = 25.0) -> float:
-        """Core loss per cycle and volume of a sine of B [J/m^3], by the shared coefficients.
+    def loss(self, peak: float, frequency: float, temperature: float = 25.0) -> tuple[float, float]:
+        """Core loss per cycle and volume of a sine of B, by the shared coefficients, and its standard error [J/m^3].
+
+        The error is that of the coefficients by the scatter over sequences; the model has one besides.
 
         Args:
             peak: amplitude [T].
@@ -174,8 +178,9 @@ class FieldFromInduction:
         dt = 1.0 / (_CYCLE * frequency)
         b = peak * np.sin(2 * np.pi * np.arange(2 * _CYCLE + 1) / _CYCLE)
         one = FluxSequence(b, np.zeros(b.size), dt, temperature)
-        h = self.columns(one, self.stops(one)[:, 0]) @ (self.w / self.size)
-        return float(np.sum(0.5 * (h[_CYCLE + 1 :] + h[_CYCLE:-1]) * np.diff(b[_CYCLE:])))
+        columns = self.columns(one, self.stops(one)[:, 0])[_CYCLE:] / self.size
+        each = 0.5 * np.diff(b[_CYCLE:]) @ (columns[1:] + columns[:-1])  # loss of each coefficient
+        return float(each @ self.w), float(np.sqrt(each @ self.covariance @ each))
 
     def _errors(self, one: FluxSequence, stops: np.ndarray) -> np.ndarray:
         """Mean square of the error of the shared coefficients on the known past, recent samples first, for each history."""
@@ -236,3 +241,19 @@ def _solved(columns: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least squares with the smallest penalty that keeps columns apart which are nearly equal."""
     square = columns.T @ columns
     return np.linalg.solve(square + 1e-6 * np.trace(square) * np.eye(len(square)), columns.T @ right)
+
+
+def _jackknife(each: np.ndarray, ridge: float) -> np.ndarray:
+    """Covariance of coefficients by leaving out sequences in turn (Efron 1982).
+
+    Args:
+        each: normal equations of every sequence, the right side last, shape (sequences, m, m + 1).
+        ridge: penalty of the coefficients.
+    """
+    count, penalty = len(each), ridge * np.eye(each.shape[1])
+    if count < 2:
+        return np.full(penalty.shape, np.nan)
+    others = each.sum(0) - each
+    without = np.linalg.solve(others[..., :-1] + penalty, others[..., -1:])[..., 0]
+    away = without - without.mean(0)
+    return (count - 1) / count * away.T @ away

@@ -51,10 +51,13 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
         reversals: turning points of u, see `loops.reversals`.
 
     Returns:
-        None with fewer than 200 samples or two reversals, or where a delay does not explain most of what a lag and velocity terms leave.
+        None with fewer than 200 samples or two reversals among the outputs, or where a delay does not explain most of what a lag and
+        velocity terms leave.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     used = np.isfinite(y)
+    known = np.flatnonzero(used)
+    reversals = reversals[(reversals > known.min(initial=0)) & (reversals < known.max(initial=0))]
     if used.sum() < max(FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
         return None
     x = 2 * (u - u.min()) / np.ptp(u) - 1

@@ -14,6 +14,10 @@ _NAMES = {
     "coercive_input": r"coerciv(?:e|ity)(?: (?:field|force|voltage))?|[HVE]c[bij]?|[bij]Hc",
     "remanence": r"remanence|remanent (?:magneti[sz]ation|polari[sz]ation|induction|moment)|[MPBJ]r",
     "saturation": r"saturation(?: (?:magneti[sz]ation|polari[sz]ation|induction|moment))?|[MPBJ]s(?:at)?",
+    "offset_input": r"[VE]_?c_?shift|imprint(?: (?:voltage|field))?",
+    "remanence_start": r"Prrel",
+    "polarization_tip": r"P_?v?max",
+    "switched_polarization": r"Psw",
     "loop_area": r"(?:hysteresis |energy )?loss|W_?loss|loop area",
     "": r"initial slope|slope correction|squareness|S\*",
 }

@@ -52,6 +52,9 @@ def _last_direction(record: Record) -> str:
 
 def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note]:
     """Where the instrument's definition of a result that it states is another than the usual one."""
+    if any(one.label.startswith("S*") for one in record.stated):
+        text = "S* of the file is not compared: it takes the slope at the coercivity over an interval that the file does not state"
+        yield Note(Code.PREPARED, text)
     for row in rows:
         if row.stated is not None and row.name == "remanence_end":
             text = "the instrument reads the remanence of the branch on which the loop ends from the last sample, not where V = 0"
@@ -68,12 +71,14 @@ _SIGNED = {
     ("coercive_input", "-"): "falling",
     ("remanence", "+"): "falling",
     ("remanence", "-"): "rising",
+    ("polarization_tip", "+"): "rising",
+    ("polarization_tip", "-"): "falling",
 }
 
 
 def _name_of(stated: Stated) -> str:
     """The name under which a stated result stands here: "Vc+" is the coercivity of the rising branch."""
-    side = _SIGNED.get((stated.quantity, stated.label[-1:]))
+    side = _SIGNED.get((stated.quantity, stated.label[-1:]))  # "Prrel-" is the one at the start, on whichever side
     return stated.quantity if side is None else f"{stated.quantity}_{side}"
 
 

@@ -1,4 +1,4 @@
-"""Quantities of ferroelectric loops beside coercivity, remanence and loss: imprint, polarization at the end, leakage at the tips."""
+"""Quantities of ferroelectric loops beside coercivity, remanence and loss: imprint, polarizations at the ends and tips, leakage."""
 
 from __future__ import annotations
 
@@ -49,9 +49,18 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
         value = 0.5 * (sides[0].value + sides[1].value)
         yield LoopValue("offset_input", "offset (half sum of Vc+ and Vc-)", value, error, sides[0].unit)
     u, y = record.u[record.used], record.y[record.used]
+    tips = {"rising": float(y[u.argmax()]), "falling": float(y[u.argmin()])}
+    for side, which in (("rising", "largest"), ("falling", "lowest")):
+        label = f"polarization at the {which} voltage"
+        yield LoopValue(f"polarization_tip_{side}", label, tips[side], noise, record.y_unit)
     if abs(u[-1] - u[0]) <= _BACK * np.ptp(u) and abs(u[-1]) <= _BACK * np.ptp(u):
-        label = "polarization at the end of the loop"
-        yield LoopValue("remanence_end", label, float(y[-1]), noise, record.y_unit)
+        first, last = float(y[0]), float(y[-1])
+        switched = max((tip - first for tip in tips.values()), key=abs)
+        error = None if noise is None else noise * float(np.sqrt(2))
+        yield LoopValue("remanence_start", "polarization at the start of the loop", first, noise, record.y_unit)
+        label = "switched polarization, from the start to the farther tip"
+        yield LoopValue("switched_polarization", label, switched, error, record.y_unit)
+        yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
     yield from _leakage(record)
 
 

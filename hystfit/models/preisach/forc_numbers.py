@@ -25,6 +25,7 @@ NUMBERS = {
 _POINTS = 201  # of a profile
 # Of the maximum: the part of the density whose center is the peak, so that it does not jump from cell to cell.
 _TOP = 0.9
+_PARTS = 8  # of a cell along each axis, at most, over which its mass is spread
 # Integral above the sides at twice the distance of the sides: simulated ridges without interaction have 1.00 to 1.01 times as much, with
 # interactions of a fifth of the resolution 1.01 to 1.13, of the resolution 3 to 5, of twice it 7 to 8.
 _NARROW = 1.5
@@ -85,9 +86,9 @@ def forc_numbers(diagram: ForcDiagram) -> ForcNumbers:
     """
     if not (diagram.mass > 0).any():
         raise DataError("the FORC density is nowhere positive: use more curves, or a smaller smoothing factor")
-    peak = _peak(diagram)
-    values, profiles = _read(diagram, peak)
-    repeats = [_read(one, peak) for one in diagram.again()]
+    peak, edges = _peak(diagram), _edges(diagram)
+    values, profiles = _read(diagram, peak, edges)
+    repeats = [_read(one, peak, edges) for one in diagram.again()]
     if not repeats:
         return ForcNumbers(values, {}, profiles)
     moved = [_peak(one) for one in diagram.again()]
@@ -96,7 +97,9 @@ def forc_numbers(diagram: ForcDiagram) -> ForcNumbers:
         drawn = [found[name] for found, _ in repeats if found[name] is not None]
         if value is not None and len(drawn) > len(repeats) // 2:
             stderr[name] = float(np.std(drawn, ddof=1))  # type: ignore[arg-type]
-    stderr |= {name: float(np.std([at[k] for at in moved], ddof=1)) for k, name in enumerate(list(values)[:2])}
+    within = _within_cells(diagram)
+    scatter = [float(np.hypot(np.std([at[k] for at in moved], ddof=1), within)) for k in (0, 1)]
+    stderr |= dict(zip(list(values)[:2], scatter, strict=True))
     scattered = {
         name: dataclasses.replace(one, stderr=np.std([found[name].values for found in drawn], axis=0, ddof=1))
         for name, one in profiles.items()
@@ -112,13 +115,49 @@ def _peak(diagram: ForcDiagram) -> tuple[float, float]:
     return tuple(float(np.sum(top * axis) / top.sum()) for axis in (diagram.coercivity, diagram.interaction))  # type: ignore[return-value]
 
 
-def _read(diagram: ForcDiagram, peak: tuple[float, float]) -> tuple[dict[str, float | None], dict[str, Profile]]:
-    """Numbers and profiles of one diagram, along axes through a peak."""
+def _within_cells(diagram: ForcDiagram) -> float:
+    """Standard error of the peak of a fitted density, which says nothing of where in its cells it lies [u]; 0 of local fits."""
+    if diagram.resolution:
+        return 0.0
+    density = np.nan_to_num(diagram.density)
+    top = density > _TOP * density.max()
+    sides = np.meshgrid(*_sizes(diagram), indexing="ij")
+    return float(0.5 * np.sqrt(np.mean((sides[0] ** 2 + sides[1] ** 2)[top]) / 12 / top.sum()))
+
+
+def _sizes(diagram: ForcDiagram) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths of the cells along reversals and fields [u], shapes (R,) and (F,)."""
+    return np.abs(np.gradient(diagram.reversal)), np.abs(np.gradient(diagram.field))
+
+
+def _edges(diagram: ForcDiagram) -> np.ndarray:
+    """Edges of bins of the coercivity [u], as fine as the cells where the density lies."""
+    sizes, weight = _sizes(diagram)[0], np.abs(diagram.mass).sum(1)
+    order = np.argsort(sizes)
+    half = int(np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum()))
+    step = float(sizes[order[min(half, order.size - 1)]])
+    return np.arange(0.0, diagram.coercivity.max() + step, step)
+
+
+def _binned(diagram: ForcDiagram, edges: np.ndarray) -> np.ndarray:
+    """Mass in bins of the coercivity: that of a cell longer than a bin is spread over it, else it would leave bins empty."""
+    sizes = _sizes(diagram)
+    parts = [int(np.clip(np.round(one.max() / edges[1]), 1, _PARTS)) for one in sizes]
+    reversals, fields = (
+        [axis + ((k + 0.5) / n - 0.5) * one for k in range(n)]
+        for axis, one, n in zip((diagram.reversal, diagram.field), sizes, parts, strict=True)
+    )
+    at = (0.5 * np.abs(field[None, :] - reversal[:, None]) for reversal in reversals for field in fields)
+    return np.sum([np.histogram(x, bins=edges, weights=diagram.mass)[0] for x in at], axis=0) / np.prod(parts)
+
+
+def _read(
+    diagram: ForcDiagram, peak: tuple[float, float], edges: np.ndarray
+) -> tuple[dict[str, float | None], dict[str, Profile]]:
+    """Numbers and profiles of one diagram, along axes through a peak, and over bins of the coercivity."""
     x, y, mass = diagram.coercivity, diagram.interaction, diagram.mass
     h, m = peak
-    step = float(np.median(np.abs(np.diff(diagram.reversal))))
-    edges = np.arange(0.0, x.max() + step, step)
-    sums = np.histogram(x, bins=edges, weights=mass)[0]
+    sums, step = _binned(diagram, edges), float(edges[1])
     whole = np.cumsum(np.maximum(sums, 0.0))
     coercivity = Profile(0.5 * (edges[1:] + edges[:-1]), sums / step)
     along, across = np.linspace(0.0, x.max(), _POINTS), np.linspace(y.min(), y.max(), _POINTS)
@@ -132,7 +171,7 @@ def _read(diagram: ForcDiagram, peak: tuple[float, float]) -> tuple[dict[str, fl
         "interaction_width": vertical.width(),
         "central_ridge": float(np.nansum(ridge.values) * step) if ridge else None,
         "total": float(mass.sum()),
-        "negative_percent": 100 * float(-mass[mass < 0].sum() / np.abs(mass).sum()),
+        "negative_percent": 100 * float(abs(mass[mass < 0].sum()) / np.abs(mass).sum()),
     }
     return values, {
         "coercivity": coercivity,
