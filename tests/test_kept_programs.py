@@ -1,5 +1,6 @@
 """Programs kept between processes: found again, never executed when damaged, never mixed up."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hystfit.fitting.lanes import Stack
 from hystfit.models import simulation
 from hystfit.params import kept_programs
 from hystfit.params.kept_programs import kept
+from hystfit.sampling.truncated_normal import draw_truncated
 
 U, DT = np.sin(np.arange(9.0)), np.ones(9)
 
@@ -75,6 +77,16 @@ def test_the_program_of_all_starts_is_kept(folder):
     stack, z = Stack.of([problem.objective]), problem.space.unconstrained(problem.space.vector(problem.model))
     linearized = kept(lanes._linearized.__wrapped__, never)(stack, np.zeros(2, int), np.stack([z, z]), np.int64(1))
     np.testing.assert_allclose(linearized[1][0], 0.5 * np.sum(np.square(problem.misfit(problem.space.physical(z)))))
+
+
+def test_a_program_of_random_keys_is_kept(folder, monkeypatch):
+    """The dtype of a key is none of NumPy: the sampler of weights stopped at it where programs are kept."""
+    w, eye, free = np.ones(2), np.eye(2), np.zeros(2, bool)
+    draw = lambda: np.asarray(kept(draw_truncated, never)(jax.random.key(3), w, w, eye, free))
+    first = draw()
+    np.testing.assert_array_equal(first, draw_truncated(jax.random.key(3), *map(jnp.asarray, (w, w, eye, free))))
+    monkeypatch.setattr(export, "export", never)
+    np.testing.assert_array_equal(draw(), first)
 
 
 def test_what_changes_the_trace_changes_the_file(only, folder, monkeypatch):

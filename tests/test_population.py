@@ -1,12 +1,14 @@
 """Populations: the second stage against a grid and closed forms, device fits, bad input, priors for the next device, and the verb."""
 
 import dataclasses
+import json
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Status
 from hystfit.population.hierarchy import Pool, draw_hierarchy
@@ -191,6 +193,7 @@ def test_the_next_measurement_is_the_one_that_tells_most(population):
         ({"covariates": ["temperature"]}, "covariate 'temperature'"),
         ({"by": {"device 0": "a"}}, "names no device for the loop 'device 1'"),
         ({"flat": True}, "device 0: "),
+        ({"unit": "V"}, "record 'device 2': the output has another unit"),
         ({"draws": 3}, "at least 100"),
     ],
 )
@@ -199,7 +202,32 @@ def test_bad_input_is_named(change, words):
     records = records[change.pop("records", slice(0, 3))]
     if change.pop("flat", False):  # a device without a loop
         records = [records[0].replace(y=2 * U), *records[1:]]
+    if unit := change.pop("unit", ""):
+        records = [record.replace(y_unit="N") for record in records[:-1]] + [records[-1].replace(y_unit=unit)]
     options = {"fix": {**FIX, "offset": 0.0}, "noise": "iid", "starts": 1} | change
     with pytest.raises((DataError, ParameterError)) as caught:
         hf.fit_population("bouc-wen", records, **options)
     assert words in str(caught.value)
+
+
+def test_the_verb_proposes_the_next_measurement(tmp_path, capsys):
+    """`--next-measurement`: in the text, in result.json, on the page, and as an input to apply."""
+    for k, record in enumerate(devices()[0][:4]):
+        rows = np.column_stack([record.u, record.y])
+        np.savetxt(tmp_path / f"device{k}.csv", rows, "%.9g", ",", header="u [V],y [um]", comments="")
+    words = ["population", str(tmp_path / "device*.csv"), "--model", "bouc-wen", "--noise", "iid", "--draws", "150"]
+    for name, value in ({**FIX, "offset": 0.0}).items():
+        words += ["--fix", f"{name}={value}"]
+    assert run([*words, "--next-measurement", "--out", str(tmp_path / "pop")]) in (0, 1)  # 1: few draws
+    printed = capsys.readouterr().out
+    proposal = json.loads((tmp_path / "pop" / "result.json").read_text())["next_measurement"]
+    best = proposal["candidates"][0]
+    falls = [row["fall"] for row in proposal["candidates"]]
+    assert falls == sorted(falls, reverse=True)
+    label = f"{best['device'] or 'a new device'}, {best['input']}"
+    assert f"proposed: {label}" in printed
+    assert label in (tmp_path / "pop" / "report.html").read_text()
+    rows = (tmp_path / "pop" / "next.csv").read_text().splitlines()
+    assert rows[0] == "u_V"
+    u = np.array([float(row) for row in rows[1:]])
+    assert np.abs(u).max() <= 1.001 * np.abs(U).max()  # within the measured range

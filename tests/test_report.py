@@ -335,6 +335,7 @@ def test_labels_show_a_unit_once():
     assert axis_label("V", "V") == "V [V]"
     assert axis_label("force", "") == "force"
     assert axis_label("kappa_w", "[y]") == "kappa_w [y]"
+    assert axis_label("Strom", "m") == "Strom [m]"
 
 
 @pytest.mark.parametrize("kind", ["residuals", "residuals-input"])

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 import hystfit as hf
 from hystfit import priors
@@ -156,6 +157,22 @@ def test_predictions_are_those_of_each_draws_model(cells: hf.FitResult, drawn: t
     assert np.min(np.abs(shifts[0] - (rows[0][offsets] - rows[0][offsets[0]]))) < 1e-12
     low, _, high = posterior.bands(record)
     assert 0.8 < np.mean((record.y >= low) & (record.y <= high)) < 0.98
+
+
+def test_a_band_beyond_the_fitted_records_has_the_error_on_held_out_groups(drawn: tuple) -> None:
+    """That error far above noise and weights: Student's t of as many degrees of freedom as groups. Below them: nothing changes."""
+    posterior = drawn[0]
+    with_error = lambda size: dataclasses.replace(
+        posterior, result=dataclasses.replace(posterior.result, left_out=size)
+    )
+    fitted, u = posterior.result.data[0], turning(9, 5)
+    new = hf.Record(u=u, y=0 * u, name="another")
+    plain = with_error(None).bands(new, count=400)
+    np.testing.assert_array_equal(with_error(1e-4).bands(new, count=400), plain)
+    np.testing.assert_array_equal(with_error(2.0).bands(fitted), with_error(None).bands(fitted))
+    low, _, high = with_error(2.0).bands(new, count=400)
+    groups = posterior.result.problem.held_out.count
+    assert np.mean(high - low) / 2 == pytest.approx(2.0 * student.ppf(0.95, groups), rel=0.1)
 
 
 def test_every_weight_that_acts_has_an_error_by_its_posterior(cells: hf.FitResult, drawn: tuple, monkeypatch) -> None:

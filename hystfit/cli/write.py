@@ -18,6 +18,7 @@ from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
 from hystfit.outcome.table import write_rows as write_rows
 from hystfit.outcome.wrapping import PROSE, within
+from hystfit.params.units import without_unit
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
@@ -132,8 +133,8 @@ def items(notes: Iterable[object]) -> list[str]:
 
 
 def named(name: str, unit: str) -> str:
-    """Heading of a column of a CSV file: u_V."""
-    return name if not unit or name.endswith(f"_{unit}") else f"{name}_{unit}"
+    """Heading of a column of a CSV file: u_V; a unit that the name already has is not repeated."""
+    return f"{without_unit(name, unit)}_{unit}" if unit else name
 
 
 def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:

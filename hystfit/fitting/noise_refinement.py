@@ -130,7 +130,7 @@ def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refi
     assert space is not None
     z_of_noise = space.unconstrained(space.vector(problem.noise))
     start = np.concatenate([np.asarray(problem.space.coordinates.unconstrained(jnp.asarray(x))), z_of_noise])
-    best = _fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving))
+    best = Optimum(*_fit_jointly(problem.density, jnp.asarray(start), jnp.asarray(x), jnp.asarray(moving)))
     x = np.where(moving, problem.space.physical(best.z[:p]), x)
     noise: AbstractNoise = space.tree(best.z[p:])
     problem.noise = noise
@@ -175,8 +175,8 @@ def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Arra
 
 
 @compiled
-def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> Optimum:
-    """Parameters of model and noise by their joint likelihood and the priors of the noise."""
+def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> tuple[Array, ...]:
+    """Parameters of model and noise by their joint likelihood and the priors of the noise: the fields of an `Optimum`."""
     p, priors = density.p, density.priors[density.p :]
     held = density.objective.coordinates.unconstrained(x)
 
@@ -187,7 +187,7 @@ def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> Optimum
         total = density.log_likelihood(jnp.concatenate([model, noise])) + prior
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
-    return maximize(value, z)
+    return tuple(maximize(value, z))
 
 
 @compiled

@@ -15,9 +15,11 @@ import hashlib
 import os
 import sys
 import tempfile
+import threading
 import types
 from collections.abc import Callable
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,7 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
         otherwise: the same function, compiled by JAX.
     """
     programs: dict[Any, Callable[..., Any] | None] = {}
+    making = threading.RLock()
 
     def call(*trees: Any) -> Any:
         leaves, structure = jax.tree_util.tree_flatten(trees)
@@ -55,7 +58,7 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
         if any(isinstance(array, jax.core.Tracer) for array in arrays):
             return otherwise(*trees)
         fixed = [leaf for leaf, is_array in zip(leaves, traced, strict=True) if not is_array]
-        shapes = tuple((array.shape, array.dtype) for array in arrays)
+        shapes = tuple((array.shape, str(array.dtype)) for array in arrays)  # the dtype of a random key has no value
         key = (traced, shapes, structure, tuple((type(leaf), leaf) for leaf in fixed))
         if key not in programs:
 
@@ -63,8 +66,11 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
                 mixed = iter(arrays), iter(fixed)
                 return function(*structure.unflatten([next(mixed[not is_array]) for is_array in traced]))
 
-            exact = [jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(dtype)) for shape, dtype in shapes]
-            programs[key] = _program(flat, (_name(function), *key), exact)
+            dtypes = [jax.dtypes.canonicalize_dtype(array.dtype, allow_extended_dtype=True) for array in arrays]
+            exact = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in zip(arrays, dtypes, strict=True)]
+            with making:  # chains in threads ask for the same program
+                if key not in programs:
+                    programs[key] = _program(flat, (_name(function), *key), exact)
         program = programs[key]
         return otherwise(*trees) if program is None else program(*arrays)
 
@@ -102,7 +108,8 @@ def _setting() -> str:
     source = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source.update(str(path.relative_to(package)).encode() + b"\0" + path.read_bytes())
-    versions = (jax.__version__, version_of("jaxlib"), eqx.__version__, np.__version__, sys.version)
+    blackjax = version_of("blackjax") if find_spec("blackjax") else None
+    versions = (jax.__version__, version_of("jaxlib"), eqx.__version__, np.__version__, blackjax, sys.version)
     variables = sorted(f"{name}={value}" for name, value in os.environ.items() if name.startswith(("JAX_", "XLA_")))
     return repr((source.hexdigest(), versions, platform(), jax.config.jax_enable_x64, variables))  # type: ignore[attr-defined]
 

@@ -84,7 +84,12 @@ def axis_label(name: str, unit: str) -> str:
     """Name and unit of an axis; a unit at the end of the name is removed, and unknown units keep their own brackets."""
     if not unit or "[" in unit:
         return with_unit(name, unit)
-    return with_unit(re.sub(rf"[\s_]*[\[(（［]?{re.escape(unit)}[\])）］]?$", "", name) or name, unit)
+    return with_unit(without_unit(name, unit), unit)
+
+
+def without_unit(name: str, unit: str) -> str:
+    """Name without a unit at its end, behind a space or an underscore, or in brackets."""
+    return re.sub(rf"(?:[\s_]+|[\s_]*[\[(（［]){re.escape(unit)}[\])）］]?$", "", name) or name
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +19,7 @@ from jaxtyping import Array
 from hystfit.errors import ParameterError, optional
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
@@ -224,7 +223,8 @@ class _Adaptation:
         tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
         for _ in range(quarters * -(-self.nuts.warmup // (4 * CHUNK))):
             key, fixed = jax.random.fold_in(self.key, self.count), (jnp.asarray(self.goal), self.nuts.max_depth)
-            out, tuning = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
+            out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
+            tuning = Tuning(*later)
             q, diverging, self.count = out[0][-1], np.asarray(out[2]), self.count + 1
             positions.append(np.asarray(out[0]))
         return q, float(jnp.exp(tuning.average)), np.concatenate(positions), bool(diverging.any())
@@ -271,7 +271,7 @@ def _start(target: Target, key: Array) -> Array:
     return jnp.zeros_like(target.center)
 
 
-@eqx.filter_jit
+@compiled
 def _value(target: Target, q: Array) -> Array:
     return target(q)
 

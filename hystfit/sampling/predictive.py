@@ -2,8 +2,10 @@
 
 They include the uncertainty of the parameters; for a record that was not fitted, the spread of per-record parameters (the offset) over
 the fitted records; and the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
-records (`hystfit.inference.noise.innovations`), and a recurring error as the residuals determine it. They do not include an error
-of the model at amplitudes, frequencies or levels that were not fitted.
+records (`hystfit.inference.noise.innovations`), and a recurring error as the residuals determine it. Where a fit held out groups of
+samples to choose its regularization, the noise over a record that was not fitted is widened by the part of their error that it does not
+explain: many weights absorb part of the model's error at the fitted loops. Beyond that, no error of the model at amplitudes,
+frequencies or levels that were not fitted is included.
 """
 
 from __future__ import annotations
@@ -29,6 +31,8 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
 
+_LEAST = 1e-12  # variance of noise, over that of the error on held-out groups, below which it is rounding
+
 
 @eqx.filter_jit
 def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
@@ -48,7 +52,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
-    known = record.name in [fitted.name for fitted in result.data]
+    known = is_fitted(result, record)
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
     if result.problem.closed_form:
@@ -91,7 +95,33 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         noise = _noise_about(problem.density, new, jnp.asarray(rows), residual, jacobian, away, key)
     else:
         noise = _noise_of_draws(problem.trimmed().density, new, jnp.asarray(rows), key)
-    return result.to_unit_of(given, y + np.asarray(noise)[:, : len(record)])
+    noise = np.asarray(noise)[:, : len(record)]
+    if result.left_out is not None and not is_fitted(result, record):
+        noise = noise * _widening(result.left_out, problem.held_out.count, y, noise, seed)[:, None]
+    return result.to_unit_of(given, y + noise)
+
+
+def is_fitted(result: FitResult, record: Record) -> bool:
+    """Whether a record is one of those of the fit, by its name."""
+    return record.name in [fitted.name for fitted in result.data]
+
+
+def _widening(left_out: float, groups: int, y: np.ndarray, noise: np.ndarray, seed: int) -> Float[np.ndarray, " count"]:
+    """Factor of the noise of each draw by which the variance of predictions is that of the error on held-out groups, or larger.
+
+    The part that the draws do not explain is a variance known from one number per group, whose errors have one cause: the factors make
+    it a scaled inverse chi-squared variable, and the band of few groups that of Student's t.
+
+    Args:
+        left_out: rms error on the groups [y].
+        groups: their number.
+        y, noise: predictions without noise, and noise, shape (count, T) [y].
+        seed: of the factors.
+    """
+    explained = float(np.mean(noise**2))
+    missing = max(left_out**2 - float(np.mean(np.var(y, axis=0))) - explained, 0.0)
+    scale = groups / np.random.default_rng(seed).chisquare(groups, size=len(noise))
+    return np.sqrt(1 + missing / max(explained, _LEAST * left_out**2) * scale)
 
 
 @eqx.filter_jit

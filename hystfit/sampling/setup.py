@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
 from hystfit.inference.density import Density
-from hystfit.inference.newton import maximize
+from hystfit.inference.newton import Optimum, maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import WIDE, AbstractPrior
@@ -26,7 +25,7 @@ from hystfit.inference.residuals import ResidualAnalysis, analyze, diagnose
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
 from hystfit.sampling.target import Target
@@ -76,7 +75,7 @@ class Setup:
         return np.asarray(_physical(self.problem.density, to_device(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
 
 
-@eqx.filter_jit
+@compiled
 def _physical(density: Density, z: Array) -> Array:
     return jax.vmap(density.physical)(z)
 
@@ -150,7 +149,7 @@ def prepare(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
     target = Target.about(problem.density, to_device(z), to_device(_widths(problem, refined.root)))
-    center, factor, value = whiten_by_curvature(_mode(target))
+    center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
@@ -175,13 +174,13 @@ def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
     return np.pad(np.where(soft, 1 / np.sqrt(precision), 0.0), (0, len(problem.names) - soft.size))
 
 
-@eqx.filter_jit
-def _mode(target: Target) -> Any:
-    """The mode over the coordinates for sampling, by Newton steps from the target's center."""
-    return maximize(target.log_density, target.center, target.slope)
+@compiled
+def _mode(target: Target) -> tuple[Array, ...]:
+    """The mode over the coordinates for sampling, by Newton steps from the target's center: the fields of an `Optimum`."""
+    return tuple(maximize(target.log_density, target.center, target.slope))
 
 
-def whiten_by_curvature(mode: Any) -> tuple[np.ndarray, np.ndarray, float]:
+def whiten_by_curvature(mode: Optimum) -> tuple[np.ndarray, np.ndarray, float]:
     """(center, factor, log posterior) from an `Optimum`: factor factor' = inverse curvature, bounded where there is hardly any."""
     curvature = -np.asarray(mode.hessian)
     curvature = np.where(np.isfinite(curvature), curvature, 0.0)
@@ -206,7 +205,7 @@ def checked(target: Target) -> Target:
     return target
 
 
-@eqx.filter_jit
+@compiled
 def _fall(target: Target) -> Array:
     """Fall of the log posterior from the center to the ends of each axis, mean of either side, shape (d,)."""
     # One loop over the center and the ends, so that the density is compiled once.

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from hystfit.errors import optional
+from hystfit.params.host_arrays import compiled
 from hystfit.sampling.target import Target
 
 CHUNK = 50  # draws in one compiled call, and between two writes to disk
@@ -44,12 +44,13 @@ class Tuning(NamedTuple):
         return Tuning(size, weight * size + (1 - weight) * self.average, error, self.middle, self.m + 1)
 
 
-@eqx.filter_jit
+@compiled
 def advance_chunk(
     target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int
-) -> tuple[tuple[Array, ...], Tuning]:
-    """One chunk: (positions and statistics of each draw, tuning); `adapting` is an array, so that one program does both."""
-    return advance(target, q, tuning, key, adapting, goal, depth, CHUNK)
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """One chunk: (positions and statistics of each draw, fields of `Tuning`); `adapting` is an array, so that one program does both."""
+    out, tuning = advance(target, q, tuning, key, adapting, goal, depth, CHUNK)
+    return out, tuple(tuning)
 
 
 def advance(
