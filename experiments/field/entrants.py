@@ -166,7 +166,7 @@ def _jiles_atherton(h: np.ndarray, a: float, alpha: float, k: float, c: float) -
 
 
 def jiles_atherton(task: Task) -> Prediction:
-    """Jiles-Atherton by scipy's differential evolution (population 50, 60 generations, seed 0), with an offset and a linear term."""
+    """Jiles-Atherton by scipy's differential evolution (population 48, 60 generations, seed 0), with an offset and a linear term."""
     scaled = Scaled.of(task)
 
     def columns(x: np.ndarray) -> list[np.ndarray]:
