@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.batch.bucketed import solve_stack
+from hystfit.batch.bucketed import SHORT, solve_stack
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -32,7 +32,6 @@ CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side 
 _FIRST = 3  # loops from whose starting values all others begin
 _LOOKED_AT = 512  # loops among which these are chosen
 _GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
-_SHORT = 256  # samples on which starts are compared, and loops are compared with each other
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
 
@@ -201,7 +200,7 @@ def _different(loops: Loops) -> list[Record]:
     """Records of a few loops unlike each other, each beside its own range; the first is a typical one."""
     chosen = np.linspace(0, len(loops) - 1, min(len(loops), _LOOKED_AT)).astype(int)
     some = loops.take(chosen)
-    samples = min(min(len(group.record) for group in some.groups), _SHORT)
+    samples = min(min(len(group.record) for group in some.groups), SHORT)
 
     def shape(group: Group) -> np.ndarray:
         at = np.linspace(0, len(group.record) - 1, samples).astype(int)
@@ -242,7 +241,7 @@ def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[End
     problem, full = common.setup.problem, common.stack(loops)
     short = None
     if problem.model.allows_thinning:
-        found = kept_samples([group.record for group in loops.groups], loops.length, _SHORT)
+        found = kept_samples([group.record for group in loops.groups], loops.length, SHORT)
         short = None if found is None else common.stack(loops, *found)
     starts = np.repeat(common.starts[None], len(loops), axis=0)
     levels = loops.each(lambda group: group.levels)

@@ -16,7 +16,7 @@ from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
-_SHORT = 256  # samples of the short form on which starts are compared
+SHORT = 256  # samples on which starts are compared, and loops with each other
 STEPS, _MORE = 25, 60  # of every start, of the best one
 _ROUGH = 1e-5  # predicted decrease of the cost, relative to it, at which starts have converged
 
@@ -31,7 +31,7 @@ class Task(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, starts: np.ndarray) -> Task:
         """The task of a problem."""
-        return cls(problem, thin(problem, _SHORT) if len(starts) > 1 else None, starts)
+        return cls(problem, thin(problem, SHORT) if len(starts) > 1 else None, starts)
 
     @property
     def key(self) -> tuple[object, ...]:

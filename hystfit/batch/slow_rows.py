@@ -12,15 +12,13 @@ from hystfit.config import first_device
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.lanes import Stack, placed, room
+from hystfit.inference.noise.even_noise import BESIDE
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.objective import flat
 from hystfit.inference.residuals import ResidualAnalysis, curves
 
 _NUMBERS = 2**22  # derivatives computed in one call
-# Products of the columns of the fits whose noise is sought side by side. Arrays of this size are used again; with four times as many, which
-# the system maps anew in each step, a loop of 2000 samples took 8 to 13 ms of a thread, not 6.
-_PRODUCTS = 2**20
 
 
 def slow_information(
@@ -47,7 +45,7 @@ def _of_group(
     samples, p = Samples.of(Setting.on_host(Batch.of(Dataset.of(group.record)))), jacobian.shape[2]
     on = np.flatnonzero(samples.on[0])
     information, known = np.full((len(residual), p, p), np.nan), np.zeros(len(residual), bool)
-    size = max(1, _PRODUCTS // ((p + 1) * (p + 2) // 2 * on.size))
+    size = max(1, BESIDE // ((p + 1) * (p + 2) // 2 * on.size))
     shapes = curves(samples)
     for begin in range(0, len(residual), size):
         at = slice(begin, begin + size)

@@ -27,7 +27,7 @@ from hystfit.fitting.near_bounds import Information, NearBounds, centered
 from hystfit.fitting.ridge import LinearSystem, fit_ridges
 from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.fitting.trial import largest_left_out
-from hystfit.inference.noise.even_noise import NUMBERS
+from hystfit.inference.noise.even_noise import BESIDE
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.problem import Problem
@@ -225,7 +225,7 @@ def _analyses(
     for count in np.unique(counts).tolist():
         alike = np.flatnonzero(counts == count)
         p = count if count <= FEW else 0
-        for begin in range(0, alike.size, size := max(1, NUMBERS // ((p + 1) * (p + 2) // 2 * len(columns)))):
+        for begin in range(0, alike.size, size := max(1, BESIDE // ((p + 1) * (p + 2) // 2 * len(columns)))):
             at = alike[begin : begin + size]
             own = [columns[:, live[k]] * relative[k, live[k]] if p else none for k in at]
             noises = fit_slow_noises(Contrasts(samples, residual[at], np.linalg.qr(np.stack(own))[0], none))
