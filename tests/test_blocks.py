@@ -169,7 +169,7 @@ def test_the_spectrum_of_many_columns_is_that_of_their_singular_values() -> None
 
 def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reversal curves: the design matrices of all curves, their rows, and copies of the Jacobian were ten times as much."""
-    for module, name in ((blocks, "NUMBERS"), (smooth_system, "_NUMBERS")):
+    for module, name in ((blocks, "NUMBERS"), (smooth_system, "NUMBERS")):
         monkeypatch.setattr(module, name, 20_000)
     truth, curves = hf.Preisach.of(8, initial="positive", spacing="uniform"), []
     truth = truth.start([hf.Record(u=np.array([-1.0, 1.0]), y=np.array([-1.0, 1.0]))])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import shutil
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from generate.effects import draw_effects, varied
@@ -13,7 +15,7 @@ from generate.markdown import docstring, interval, plain, table, write
 from generate.model_facts import Facts, facts
 from generate.style import SCHEMES, both
 from hystfit.cli.catalog import PLACES
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, Use
 from hystfit.models.entries import MODELS, Entry
 from hystfit.params.param import leaves_of
 from hystfit.params.units import Scales
@@ -62,7 +64,7 @@ def index_page() -> str:
     ]
     for place, heading in PLACES.items():
         rows = [
-            (f"[`{name}`]({name}.md)", plain(entry.doc), _yes(entry, "inverse"), _yes(entry, "export"))
+            (f"[`{name}`]({name}.md)", plain(entry.doc), _yes(name, "inverse"), _yes(name, "export"))
             for name, entry in MODELS.items()
             if entry.place == place
         ]
@@ -140,7 +142,7 @@ def _default(model: AbstractHysteresis, name: str) -> str:
 def _needs(name: str, model: AbstractHysteresis) -> str:
     """What the registry declares about data, estimator, inverse and C code."""
     free = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
-    states = int(np.asarray(model.init(np.zeros(()))).size)
+    states = jax.eval_shape(model.init, jax.ShapeDtypeStruct((), float)).size
     estimator = model.estimator or ("convex, for its bounded weights" if _has_weights(model) else "lm")
     rows = [
         ("time", "not needed: rate independent" if model.rate_independent else "needed (a clock, `--rate` or `--dt`)"),
@@ -161,8 +163,9 @@ def _needs(name: str, model: AbstractHysteresis) -> str:
             [("loops with default bounds", f"{needs.symmetry}; {_DIRECTIONS[needs.direction]}")] if needs.loop else []
         )
         rows += [("with fewer", plain(needs.too_few))] if needs.too_few else []
-    for use, label in (("inverse", "inverse"), ("export", "C code")):
-        obstacle = model.obstacle(use)
+    uses: dict[Use, str] = {"inverse": "inverse", "export": "C code"}
+    for use, label in uses.items():
+        obstacle = _obstacle(name, use)
         rows.append((label, "yes" if obstacle is None else f"no: {plain(obstacle)}"))
     return table(["", ""], rows)
 
@@ -171,5 +174,11 @@ def _has_weights(model: AbstractHysteresis) -> bool:
     return any(leaf.shape and leaf.info.linear and leaf.info.bounds[0] == 0 for leaf in leaves_of(model))
 
 
-def _yes(entry: Entry, use: str) -> str:
-    return "yes" if entry.make().obstacle(use) is None else "–"  # type: ignore[arg-type]
+def _yes(name: str, use: Use) -> str:
+    return "yes" if _obstacle(name, use) is None else "–"
+
+
+@functools.cache
+def _obstacle(name: str, use: Use) -> str | None:
+    """Why a model has no inverse, or no C code; its page and the index say so."""
+    return MODELS[name].make().obstacle(use)

@@ -26,10 +26,8 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.threads import Workers, usable_cores
 
-_SAMPLES, _ON_GPU = (
-    2**20,
-    2**24,
-)  # of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them
+# Of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them.
+_SAMPLES, _ON_GPU = 2**20, 2**24
 _THREADS = 16  # with a GPU: what is left to the host is copies and arithmetic on arrays, which run side by side
 Columns = dict[str, np.ndarray]
 

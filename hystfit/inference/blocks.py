@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dtpqrt
 
-NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
+from hystfit.params.host_arrays import NUMBERS
+
 # Entries of a block of `beside`, and rows for each of its columns at least. A larger block is copied into memory that the system hands
 # out page by page, which takes longer than its factor.
 ENTRIES, TALL = 2**15, 2

@@ -17,7 +17,7 @@ from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
-from hystfit.inference.blocks import NUMBERS, chosen
+from hystfit.inference.blocks import chosen
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.density import Density
 from hystfit.inference.fittable import check_fittable
@@ -32,7 +32,7 @@ from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.design import COLUMNS
 from hystfit.models.starting import scales_of
-from hystfit.params.host_arrays import compiled, to_device
+from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut, held_out
 

@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
-from hystfit.inference.blocks import NUMBERS, beside, triangle
+from hystfit.inference.blocks import beside, triangle
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.objective import Objective, flat, misfit_of
 from hystfit.models.simulation import Resume, run
-from hystfit.params.host_arrays import compiled, to_device
+from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 
 _ENTRIES = 2**18  # residuals and derivatives of one stretch (2 MiB), which stay in the cache of a processor
 _FEWEST = 2**10  # samples of one

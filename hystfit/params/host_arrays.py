@@ -16,6 +16,7 @@ from hystfit.params.kept_programs import kept
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
 _ARRAYS = (np.ndarray, jax.Array, np.generic)
 set_compiler_flags()  # before JAX computes: every model is made of arrays from here
 

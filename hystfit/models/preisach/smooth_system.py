@@ -14,11 +14,10 @@ from jaxtyping import Float
 
 from hystfit.data.record import Record
 from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
+from hystfit.params.host_arrays import NUMBERS
 from hystfit.quality.held_out import HeldOut, held_out
 
 Offsets = Literal["each", "shared", "none"]
-# Numbers of rows that wait to be multiplied (16 MiB): products of few rows each would only move the sums through memory.
-_NUMBERS = 2**21
 # Part of the entries of rows that are not zero, above which their dense product takes less time: measured at 1176 and 1891 columns.
 _SPARSE = 0.08
 
@@ -188,7 +187,7 @@ class SmoothSystem:
             penalty, start = self.layout.blocks[k].penalty, self.layout.starts[k]
             assert penalty is not None
             assert penalty.cells is not None
-            low, high, step = np.inf, -np.inf, max(_NUMBERS // penalty.cells.size, 1)
+            low, high, step = np.inf, -np.inf, max(NUMBERS // penalty.cells.size, 1)
             for rows in every:
                 for begin in range(0, rows.shape[0], step):
                     part = np.asarray(rows[begin : begin + step])
@@ -283,7 +282,8 @@ class _Gram:
             few = few[states]
             few.data *= np.repeat(root, np.diff(few.indptr))
         self._waiting.append((few, np.column_stack([A[states], mean]) * root[:, None]))
-        if sum(rows.size + (0 if some is None else some.nnz) for some, rows in self._waiting) > _NUMBERS:
+        # Products of few rows each would only move the sums through memory.
+        if sum(rows.size + (0 if some is None else some.nnz) for some, rows in self._waiting) > NUMBERS:
             self._multiply()
 
     def _multiply(self) -> None:
