@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -24,11 +26,10 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
-from hystfit.runs.threads import Workers, usable_cores
+from hystfit.runs.threads import Workers
 
 # Of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them.
 _SAMPLES, _ON_GPU = 2**20, 2**24
-_THREADS = 16  # with a GPU: what is left to the host is copies and arithmetic on arrays, which run side by side
 Columns = dict[str, np.ndarray]
 
 
@@ -60,7 +61,7 @@ def fit_map(
         t: time of each sample, shape (T,).
         u_unit, y_unit, t_unit: units.
         folder: keeps finished parts, from which the same call resumes.
-        workers: threads; by default one for each core, at most four, or sixteen where a GPU solves and judges the loops.
+        workers: threads; by default one for each core, at most four: with a GPU, sixteen took no less time than these.
         progress: called with a line of text and the fraction done.
         **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise, tie.
 
@@ -76,13 +77,17 @@ def fit_map(
     frame = _frame(u, y, t, u_unit, y_unit, t_unit)
     place = None if folder is None else claim(Path(folder), "map.json", _described(work, frame, np.shape(y)))
     parts = list(_parts(np.shape(y), len(frame)))
-    pool, done, found = Workers(_threads() if workers is None else workers), 0, list[Columns]()
-    for begin in range(0, len(parts), pool.count):
-        some = parts[begin : begin + pool.count]
-        found += pool.run([partial(_kept, place, k, work, frame, y, part) for k, part in enumerate(some, begin)])
-        done += len(some)
-        if progress:
-            progress(f"{done} of {len(parts)} parts", done / len(parts))
+    done, telling = itertools.count(1), threading.Lock()
+
+    def run(number: int, part: slice) -> Columns:
+        columns = _kept(place, number, work, frame, y, part)
+        with telling:
+            count = next(done)
+            if progress:
+                progress(f"{count} of {len(parts)} parts", count / len(parts))
+        return columns
+
+    found = Workers(workers).run([partial(run, number, part) for number, part in enumerate(parts)])
     space = ParameterSpace.of(
         make_model(work.model), fix=work.options.fix, free=work.options.free, tie=work.options.tie
     )
@@ -113,11 +118,6 @@ def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     most = max(1, loops // int(np.prod(shape[1:-1])))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
-
-
-def _threads() -> int | None:
-    """Of a map; None for the usual number."""
-    return None if device_of_many() is None else min(usable_cores(), _THREADS)
 
 
 def _described(work: Work, frame: Record, shape: tuple[int, ...]) -> Mapping[str, Any]:
