@@ -93,10 +93,10 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
-    if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
-        name = match[1] + _CYRILLIC[match[2]] + match[3]
     if len(name) > _LONGEST_NAME:
         return name, ""
+    if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
+        name = match[1] + _CYRILLIC[match[2]] + match[3]
     if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
         return name, name  # Volts
     if name.endswith(("]", ")", ">")) and (start := _opening(name)) > 0:
