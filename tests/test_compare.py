@@ -348,7 +348,7 @@ def test_a_fit_that_is_worth_nothing_is_not_finished():
     data = stepped_loops()
     whole = solve_model("duhem", data, FitOptions())
     error = whole.unjudged.train.rmse
-    for worth, finished in ((2 * error, True), (0.5 * error, False)):
+    for worth, finished in ((10 * error, True), (0.1 * error, False)):
         ended = solve_model("duhem", data, FitOptions(), worth).estimate
         assert ended.converged == finished
         assert (ended.evaluations == whole.estimate.evaluations) == finished

@@ -223,7 +223,7 @@ class ComparisonRun:
 
     def _worth(self) -> float:
         """The rms error [y] of a descent above which the finished fit would be beaten."""
-        if self.named or self.best is None or not self._all_held:
+        if self.named or self.best is None:
             return np.inf
         return self.equal * self.best * self.span / 100 / _LOWERED
 
@@ -280,7 +280,7 @@ class ComparisonRun:
         if best is None or solved is None:
             return None
         result = solved.unjudged
-        error = 100 * self._error_where_held_out(result) / self.span
+        error = 100 * result.problem.error_where_held_out(result.problem.misfit(result.x)) / self.span
         if error <= self.equal * best:
             return None
         note = (
@@ -289,14 +289,6 @@ class ComparisonRun:
         )
         largest, parameters = result.train.max_error_percent, len(result.free_names)
         return Row(result.name, one.name, None, error, largest, parameters, 0.0, Status.UNTESTED, note)
-
-    def _error_where_held_out(self, result: FitResult) -> float:
-        """Root mean square residual on the samples that are held out at times [y]: the errors of the others are those on these."""
-        problem = result.problem  # whose records may begin with samples that bring the model to its state
-        asked = [r.weight * (fold >= 0) for r, fold in zip(problem.data, problem.held_out.folds, strict=True)]
-        rows = zip(asked, problem.residuals(result.x), strict=True)
-        squares = sum(float(weight @ row[: weight.size] ** 2) for weight, row in rows)
-        return float(np.sqrt(squares / sum(float(weight.sum()) for weight in asked)))
 
     # -- what was found --
 

@@ -78,5 +78,5 @@ class AbstractEstimator(eqx.Module):
         return self
 
     def up_to(self, most: float) -> AbstractEstimator:
-        """The same, which need not finish a fit whose cost will be above `most`; by default as it is."""
+        """The same, which need not finish a fit whose error where samples are held out will be above `most` [y]; by default as it is."""
         return self

@@ -81,7 +81,7 @@ def solve_model(
 ) -> Solved:
     """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers.
 
-    A fit with an rms error above `worth` [y] need not be finished.
+    A fit with an rms error above `worth` [y] where samples are held out need not be finished.
     """
     named, notes = not isinstance(model, AbstractHysteresis), list[Note]()
     watch = Stopwatch()

@@ -138,13 +138,12 @@ def solve(
     """Run one estimator from several models, or from the values of one and a hypercube about them.
 
     It starts from `points`, the best first, or from the problem's model; `seed` is that of the hypercube. A fit with an rms error above
-    `worth` [y] need not be finished.
+    `worth` [y] where samples are held out need not be finished.
 
     Raises:
         ParameterError: nothing is free.
     """
-    weight = float(np.asarray(problem.objective.batch.weight).sum())
-    estimator = ESTIMATORS.make(method).up_to(0.5 * weight * (worth / problem.scales.y) ** 2)
+    estimator = ESTIMATORS.make(method).up_to(worth)
     return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))
 
 

@@ -39,7 +39,7 @@ class LeastSquares(AbstractEstimator):
     Attributes:
         method: "lm" or "dogleg".
         brief: a first look at a model: no polish, and no trust region for what has not converged.
-        most: cost above which a start that converged is not polished.
+        most: error where samples are held out [y], above which a start that converged is not polished.
     """
 
     needs_starts: ClassVar[bool] = True
@@ -72,10 +72,10 @@ class LeastSquares(AbstractEstimator):
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
             exact, most = () if short is not None else (_STEPS, EXACT), self.most if success else np.inf
-            z, cost, success, more, linearized = polish(problem, z, *exact, most=most)
+            z, cost, success, more, linearized, beaten = polish(problem, z, *exact, most=most)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
-            if cost > most:
+            if beaten:
                 return Estimate(problem.space.physical(z), cost, False, "not finished", steps, costs)
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, ON_BOUND)):

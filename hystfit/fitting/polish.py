@@ -22,7 +22,7 @@ _BLUR = 0.01  # rounding error of an output over ROUNDING
 class Polished(NamedTuple):
     """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations.
 
-    `linearized` is `Problem.linearization` there, None where another point was linearized last.
+    `linearized` is `Problem.linearization` there, None where another point was linearized last. `beaten` says that the start was the end.
     """
 
     z: np.ndarray
@@ -30,6 +30,7 @@ class Polished(NamedTuple):
     converged: bool
     evaluations: int
     linearized: Linearization | None
+    beaten: bool = False
 
 
 def polish(
@@ -52,7 +53,7 @@ def polish(
         steps: linearizations at most.
         within: standard errors from the minimum, in the linear model, at which the fit has converged.
         held: which parameters stay, shape (p,), bool; None for none.
-        most: cost of the start above which it is the end.
+        most: error of the start where samples are held out [y], above which it is the end.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
@@ -60,7 +61,9 @@ def polish(
     gain = gain_within(within, samples)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
-    while evaluations < steps and at.cost <= most:
+    if linearized is not None and most < np.inf and problem.error_where_held_out(linearized.misfit) > most:
+        return Polished(at.z, at.cost, False, evaluations, linearized, beaten=True)
+    while evaluations < steps:
         floor = _floor(problem, at.x, samples, largest)
         if not np.isfinite(at.cost + floor):
             break

@@ -333,6 +333,14 @@ class Problem:
             return Linearization(misfit, used.reshape(-1), len(self.space), lambda: iter(few))
         return Linearization(misfit, used.reshape(-1), len(self.space), blocks, gram=gram)
 
+    def error_where_held_out(self, misfit: Float[np.ndarray, " n"]) -> float:
+        """Root mean square residual on the samples that are held out in turn [y]: cross-validation errs on these alone."""
+        held, weight = np.zeros(self.used.shape, dtype=bool), np.asarray(self.objective.batch.weight)
+        for row, fold in zip(held, self.held_out.folds, strict=True):
+            row[: fold.size] = fold >= 0
+        squares = np.sum(misfit[held.reshape(-1)] ** 2)
+        return float(self.scales.y * np.sqrt(squares / weight[held].sum()))
+
     # -- likelihoods ---------------------------------------------------------------------------------------------------
 
     @functools.cached_property
