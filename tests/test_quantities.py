@@ -105,6 +105,15 @@ def test_measured_loops_at_another_rate_than_the_first_do_not_count():
     assert measured_quantities(hf.Dataset((fast[0], slow)))["loop_area"] == pytest.approx(0.8 * 4 / 3, rel=0.01)
 
 
+def test_the_steady_loop_of_a_record_that_begins_in_the_middle_has_its_rate():
+    """Its first rise is half the range; the cycle after it counts all the same."""
+    t = np.arange(241) / 600
+    record = hf.Record(150 * np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 5 * t - 0.3), t=t)
+    found = Excitation.of(hf.Dataset((record,)))
+    assert found.interval * found.points == pytest.approx(0.2)
+    assert found.sine
+
+
 def test_a_first_rise_from_rest_is_no_measured_loop():
     """The same play, at rest on -1: the fall after the first rise ends 0.3 above the start, and every later loop closes."""
     corners = np.array([[-1.0, -1.0], [-0.7, -1.0], [1.0, 0.7], [0.4, 0.7], [-1.0, -0.7], [-0.4, -0.7], [1.0, 0.7]])
