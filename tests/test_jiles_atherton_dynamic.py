@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hystfit as hf
+from hystfit.fitting.candidates import candidates
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess, Viscous
@@ -103,6 +104,14 @@ def test_driven_by_its_output_the_sum_of_fields_gives_the_input_again() -> None:
     b = np.asarray(hf.simulate(JilesAthertonDynamic(**SHEET, **LOSSES), MINOR, 2e-4)[0])
     fields = hf.Sum(JilesAthertonField(**SHEET), Viscous(c=LOSSES["eddy"]), Excess(g=LOSSES["excess"], e=LOSSES["e"]))
     np.testing.assert_allclose(np.asarray(hf.simulate(fields, b, 2e-4)[0]), MINOR, atol=1e-8)
+
+
+def test_a_comparison_tries_it_on_magnetic_loops_of_several_rates() -> None:
+    u, dt = sine(100, size=401)
+    loop = lambda rate: hf.Record(u, np.tanh(3 * u), np.cumsum(dt) / rate, u_unit="A/m", y_unit="T", name=f"{rate:g}")
+    of = lambda *rates: candidates(hf.Dataset(tuple(map(loop, rates)))).names
+    assert "jiles-atherton-dynamic" in of(1.0, 10.0)
+    assert "jiles-atherton-dynamic" not in of(1.0)
 
 
 @pytest.mark.slow

@@ -93,6 +93,27 @@ def test_measured_quantities_need_no_model():
     assert measured_quantities(hf.Dataset((record, wider))) == {}
 
 
+def test_measured_loops_at_another_rate_than_the_first_do_not_count():
+    """Two loops of width 0.2 at one rate, and three of width 0.8 that are ten times as fast."""
+    u = np.interp(np.arange(401), [0, 100, 200, 300, 400], [-1.0, 1.0, -1.0, 1.0, -1.0])
+    side = np.sign(np.append(np.diff(u), -1.0))
+    loop = lambda width, rate: hf.Record(
+        u, u - 0.5 * width * side * (1 - u**2), t=np.arange(u.size) / rate, name=f"{rate}"
+    )
+    slow, fast = loop(0.2, 1.0), [loop(0.8, rate) for rate in (10.0, 11.0, 12.0)]
+    assert measured_quantities(hf.Dataset((slow, *fast))) == pytest.approx(measured_quantities(hf.Dataset((slow,))))
+    assert measured_quantities(hf.Dataset((fast[0], slow)))["loop_area"] == pytest.approx(0.8 * 4 / 3, rel=0.01)
+
+
+def test_the_steady_loop_of_a_record_that_begins_in_the_middle_has_its_rate():
+    """Its first rise is half the range; the cycle after it counts all the same."""
+    t = np.arange(241) / 600
+    record = hf.Record(150 * np.sin(2 * np.pi * 5 * t), np.sin(2 * np.pi * 5 * t - 0.3), t=t)
+    found = Excitation.of(hf.Dataset((record,)))
+    assert found.interval * found.points == pytest.approx(0.2)
+    assert found.sine
+
+
 def test_a_first_rise_from_rest_is_no_measured_loop():
     """The same play, at rest on -1: the fall after the first rise ends 0.3 above the start, and every later loop closes."""
     corners = np.array([[-1.0, -1.0], [-0.7, -1.0], [1.0, 0.7], [0.4, 0.7], [-1.0, -0.7], [-0.4, -0.7], [1.0, 0.7]])

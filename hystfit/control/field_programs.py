@@ -56,7 +56,9 @@ class Material:
         per_field, per_output = _sizes(result, by_flux=parts is not None and parts.by_flux)
         model = result.model if parts is None else parts.static
         if not model.rate_independent:
-            raise ModelError("these programs read static loops, or Jiles-Atherton with eddy and excess terms")
+            raise ModelError(
+                "these programs read static loops, or jiles-atherton-dynamic alone, without other terms: refit with --model"
+            )
         if parts is not None and parts.dynamic and float(parts.static.slope) == 0.0:
             raise ModelError("the dynamic fields act on the polarization: fit B over H with --units A/m,T")
         low, high = result.input_range

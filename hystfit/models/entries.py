@@ -124,6 +124,7 @@ MODELS: dict[str, Entry] = {
     "jiles-atherton-dynamic": Entry(
         "jiles_atherton_dynamic:JilesAthertonDynamic.of", "core",
         "Jiles-Atherton with eddy currents and excess loss, driven by the field; needs time at two rates or more; 8 parameters",
+        tried=("jiles-atherton-dynamic",),
     ),
     "jiles-atherton-b": Entry(
         "jiles_atherton_field:JilesAthertonField.of", "core",

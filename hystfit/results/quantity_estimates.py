@@ -17,6 +17,7 @@ from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.relative_size import relative_size
+from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.loop_branches import turns_of
 from hystfit.results.loop_values import quantities
@@ -193,20 +194,26 @@ def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
 def measured_quantities(data: Dataset) -> dict[str, float]:
     """Quantities of the loops as measured, by name, without a model: medians over the closed loops that cover the range of all records.
 
-    Samples are joined by straight lines. Empty where no two successive branches cover the range and meet at both ends: a first rise from
-    rest and the branch after it are no loop.
+    Samples are joined by straight lines. Loops at other rates than the first, that of the steady loop of a fit, have other widths and do
+    not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from rest and the branch after it
+    are no loop.
     """
     excitation = Excitation.of(data)
     inputs = np.linspace(excitation.low, excitation.high, _INPUTS)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
+    first = 0.0  # duration of the first loop
     for record in data.map(from_turning_point):
         turns = np.unique([0, *turns_of(record.u), len(record) - 1]).tolist()
         found = [
             (bool(record.u[b] > record.u[a]), _measured_branch(record, a, b, inputs))
             for a, b in itertools.pairwise(turns)
         ]
-        for pair in itertools.pairwise(found):
+        lasts = [0.0] * len(found) if record.t is None else (record.t[turns[2:]] - record.t[turns[:-2]]).tolist()
+        for pair, duration in zip(itertools.pairwise(found), lasts, strict=False):
             if _closed(*pair):
+                first = first or duration
+                if duration > 0 and abs(np.log10(duration / first)) > SPEEDS_APART:
+                    continue
                 for rises, branch in pair:
                     branches[rises].append(branch)
     if not branches[True]:
