@@ -34,6 +34,7 @@ _MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
+_CENTRAL, _PRIOR_DRAWS = 0.98, 2000  # part of a prior within which a search starts anew, and draws that give its ends
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
@@ -148,9 +149,13 @@ def prepare(
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    target = Target.about(problem.density, to_device(z), to_device(_widths(problem, refined.root)))
-    center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
-    if not np.isfinite(value):
+    widths = to_device(_widths(problem, refined.root))
+    for start in (lambda: z, lambda: problem.unconstrained(_within_priors(problem, x))):
+        target = Target.about(problem.density, to_device(start()), widths)
+        center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
+        if np.isfinite(value):
+            break
+    else:
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
     return Setup(problem, NOISES.label(choice), target, tuple(notes))
@@ -161,6 +166,16 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     z, kinds = space.unconstrained(space.clip(x)), space.kinds
     one_sided = (kinds == LOWER) | (kinds == UPPER)
     return np.where(one_sided, np.maximum(z, np.log(1e-4)), np.where(kinds == BOTH, np.clip(z, -9, 9), z))
+
+
+def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """x moved into the central part of each prior: least squares may end where the simulation breaks, far along what is undetermined."""
+    key, part = jax.random.key(0), 0.5 - _CENTRAL / 2
+    ends = [
+        np.quantile(np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,))), [part, 1 - part])
+        for k, prior in enumerate(problem.priors)
+    ]
+    return np.clip(x, *np.transpose(ends))
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
