@@ -150,12 +150,12 @@ def prepare(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
     widths = to_device(_widths(problem, refined.root))
-    for start in (lambda: z, lambda: problem.unconstrained(_within_priors(problem, x))):
-        target = Target.about(problem.density, to_device(start()), widths)
-        center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
-        if np.isfinite(value):
-            break
-    else:
+    inside = _within_priors(problem, x)
+    starts = [z] if np.array_equal(inside, x) else [z, problem.unconstrained(inside)]
+    targets = [Target.about(problem.density, to_device(start), widths) for start in starts]
+    modes = [(target, *whiten_by_curvature(Optimum(*_mode(target)))) for target in targets]
+    target, center, factor, value = max(modes, key=lambda mode: np.nan_to_num(mode[-1], nan=-np.inf))
+    if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
     return Setup(problem, NOISES.label(choice), target, tuple(notes))
@@ -169,13 +169,14 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 
 
 def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
-    """x moved into the central part of each prior: least squares may end where the simulation breaks, far along what is undetermined."""
+    """x with the medians of the priors where it lies far out: least squares may end anywhere along what the data leave open."""
     key, part = jax.random.key(0), 0.5 - _CENTRAL / 2
     ends = [
-        np.quantile(np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,))), [part, 1 - part])
+        np.quantile(np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,))), [part, 0.5, 1 - part])
         for k, prior in enumerate(problem.priors)
     ]
-    return np.clip(x, *np.transpose(ends))
+    low, middle, high = np.transpose(ends)
+    return np.where((x < low) | (x > high), middle, x)
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
