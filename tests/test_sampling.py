@@ -730,6 +730,16 @@ def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
         assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf
 
 
+def test_a_fit_at_which_the_simulation_breaks_is_not_refused():
+    """Beside large noise least squares runs along c tau = const; the posterior is proper, and its mode is sought within the priors."""
+    record, _ = loop(sigma=20.0)
+    fit = hf.fit(hf.BoucWen(scheme="exact"), record, starts=1, noise="iid")
+    far = dataclasses.replace(fit, x=np.array([1e15, 1 - 1e-16, 3e-12, 0.56, fit.x[4]]))
+    setup = prepare(far, noise="iid")
+    assert np.isfinite(float(setup.target(jnp.zeros(setup.target.center.size))))
+    assert np.abs(setup.target.physical(jnp.zeros(setup.target.center.size))[0]) < 1e6
+
+
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted, posterior):
     told = sample(fitted, noise="iid", chains=2, draws=900, warmup=200, priors={"tau": priors.LogNormal(2.03, 1e-6)})
     assert has(told.notes, Code.PRIOR)

@@ -34,6 +34,7 @@ _MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
+_CENTRAL, _PRIOR_DRAWS = 0.98, 2000  # part of a prior within which a search starts anew, and draws that give its ends
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
@@ -148,8 +149,12 @@ def prepare(
         raise ParameterError(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
-    target = Target.about(problem.density, to_device(z), to_device(_widths(problem, refined.root)))
-    center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
+    widths = to_device(_widths(problem, refined.root))
+    inside = _within_priors(problem, x)
+    starts = [z] if np.array_equal(inside, x) else [z, problem.unconstrained(inside)]
+    targets = [Target.about(problem.density, to_device(start), widths) for start in starts]
+    modes = [(target, *whiten_by_curvature(Optimum(*_mode(target)))) for target in targets]
+    target, center, factor, value = max(modes, key=lambda mode: np.nan_to_num(mode[-1], nan=-np.inf))
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
@@ -161,6 +166,17 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     z, kinds = space.unconstrained(space.clip(x)), space.kinds
     one_sided = (kinds == LOWER) | (kinds == UPPER)
     return np.where(one_sided, np.maximum(z, np.log(1e-4)), np.where(kinds == BOTH, np.clip(z, -9, 9), z))
+
+
+def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """x with the medians of the priors where it lies far out: least squares may end anywhere along what the data leave open."""
+    key, part = jax.random.key(0), 0.5 - _CENTRAL / 2
+    ends = [
+        np.quantile(np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,))), [part, 0.5, 1 - part])
+        for k, prior in enumerate(problem.priors)
+    ]
+    low, middle, high = np.transpose(ends)
+    return np.where((x < low) | (x > high), middle, x)
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
