@@ -1,7 +1,8 @@
 """Bands of 90 % of Preisach weights over measured loops that were not fitted, see run.py.
 
 Of three soft magnetic materials each inner loop is left out in turn and predicted from the others. Weights that may be negative describe
-minor loops that the classical model does not; levels are denser where the branches are steep.
+minor loops that the classical model does not; levels are denser where the branches are steep. The second form and the rule by which bands
+are widened were chosen with the coverage of these loops in view, so that the table describes them and is no test: no limit is set.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ HEAD = ["material", "form", "amplitudes of the loops", "each inner loop left out
 
 
 def left_out_loops(results: Results) -> str:
-    """A table of the materials whose data are found; the smallest and the largest mean of the form with signed weights are added."""
-    rows, means = [], []
+    """A table of the materials whose data are found."""
+    rows = []
     for material in MATERIALS:
         loaded = results.load("left-out loops", f"mag_ja_bh/{material}")
         if loaded is None:
@@ -29,9 +30,6 @@ def left_out_loops(results: Results) -> str:
         for form in FORMS:
             covered = [100 * _covered(form, loops, k) for k in range(1, len(loops) - 1)]
             rows.append([material, form, amplitudes, ", ".join(f"{value:.0f}" for value in covered), np.mean(covered)])
-            means += [float(np.mean(covered))] if form == FORMS[-1] else []
-    if means:
-        results.add("left-out loops, signed weights: least coverage of a material, %", min(means))
     return table(HEAD, rows)
 
 
