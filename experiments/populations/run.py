@@ -141,7 +141,9 @@ def main() -> None:
         ),
     }
     if not results.quick:
-        tables["Samples of measured loops that were not fitted in bands of 90 %, whose rule was chosen with them in view"] = left_out_loops(results)
+        tables["Samples of left-out loops in bands of 90 %, whose rule was chosen with them in view"] = left_out_loops(
+            results
+        )
     results.publish("Populations", "experiments/populations/run.py", tables)
     results.finish()
 
