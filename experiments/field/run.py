@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from hystfit.errors import DataError, HystfitError
 QUICK_TASKS = ("piezo-continued", "u-damper", "ferrite-loop")
 QUICK_ENTRANTS = ("hystfit, model by name", "straight line", "last cycle", "ten plays")
 NAMES = tuple(DEFINITION["tasks"])
+ENTRIES = tomllib.loads((HERE / "entries.toml").read_text(encoding="utf-8"))["entries"]
 RULES = """
 A program gets the input of every record and some of its outputs, and predicts the others. The error is the root mean square error of the
 predicted outputs in percent of their range. Nothing of the asked outputs may be used, and no setting may be chosen by them. "free" means
@@ -36,7 +38,7 @@ that the zero of the sensor is another one in the predicted record: its mean err
 
 To enter: `python experiments/field/run.py --write FOLDER` writes each task as a CSV file of records, times, inputs and outputs, empty where
 they are asked. Fill in the column `y`, and `--score FOLDER` prints the errors. State the version, the program with its version, the number
-of fitted parameters and the time.
+of fitted parameters and the time; an entry is a section of entries.toml.
 """
 
 
@@ -66,6 +68,17 @@ def enter(task: Task, results: Results, entrants: Sequence[str]) -> tuple[list, 
         errors.append(results.add(f"{task.name}: {name}", task.score(prediction.outputs)))
         costs.append(f"{prediction.parameters} / {time.perf_counter() - began:.1f}")
     return [task.name, *errors], [task.name, *costs]
+
+
+def best_known(errors: Sequence[list], entrants: Sequence[str]) -> str:
+    """The entries of other programs, and the least error of each task with the program that has it."""
+    rows = []
+    for name, *own in errors:
+        others = [entry["errors"].get(name) for entry in ENTRIES]
+        known = zip([*own, *others], [*entrants, *(entry["program"] for entry in ENTRIES)], strict=True)
+        least, program = min((error, program) for error, program in known if error is not None)
+        rows.append([name, *others, least, program])
+    return table(["task", *(f"{entry['program']} ({entry['who']})" for entry in ENTRIES), "best known", "by"], rows)
 
 
 def sources(tasks: Sequence[Task]) -> str:
@@ -113,8 +126,8 @@ def main() -> None:
         results.publish(
             f"Benchmark of the field, version {VERSION}",
             "experiments/field/run.py",
-            {"Rules": RULES, "Errors, %": table(head, errors), "Fitted parameters / seconds": table(head, costs),
-             "Tasks": sources(tasks)},
+            {"Rules": RULES, "Errors, %": table(head, errors), "Entries of other programs, %": best_known(errors, entrants),
+             "Fitted parameters / seconds": table(head, costs), "Tasks": sources(tasks)},
         )  # fmt: skip
     results.finish()
 

@@ -18,7 +18,6 @@ from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
 from hystfit.outcome.table import write_rows as write_rows
 from hystfit.outcome.wrapping import PROSE, within
-from hystfit.params.units import without_unit
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
@@ -134,6 +133,8 @@ def items(notes: Iterable[object]) -> list[str]:
 
 def named(name: str, unit: str) -> str:
     """Heading of a column of a CSV file: u_V; a unit that the name already has is not repeated."""
+    from hystfit.params.units import without_unit
+
     return f"{without_unit(name, unit)}_{unit}" if unit else name
 
 
