@@ -104,6 +104,7 @@ INDEPENDENT = {
         "RateDependentPlays",
         "RateShift",
         "SelfSimilarStops",
+        "Springpot",
         "Steel02",
         "Viscoelastic",
         "VoceChaboche",
