@@ -210,7 +210,7 @@ def network(task: Task, *, width: int = 8, steps: int = 200) -> Prediction:
     optimizer = optax.adam(optax.cosine_decay_schedule(0.02, steps))
 
     @jax.jit
-    def train(p: dict[str, Any], state: Any) -> tuple[dict[str, Any], Any]:
+    def train(p: Any, state: Any) -> tuple[Any, Any]:
         slope = jax.grad(lambda p: jnp.sum(weight * (run(p) - y) ** 2) / weight.sum())(p)
         change, state = optimizer.update(slope, state)
         return optax.apply_updates(p, change), state

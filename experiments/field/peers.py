@@ -35,8 +35,8 @@ def _runs(known: np.ndarray) -> list[tuple[int, int]]:
 
 def sysidentpy(rows: Rows) -> tuple[np.ndarray, int] | None:
     """Polynomial NARX of degree 2 with the sign of the input's rate, terms by FROLS; simulated freely from the last given outputs."""
-    from sysidentpy.basis_function import Polynomial
-    from sysidentpy.model_structure_selection import FROLS
+    from sysidentpy.basis_function import Polynomial  # pyright: ignore[reportMissingImports]
+    from sysidentpy.model_structure_selection import FROLS  # pyright: ignore[reportMissingImports]
 
     records = np.array([row["record"] for row in rows])
     u, y = _columns(rows)
@@ -72,7 +72,7 @@ def sysidentpy(rows: Rows) -> tuple[np.ndarray, int] | None:
 def resspylab(rows: Rows) -> tuple[np.ndarray, int] | None:
     """Voce-Chaboche with two backstresses, from nominal values; for steel coupons."""
     import pandas as pd
-    from RESSPyLab import VCsimCurve, vc_param_opt
+    from RESSPyLab import VCsimCurve, vc_param_opt  # pyright: ignore[reportMissingImports]
 
     u, y = _columns(rows)
     known = np.isfinite(y)
