@@ -36,6 +36,8 @@ A program gets the input of every record and some of its outputs, and predicts t
 predicted outputs in percent of their range. Nothing of the asked outputs may be used, and no setting may be chosen by them. "free" means
 that the zero of the sensor is another one in the predicted record: its mean error does not count.
 
+"Model by name" is the model that is known to suit such data: no blind choice.
+
 To enter: `python experiments/field/run.py --write FOLDER` writes each task as a CSV file of records, times, inputs and outputs, empty where
 they are asked. Fill in the column `y`, and `--score FOLDER` prints the errors. State the version, the program with its version, the number
 of fitted parameters and the time; an entry is a section of entries.toml.
