@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import json
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -209,6 +210,19 @@ def test_a_verb_computes_in_double_precision_with_whole_loops(own, process, fold
 
 def test_compiled_programs_are_kept_for_the_next_command(fitted, home):
     assert list((home / ".cache" / "hystfit" / "programs").rglob("*-cache")) or sys.platform != "linux"
+
+
+def test_a_command_that_was_killed_while_it_kept_a_program_spoils_no_later_one(process, folder, tmp_path):
+    """JAX looks for the time of use of every program before it keeps another, and warns for each that it cannot keep."""
+    programs = tmp_path / "cache" / "hystfit" / "programs" / (platform.node() or "here")
+    programs.mkdir(parents=True)
+    (programs / "jit_half-cache").write_bytes(b"half")
+    more = {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    done = process("fit", "stage-sine", "--model", "bouc-wen", "--starts", "1", env_more=more)
+    assert done.returncode == 0, done.stderr
+    assert "arning" not in done.stderr
+    assert not (programs / "jit_half-cache").exists()
+    assert sys.platform != "linux" or list(programs.glob("*-cache"))
 
 
 def test_a_cache_folder_that_the_user_chose_is_used(monkeypatch):

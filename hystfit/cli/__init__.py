@@ -16,6 +16,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 
 import platformdirs
 from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
@@ -100,12 +101,21 @@ def keep_programs() -> None:
     folder = platformdirs.user_cache_path("hystfit") / "programs" / (platform.node() or "here")
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        _remove_halves(folder)
     except OSError:
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     os.environ[PROGRAM_FOLDER] = str(folder / "traced")
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_CACHE_BYTES))
+
+
+def _remove_halves(folder: Path) -> None:
+    """Remove programs that a killed command left without their time of use: at one of them JAX keeps no more, with a warning each."""
+    names = set(os.listdir(folder))
+    for name in names:
+        if name.endswith("-cache") and name.removesuffix("-cache") + "-atime" not in names:
+            (folder / name).unlink(missing_ok=True)
 
 
 class _Exit:
@@ -138,6 +148,7 @@ def main() -> None:
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it
     os.environ.setdefault("JAX_PLATFORMS", "cpu")  # scans over samples are faster there
     logging.getLogger("jax._src.xla_bridge").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")  # compiled anew
     warnings.filterwarnings("ignore", category=FutureWarning, module="arviz")  # announces its next version at import
     if "jax" in sys.modules:
         from hystfit.config import enable_x64
