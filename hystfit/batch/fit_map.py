@@ -61,7 +61,7 @@ def fit_map(
         t: time of each sample, shape (T,).
         u_unit, y_unit, t_unit: units.
         folder: keeps finished parts, from which the same call resumes.
-        workers: threads; by default one for each core, at most four: with a GPU, sixteen took no less time than these.
+        workers: threads; by default one for each core, at most four.
         progress: called with a line of text and the fraction done.
         **options: of `hystfit.fit`: method (no sequential one), fix, free, start, starts, seed, loss, noise, tie.
 

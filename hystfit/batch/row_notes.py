@@ -102,8 +102,9 @@ def _advised(common: Common, loops: Loops, judged: Judged) -> np.ndarray:
         advised, data = np.zeros(len(x), bool), Dataset.of(group.record)
         ratio = coordinates.assemble_stacked(x[plain]).step_ratio(group.record.u)
         if ratio is None:
-            ratio = [2.0 if notes_of_model(data, one) else 0.0 for one in coordinates.assemble_rows(x[plain])]
-        advised[plain] = np.asarray(ratio) > 1
+            advised[plain] = [bool(notes_of_model(data, one)) for one in coordinates.assemble_rows(x[plain])]
+        else:
+            advised[plain] = ratio > 1
         return advised
 
     return loops.each(of_group, judged.x, judged.plain)

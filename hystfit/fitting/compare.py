@@ -144,9 +144,8 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     # Rounding errors are no evidence.
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
     limit = min(bics, default=math.inf) + STRONG
-    simple = sorted(
-        alike, key=lambda row: (row.status is Status.NOT_CONVERGED, (row.bic or -math.inf) > limit, *plain(row))
-    )
+    unlikely = lambda row: row.bic is not None and row.bic > limit
+    simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, unlikely(row), *plain(row)))
     return simple + ranked[len(alike) :]
 
 

@@ -84,7 +84,7 @@ class ComparisonRun:
         self._solved: dict[str, Solved] = {}
         self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
         self._errors: list[Exception] = []
-        self.early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
+        self._early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -96,7 +96,7 @@ class ComparisonRun:
 
     def run_again(self, names: Sequence[str], options: FitOptions) -> None:
         """Forget what was found, and run candidates with other options."""
-        self.options, self.rows, self.fits, self._errors, self.early = options, [], {}, [], {}
+        self.options, self.rows, self.fits, self._errors, self._early = options, [], {}, [], {}
         self.run(names)
 
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
@@ -218,7 +218,7 @@ class ComparisonRun:
         elif not sized:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
-        early = self.early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
+        early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
         one.solved = early or solve_model(given, self.data, self.options, self._worth())
 
     def _worth(self) -> float:
@@ -291,6 +291,11 @@ class ComparisonRun:
         return Row(result.name, one.name, None, error, largest, parameters, 0.0, Status.UNTESTED, note)
 
     # -- what was found --
+
+    def correlation_of_model(self, model: AbstractHysteresis) -> int:
+        """Samples over which the residuals of a model's fit are correlated; the fit is kept for its turn."""
+        fit = self._early[model_name(model)] = solve_model(model, self.data, self.options)
+        return correlation_of(fit.unjudged)
 
     @property
     def best(self) -> float | None:

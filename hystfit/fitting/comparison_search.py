@@ -9,9 +9,8 @@ from hystfit.fitting.candidates import Candidates
 from hystfit.fitting.comparison import MARGIN
 from hystfit.fitting.comparison_run import WHITE, ComparisonRun, correlation_of, score_of
 from hystfit.fitting.contender import Candidate
-from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.structure import Structure, structure_of
-from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.models.registry import SEARCH, make_model
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 
@@ -70,8 +69,7 @@ def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
     least, best = min(firsts, key=lambda first: first.error, default=None), run.best_row
     if least is not None and least.model is not None:
         if best is None or least.error / run.span < score_of(best) / 100:
-            fit = run.early[model_name(least.model)] = solve_model(least.model, run.data, run.options)
-            return correlation_of(fit.unjudged)
+            return run.correlation_of_model(least.model)
     return 1 if best is None else correlation_of(run.fits[best.asked])
 
 

@@ -15,12 +15,12 @@ from jaxtyping import Array
 
 from hystfit.config import verb
 from hystfit.errors import DataError, ModelError
-from hystfit.identify.field_from_induction import FEWEST
 from hystfit.models.jiles_atherton import langevin
 from hystfit.params.host_arrays import compiled
 from hystfit.params.units import MU0
 
 _FIRST, _LAST = 0.3, 2.5  # of the mean pinning field that a loop shows: those of the cells from which a fit starts
+_FEWEST = 20  # samples of a record
 _SATURATED = 1.15  # ratio of the saturation to the largest polarization, from which a fit starts
 
 
@@ -42,8 +42,8 @@ class VectorRecord:
     def __post_init__(self) -> None:
         if self.h.shape != self.b.shape or self.h.ndim != 2 or self.h.shape[1] not in (2, 3):
             raise DataError(f"H and B must have one shape (T, 2) or (T, 3), got {self.h.shape} and {self.b.shape}")
-        if len(self.h) < FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
-            raise DataError(f"a record needs at least {FEWEST} samples, all finite")
+        if len(self.h) < _FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
+            raise DataError(f"a record needs at least {_FEWEST} samples, all finite")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

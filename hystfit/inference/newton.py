@@ -16,7 +16,7 @@ LONGEST = 2.0  # step in z, infinity norm
 _HALVINGS = 30
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
 _NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
-DIFFERENCE = 1e-4  # in z, before any curvature is known
+_DIFFERENCE = 1e-4  # in z, before any curvature is known
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
 # do not look like curvature.
@@ -149,7 +149,7 @@ def maximize(
         value=jnp.asarray(-jnp.inf),
         hessian=jnp.zeros((d, d)),
         axes=jnp.eye(d),
-        width=jnp.full(d, DIFFERENCE),
+        width=jnp.full(d, _DIFFERENCE),
         phase=jnp.asarray(_CLIMBING),
         count=jnp.asarray(0),
         near=jnp.zeros((), bool),

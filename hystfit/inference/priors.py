@@ -60,6 +60,10 @@ class AbstractPrior(eqx.Module):
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """Independent draws."""
 
+    def quantiles(self, levels: Sequence[float]) -> Float[np.ndarray, " k"]:
+        """Quantiles at these levels, from draws with a constant seed."""
+        return np.quantile(np.asarray(self.sample(jax.random.key(0), (SEEN,))), levels)
+
 
 class Normal(AbstractPrior):
     """Gaussian. Raises ParameterError for a standard deviation that is not positive."""

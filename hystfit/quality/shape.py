@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,9 +84,8 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     largest = max(stroke for _, _, stroke in usable)
     chosen = [(start, stop) for start, stop, stroke in usable if stroke >= (1 - APART) * largest][-20:]
-    area, stroke, width, asymmetry, _, bent, apart = np.median(
-        [_measure(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0
-    )
+    typical = np.median([_Measures.of(u[a : b + 1], y[a : b + 1]) for a, b in chosen], axis=0)
+    area, stroke, width, asymmetry, _, bent, apart = _Measures(*typical)
     if stroke == 0:
         return None
     fullness = 100 * abs(area) / (stroke * largest)
@@ -144,7 +144,7 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
         and _is_loop(u, y, a, c)
     ]
     late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
-    return float(np.median([_measure(u[a : b + 1], y[a : b + 1])[4] for a, b in late]))
+    return float(np.median([_Measures.of(u[a : b + 1], y[a : b + 1]).pinching for a, b in late]))
 
 
 def _area_between(u: np.ndarray, y: np.ndarray) -> float:
@@ -168,19 +168,43 @@ def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return turned(u), turned(y)
 
 
-def _measure(u: np.ndarray, y: np.ndarray) -> tuple[float, float, float, float, float, float, float]:
-    """Area, stroke of y, width, asymmetry and pinching of one loop, stroke of y without a straight line, and mean distance of branches."""
-    outer = outline(u)
-    u, y = u[outer], y[outer]
-    centers, rising, falling = loop_branches(u, y)
-    gap = np.abs(rising - falling)
-    mirrored = rising + falling[::-1]
-    middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
-    pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
-    line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1, w=np.sqrt(np.gradient(centers))), u)
-    bent = float(np.ptp(y - line))
-    apart, size = abs(float(np.mean(rising - falling))), float(np.ptp(y))
-    return loop_area(u, y), size, float(gap.max()), float(0.5 * np.std(mirrored)), pinching, bent, apart
+class _Measures(NamedTuple):
+    """Of one loop.
+
+    Attributes:
+        area, stroke, width, asymmetry, pinching: see `Shape`, in the units of u and y.
+        bent: stroke of y without a straight line.
+        apart: mean distance of the branches.
+    """
+
+    area: float
+    stroke: float
+    width: float
+    asymmetry: float
+    pinching: float
+    bent: float
+    apart: float
+
+    @classmethod
+    def of(cls, u: np.ndarray, y: np.ndarray) -> _Measures:
+        """Those of the loop of an input and an output, each of shape (T,)."""
+        outer = outline(u)
+        u, y = u[outer], y[outer]
+        centers, rising, falling = loop_branches(u, y)
+        gap = np.abs(rising - falling)
+        mirrored = rising + falling[::-1]
+        middle = np.abs(centers - 0.5 * (u.min() + u.max())) <= SAME_LEVEL * np.ptp(u)
+        pinching = float(np.mean(gap[middle]) / gap.max()) if middle.any() and gap.max() > 0 else 1.0
+        line = np.polyval(np.polyfit(centers, 0.5 * (rising + falling), 1, w=np.sqrt(np.gradient(centers))), u)
+        return cls(
+            area=loop_area(u, y),
+            stroke=float(np.ptp(y)),
+            width=float(gap.max()),
+            asymmetry=float(0.5 * np.std(mirrored)),
+            pinching=pinching,
+            bent=float(np.ptp(y - line)),
+            apart=abs(float(np.mean(rising - falling))),
+        )
 
 
 def outline(u: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ step beside the current. Their difference, or the integral with the sign of the 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import re
 from collections.abc import Sequence
 
@@ -16,6 +15,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import quantity
+from hystfit.reading.branch_files import joined
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
@@ -33,7 +33,6 @@ _AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name
 _OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b|电压")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
-_NEAR = 0.1  # of the ranges, within which a branch begins where the one before ends: that of branches side by side
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
@@ -123,69 +122,13 @@ def _one_way(passed: np.ndarray) -> str:
     return "" if min(up, down) > _BACK * max(up, down) else "charge" if up > down else "discharge"
 
 
-def cycled(records: Sequence[Record], *, of_files: bool) -> list[Record]:
-    """The records; branches in files of their own are one loop, and the half-cycle of a cell that is left alone is said to be none.
-
-    Args:
-        of_files: whether each record is from a file of its own.
-    """
+def cycled(records: Sequence[Record]) -> list[Record]:
+    """The records; a charge and a discharge in files of their own are one loop, and a half-cycle that is left alone is said to be none."""
     if not records or any(record.u_name != NAME for record in records):
-        return [_joined(records, counted=False)] if of_files and _go_on(records) else [*records]
+        return [*records]
     ways = [_one_way(record.u) for record in records]
     if set(ways) == {"charge", "discharge"}:
-        return [_joined(records, counted=True)]
+        return [joined(records, counted=True)]
     text = "half a cycle, which is no loop; name the file of the other half too (A.csv B.csv)"
     noted = lambda record, way: record.noted(Code.CURVES, f"the cell is only {way}d: {text}", Severity.WARNING)
     return [noted(record, way) if way else record for record, way in zip(records, ways, strict=True)]
-
-
-def _go_on(records: Sequence[Record]) -> bool:
-    """Whether each record runs one way, from where the one before ends, and some run back."""
-    first = records[0]
-    if len(records) < 2 or any(
-        (r.u_name, r.u_unit, r.y_unit) != (first.u_name, first.u_unit, first.y_unit) for r in records
-    ):
-        return False
-    ways = {float(np.sign(r.u[-1] - r.u[0])) for r in records}
-    monotonic = all((np.diff(r.u) * np.sign(r.u[-1] - r.u[0]) >= 0).all() for r in records)
-    if ways != {-1.0, 1.0} or not monotonic:
-        return False
-    for column in ("u", "y"):
-        parts = [np.asarray(getattr(record, column)) for record in records]
-        near = _NEAR * np.ptp(np.concatenate(parts))
-        for one, other in itertools.pairwise(parts):
-            step = max(abs(one[-1] - one[-2]), abs(other[1] - other[0]))
-            if not abs(other[0] - one[-1]) <= near + step:
-                return False
-    return True
-
-
-def _joined(records: Sequence[Record], *, counted: bool) -> Record:
-    """The records one after the other, each from the time at which the one before ends.
-
-    Args:
-        counted: the input is counted from the start of each.
-    """
-    first = records[0]
-    u, y, t, weight = [], [], [], []
-    passed = clock = 0.0
-    for record in (one.in_units(first.u_unit, first.y_unit) for one in records):
-        u.append(record.u - record.u[0] + passed if counted else record.u)
-        y.append(record.y)
-        weight.append(record.weight)
-        passed = u[-1][-1]
-        if record.t is not None:
-            t.append(record.t - record.t[0] + clock)
-            clock = t[-1][-1] + float(np.median(np.diff(record.t)))
-    join = lambda parts: np.concatenate(parts) if len(parts) == len(records) else None
-    names = [record.name for record in records]
-    text = f"{' and '.join(names)} are parts of one loop: read as one record, each from where the one before ends"
-    return first.replace(
-        u=join(u),
-        y=join(y),
-        t=join(t),
-        weight=join(weight),
-        name="+".join(names),
-        sha256="+".join(str(one.sha256) for one in records),
-        source="+".join(one.source for one in records),
-    ).noted(Code.CURVES, text)

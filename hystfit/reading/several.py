@@ -17,6 +17,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
 from hystfit.reading.archive import members_of
+from hystfit.reading.branch_files import go_on, joined
 from hystfit.reading.charge_throughput import cycled
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.file_bytes import exists
@@ -70,9 +71,11 @@ def pair_of(path: str | Path) -> tuple[str, str] | None:
 def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     """One record or data set from those of several files; where names of curves occur twice, the name of the file precedes them."""
     halves = [record for _, data in parts for record in Dataset.of(data)]
-    cycle = cycled(halves, of_files=len(halves) == len(parts) > 1)
+    cycle = cycled(halves)
     if len(cycle) < len(halves):
         return cycle[0]
+    if len(halves) == len(parts) > 1 and go_on(halves):
+        return joined(halves, counted=False)
     if len(parts) == 1:
         return parts[0][1] if cycle == halves else cycle[0]
     parts = list(zip([path for path, _ in parts], cycle, strict=True)) if len(halves) == len(parts) else parts

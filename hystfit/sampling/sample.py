@@ -113,7 +113,7 @@ def sample(
         seed=seed,
         provenance=provenance(result.data, seed, fit={"date": result.provenance.get("date")}),
         evidence=raw.evidence,
-        prior_quartiles={name: _quartiles(prior) for name, prior in setup.priors.items()},
+        prior_quartiles={name: prior.quantiles([0.25, 0.75]).tolist() for name, prior in setup.priors.items()},
     )
 
 
@@ -164,11 +164,6 @@ def _log_densities(priors: tuple[AbstractPrior, ...], dependence: Dependence | N
         return total if dependence is None else total + dependence.log_density(priors, x)
 
     return jax.vmap(one)(rows)
-
-
-def _quartiles(prior: AbstractPrior) -> list[float]:
-    """Lower and upper quartile of a prior."""
-    return np.quantile(np.asarray(prior.sample(jax.random.key(0), (SEEN,))), [0.25, 0.75]).tolist()
 
 
 def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> list[Note]:

@@ -34,7 +34,7 @@ _MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
-_CENTRAL, _PRIOR_DRAWS = 0.98, 2000  # part of a prior within which a search starts anew, and draws that give its ends
+_OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
@@ -170,12 +170,7 @@ def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 
 def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
     """x with the medians of the priors where it lies far out: least squares may end anywhere along what the data leave open."""
-    key, part = jax.random.key(0), 0.5 - _CENTRAL / 2
-    ends = [
-        np.quantile(np.asarray(prior.sample(jax.random.fold_in(key, k), (_PRIOR_DRAWS,))), [part, 0.5, 1 - part])
-        for k, prior in enumerate(problem.priors)
-    ]
-    low, middle, high = np.transpose(ends)
+    low, middle, high = np.transpose([prior.quantiles([_OUTER, 0.5, 1 - _OUTER]) for prior in problem.priors])
     return np.where((x < low) | (x > high), middle, x)
 
 

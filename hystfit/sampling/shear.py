@@ -20,11 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from hystfit.inference.newton import DIFFERENCE
 from hystfit.params.host_arrays import to_device
 from hystfit.sampling.bend import Bend, straight
 
 _WITHIN = 2.0  # standard deviations from the center at which bends are compared
+_STEP = 1e-4  # of differences
 _FLATTEST = 0.5  # slope of straight(v) at the center below which the center itself lies in the bend, and slopes there say nothing
 
 
@@ -51,7 +51,7 @@ class Shear(eqx.Module):
         root = np.linalg.qr(factor[place].T, mode="r")  # transpose of the Cholesky factor, but for signs
         slopes = np.zeros((two_sided.size, center.size))
         slopes[:, place] = np.triu(root / np.diag(root)[:, None], 1)[: two_sided.size]
-        rise = (straight(middle + DIFFERENCE, np) - straight(middle - DIFFERENCE, np)) / (2 * DIFFERENCE)
+        rise = (straight(middle + _STEP, np) - straight(middle - _STEP, np)) / (2 * _STEP)
         slopes[rise[ranked] < _FLATTEST] = 0.0
         return cls(to_device(two_sided[ranked]), to_device(slopes))
 
