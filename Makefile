@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 QUICK ?= --quick
-PARTS ?= calls fit ukf reading
+PARTS ?= calls fit reading
 CONSTRAINTS ?= constraints.txt
 # Rooms whose arrays are checked against their annotations in the full form of the tests.
 TYPED := batch control data fitting identify inference models params sampling stage uncertainty

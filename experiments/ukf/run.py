@@ -35,7 +35,8 @@ def main() -> None:
     loops, circles = identification.loops_and_creep(results)
     parts = {"Loops (M1, M2) and creep (M3)": loops}
     parts["Identification (M4)"], kept = identification.filter_and_least_squares(results, 3 if options.quick else 20)
-    parts["Methods on one record"] = identification.methods(results, 2 if options.quick else 30)
+    if not options.quick:
+        parts["Methods on one record"] = identification.methods(results, 30)
     parts["Far starts"] = identification.far_starts(results)
     parts["Stopping on-line"] = identification.online(results)
     parts["Creep in stages"], identified = identification.in_stages(results)
