@@ -159,6 +159,8 @@ def test_corrections_are_listed_in_order_and_undo_their_errors():
     assert done[2].value == pytest.approx(shift, rel=0.01)
     with pytest.raises(hf.HystfitError, match="drift, offset, slope"):
         quantities(record, correct=("tilt",))
+    field = quantities(record.in_units("Oe", ""), correct=("drift", "offset")).corrections["record"][2]
+    assert (field.value, field.unit) == (pytest.approx(shift * 4e-3 * np.pi, rel=0.01), "Oe")
 
 
 @pytest.mark.parametrize("mirrored", [1.0, -1.0])

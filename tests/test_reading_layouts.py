@@ -574,6 +574,10 @@ COLUMNS = {  # names, and the columns: the output of a source is an input, a mon
     "held": ("Temperature (K),Field (Oe),Moment (emu)", (300 + 0.02 * NOISE, FIELD, MOMENT)),
     "unrelated": ("Gauge pressure (kPa),Field (Oe),Signal,Detector", (1 + 0.5 * NOISE, FIELD, MOMENT, NOISE)),
     "scans": ("Scan,Displacement (mm),Load (kN)", (np.arange(81.0), FIELD, MOMENT)),
+    "command of a field": ("source_output,field_calibrated,detector_voltage", (0.01 * FIELD, FIELD, MOMENT)),
+    "shunt": ("voltage (V),current (A),polarization (uC/cm2),applied voltage (V)", (5 * NOISE, NOISE, MOMENT, FIELD)),
+    "lock-in amplifier": ("Field (Oe),Voltage Ampl (V),Resistance (Ohms)", (FIELD, 0.1 * MOMENT, MOMENT)),
+    "units behind a blank": ("Time s,Vplus V,I1 A,P1 uC_per_cm2", (np.arange(81.0), FIELD, NOISE, MOMENT)),
 }
 
 
@@ -582,6 +586,29 @@ def test_columns_beside_the_loop_are_not_taken(kind: str, tmp_path: Path) -> Non
     header, columns = COLUMNS[kind]
     rows = "\n".join(",".join(f"{v:.8f}" for v in row) for row in zip(*columns, strict=True))
     is_loop(one(written(tmp_path, f"{header}\n{rows}\n")))
+
+
+def test_a_column_in_another_unit_is_left_out_of_columns_without_names(tmp_path: Path) -> None:
+    """The field of a coil beside its current leaves one pair."""
+    rows = "\n".join(f"{u:.8f} {701.8 * u:.4f} {y:.8f}" for u, y in zip(FIELD, MOMENT, strict=True))
+    record = one(written(tmp_path, rows + "\n"))
+    is_loop(record)
+    assert "column 1 is column 0 in another unit and is not used" in [note.text for note in record.notes]
+
+
+def test_of_curves_that_all_rise_unevenly_none_is_the_time(tmp_path: Path) -> None:
+    x = np.arange(12.0)
+    rows = "\n".join(f"{700 * np.tanh(k / 4):.1f} {k:.0f} {9e5 * np.tanh(k / 3):.1f}" for k in x)
+    with pytest.raises(DataError, match="nothing in the file tells which columns"):
+        read(written(tmp_path, rows + "\n"))
+
+
+def test_the_direction_of_the_sweep_is_no_condition(tmp_path: Path) -> None:
+    u, y = np.repeat(FIELD, 2), np.repeat(MOMENT, 2)  # 162 samples
+    up = np.where(np.arange(162) < 82, -1, 1)
+    rows = "\n".join(f"{a:.8f},{d},{b:.8f}" for a, d, b in zip(u, up, y, strict=True))
+    record = one(written(tmp_path, f"Field (Oe),direction,Moment (emu)\n{rows}\n"))
+    assert not [note.text for note in record.notes if "levels" in note.text]
 
 
 def test_frequencies_below_each_other_are_records(tmp_path: Path) -> None:

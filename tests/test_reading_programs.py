@@ -254,6 +254,26 @@ def test_numbered_loops_that_close_are_no_branches(tmp_path: Path) -> None:
     assert [len(record) for record in data] == [120, 120]
 
 
+def test_pulses_side_by_side_are_one_record(tmp_path: Path) -> None:
+    """Their times follow each other, and each begins where the one before ended."""
+    pulse = 1 - np.abs(np.linspace(-1, 1, 41))
+    u = np.concatenate([pulse, pulse, -pulse])
+    y = np.concatenate([0.5 * pulse + np.linspace(-1, 1, 41), 0.5 * pulse + 1, -0.5 * pulse + np.linspace(1, -1, 41)])
+    t = np.concatenate([k + np.linspace(0, 0.1, 41) for k in range(3)])
+    groups = [values[k * 41 : (k + 1) * 41] for k in range(3) for values in (t, u, y)]
+    head = "Psw [uC/cm2]: 17.5\nWloss [uJ/cm2]: 69.8\n" + "\t".join(["Time [s]\tV [V]\tP [uC/cm2]"] * 3)
+    record = one(written(tmp_path, head + "\n" + rows("\t", *groups), "pund.dat"))
+    np.testing.assert_allclose(record.u, u, atol=1e-6)
+    np.testing.assert_allclose(record.t, t, atol=1e-6)
+    assert not record.stated  # of pulses, not of a loop
+
+
+def test_conditions_in_brackets_are_no_units(tmp_path: Path) -> None:
+    data = Dataset.of(read(written(tmp_path, "H (Oe),M (300 K),M (77K)\n" + rows(",", U, Y, 2 * Y))))
+    assert [(record.name, record.y_unit) for record in data] == [("300 K", ""), ("77 K", "")]
+    assert one(written(tmp_path, "I1(135deg) X\n" + rows(" ", U, Y), "b.dat")).u_unit == ""
+
+
 def test_letters_of_phases_are_no_units(tmp_path: Path) -> None:
     content = "Disp_A,Force_A,Disp_B,Force_B\n" + rows(",", U, Y, 2 * U, 2 * Y)
     data = Dataset.of(read(written(tmp_path, content)))

@@ -16,6 +16,7 @@ _WORDS, _ROLES = (
 )
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
+_DRIVERS = frozenset(_VOCABULARY["drivers"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
@@ -79,6 +80,8 @@ def column_role(name: str) -> str:
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
+    if roles == {"output"} and _DRIVERS.intersection(_words(base)):
+        return "input"
     return roles.pop() if len(roles) == 1 else ""
 
 

@@ -17,6 +17,7 @@ from hystfit.reading.column_names import column_role, is_bare_role, is_channel, 
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
+    computed,
     explained,
     extent,
     is_held,
@@ -80,6 +81,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
 )  # fmt: skip
+_OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
@@ -92,7 +94,9 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-_COPY = -3.0  # points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input
+# Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which one
+# was computed from the other, whatever its quantity: the output of a source and the field of its coil.
+_COPY, _COMPUTED = -3.0, -3.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
@@ -198,7 +202,8 @@ class _Evidence:
             u, y = columns[reading.input], columns[reading.output]
             same = self.kinds[reading.input] == self.kinds[reading.output]
             copied = (same and proportional(u, y)) or repeats(u, y)
-            return _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED) + _COPY * copied
+            unrelated = _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED)
+            return unrelated + _COMPUTED + _COPY if computed(u, y) else unrelated + _COPY * copied
 
         return [
             dataclasses.replace(
@@ -301,9 +306,20 @@ def _either_drives(one: str, other: str) -> bool:
 
 
 def _is_raw_signal(table: Table, position: int) -> bool:
-    """Whether a column in volts has the name of another one in a unit of its own: Force (V) beside Force (N)."""
+    """Whether a column in volts has the name of another one in a unit of its own, Force (V) beside Force (N), or is that across a shunt.
+
+    The voltage across a shunt and that of a lock-in amplifier are proportional to the current or resistance computed from them.
+    """
     name = split_unit(table.names[position])[0].strip().lower()
     if not name or quantity(table.units[position]) != "voltage":
         return False
-    same = [k for k, other in enumerate(table.names) if split_unit(other)[0].strip().lower() == name and k != position]
-    return any(quantity(table.units[k]) not in ("", "voltage") for k in same)
+
+    def measures(k: int) -> bool:
+        kind = quantity(table.units[k])
+        if kind in ("", "voltage"):
+            return False
+        computable = kind in _OF_VOLTAGES and k not in table.labels
+        same = split_unit(table.names[k])[0].strip().lower() == name
+        return same or (computable and proportional(table.columns[position], table.columns[k]))
+
+    return any(measures(k) for k in range(len(table.names)) if k != position)
