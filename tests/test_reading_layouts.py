@@ -117,6 +117,22 @@ def test_a_magnetometer_writes_one_loop_raw_and_adjusted(
     assert (record.u_name, record.y_name, record.reading["adjusted"]) == ("Adjusted Field", "Adjusted Moment", "true")
 
 
+def test_remanence_curves_keep_what_the_magnetometer_states(tmp_path: Path) -> None:
+    """An acquisition and a demagnetization curve, each from zero field, in two segments."""
+    field = np.linspace(0, 1, 41)
+    sections = SECTIONS.replace("Coercivity           ", "Coercivity (remanent)")
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nRemanence curves:  IRM + DCD\n\n"
+    text += sections.format(system="Hybrid SI", count=2) + SEGMENTS[16]
+    text += segment(16, 1, 0, 1, 41) + segment(16, 2, 0, -1, 82) + f"\n{'Field':>14}{'Remanence':>14}\n"
+    both = np.concatenate([field, -field]), np.concatenate([field**2, 1 - 2 * field**2])
+    text += "".join(f"{u:+.6E},{y:+.6E}\n" for u, y in zip(*both, strict=True))
+    data = Dataset.of(read(written(tmp_path, text, "dcd.001")))
+    assert [len(record) for record in data] == [41, 41]
+    stated = {one.quantity: one.value for one in data[1].stated}
+    assert stated["coercive_input"] == 16.31905e-3
+    assert data[1].y_name == "Remanence"
+
+
 def test_a_magnetometer_without_adjusted_columns(tmp_path: Path) -> None:
     path = written(tmp_path, magnetometer(16, adjusted=False, units=False, extra=False, system="cgs"), "a.hys")
     record = one(path)

@@ -128,7 +128,11 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A, unless all columns have one.
     if (match := re.fullmatch(r"(.*\S) (\S+)", name)) and is_unit(match[2]):
         spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
-        if (spelled or _all_have_units(siblings)) and match[2] not in _NOT_SUFFIX and not _is_role(match[1], match[2], siblings):
+        if (
+            (spelled or _all_have_units(siblings))
+            and match[2] not in _NOT_SUFFIX
+            and not _is_role(match[1], match[2], siblings)
+        ):
             return match[1], match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
         others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}

@@ -34,7 +34,7 @@ from hystfit.results.loop_branches import (
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
-from hystfit.results.magnetic_values import magnetic_values, quadrant_values
+from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, polarization_values
 
@@ -289,25 +289,25 @@ def _loss(closed: Sequence[Pair], sigma: float | None, record: Record) -> Iterat
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | None) -> tuple[LoopValue, ...]:
-    """HcB, Br and (BH)max of a demagnetization curve: one way, in the second or the fourth quadrant; nothing of other curves."""
+    """Coercivity and remanence of a magnetic curve in one direction that is remanent at zero field; nothing of other curves.
+
+    It is a demagnetization curve, half a loop, or a curve of remanences after back fields, whose zero is the coercivity of remanence.
+    """
     kinds = quantity(record.u_unit), quantity(record.y_unit)
-    named = {record.u_name[:1].upper(), record.y_name[:1].upper()}
-    magnetic = kinds in (
-        ("field", "induction"),
-        ("field", "magnetization"),
-        ("induction", "magnetization"),
-    ) or named in ({"H", "B"}, {"H", "J"}, {"H", "M"})
-    slack = _SIDE * float(np.abs(u).max()), _SIDE * float(np.abs(y).max())
-    sign = 1.0 if u.min() < -slack[0] else -1.0
-    field, flux = -sign * u, sign * y  # the demagnetizing field counts positive
-    if not magnetic or field.min() < -slack[0] or flux.min() < -slack[1]:
+    named = {record.u_name[:1].upper(), record.y_name[:1].upper()} in ({"H", "B"}, {"H", "J"}, {"H", "M"})
+    magnetic = kinds[0] in ("field", "induction") and kinds[1] in ("induction", "magnetization", "moment")
+    slack, largest = _SIDE * float(np.abs(u).max()), float(np.abs(y).max())
+    rest = int(np.argmin(np.abs(u)))
+    if not (magnetic or named) or abs(y[rest]) < REMANENT_PART * largest:
         return ()
+    field, flux = -np.sign(y[rest]) * u, np.sign(y[rest]) * y  # the demagnetizing field counts positive
     order = np.argsort(field, kind="stable")
     field, flux = field[order], flux[order]
     found = []
-    if flux[-1] <= slack[1]:
+    if field[-1] > slack and flux[-1] <= _SIDE * largest:
         found_at = crossing(flux, field, sigma) or (float(field[-1]), None)
-        found.append(LoopValue("coercive_input", "coercivity", *found_at, record.u_unit))
-    if field[0] <= slack[0]:
-        found.append(LoopValue("remanence", "remanence", float(flux[0]), sigma, record.y_unit))
-    return tuple(found)
+        label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
+        found.append(LoopValue("coercive_input", label, *found_at, record.u_unit))
+    if abs(u[rest]) <= slack:
+        found.append(LoopValue("remanence", "remanence", abs(float(y[rest])), sigma, record.y_unit))
+    return tuple(with_stated(record, found, lambda _: (), []))

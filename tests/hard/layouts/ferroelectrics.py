@@ -187,7 +187,15 @@ def pulses(draw: Draw) -> Layout:
         current = Column("I", np.gradient(place(y, k)), "A", aix_number)
         columns += [t, Column("V", place(u, k), "V", aix_number), current]
         columns += [Column("P", place(y, k), "uC/cm2", aix_number, "uC/cm2")]
-    head = ["PulseResult", "", "Pulse", "TfaModule: PM", "Pulse Points: 401", "Area [mm2]: 0.01", "Psw [uC/cm2]: 17.5273"]
+    head = [
+        "PulseResult",
+        "",
+        "Pulse",
+        "TfaModule: PM",
+        "Pulse Points: 401",
+        "Area [mm2]: 0.01",
+        "Psw [uC/cm2]: 17.5273",
+    ]
     lines = head + table(draw, columns, Dialect("\t", style="brackets", trailing=True))
     v, p = Column("V", u, "V", aix_number), Column("P", y, "uC/cm2", aix_number)
     return Layout("", {draw.pick("pund.dat", "PM_5pulses.txt"): packed(draw, lines, ("cp1252",))}, loops(loop(v, p)))
@@ -209,4 +217,6 @@ def scripted(draw: Draw) -> Layout:
         drive, i = drive.renamed("Vplus"), i.renamed("I1")
         columns, style = [t, drive, i, p], "blank"
     lines = table(draw, columns, Dialect(draw.pick(",", "\t"), style=style))
-    return Layout("", {draw.pick("0_hysteresis_3p0V.csv", "cap 100Hz 4V Table1.tsv"): packed(draw, lines)}, loops(loop(drive, p)))
+    return Layout(
+        "", {draw.pick("0_hysteresis_3p0V.csv", "cap 100Hz 4V Table1.tsv"): packed(draw, lines)}, loops(loop(drive, p))
+    )
