@@ -52,6 +52,15 @@ def test_the_energy_is_that_of_the_units():
     assert unknown["loop_area"].unit == ""
 
 
+def test_the_range_of_a_loop_with_noise_is_within_its_error():
+    """The largest of many samples at saturation lies above their level, which a model follows."""
+    u, noise = 3 * np.sin(np.linspace(0, 4 * np.pi, 801)), np.random.default_rng(0).normal(0, 0.02, 801)
+    up = np.gradient(u) > 0
+    record = hf.Record(u, np.tanh(20 * (u - np.where(up, 1, -1))) + noise, **MAGNETIC)
+    found = values_of(record)["stroke"]
+    assert 0.05 < found.value - 2.0 < 2 * found.stderr < 0.4
+
+
 def test_standard_errors_are_the_scatter_of_noisy_repeats():
     repeats = [values_of(ellipse(0.02, seed, count=401)) for seed in range(200)]
     for name in ("coercive_input", "remanence", "loop_area"):

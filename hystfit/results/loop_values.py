@@ -39,6 +39,7 @@ from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
+_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 
@@ -227,12 +228,18 @@ def _levels(
         words = ("coercivity", "remanence") if named else ("half width", "half height")
         yield from _both(width, "coercive_input", words[0], units[0], sides=named)
         yield from _both(height, "remanence", words[1], units[1], sides=named)
-    error = None if sigma is None else sigma * float(np.sqrt(2))
+    error = None if sigma is None else _range_error(np.concatenate([b.y for b in branches]), sigma)
     yield LoopValue("stroke", "range of the output", float(top - bottom), error, units[1])
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from _stiffness(branches, cycles, sigma, units)
+
+
+def _range_error(y: np.ndarray, sigma: float) -> float:
+    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
+    many = np.array([np.count_nonzero(side >= side.max() - _NEAR * sigma) for side in (y, -y)])
+    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
 def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[LoopValue]:
