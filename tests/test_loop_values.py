@@ -61,6 +61,21 @@ def test_the_range_of_a_loop_with_noise_is_within_its_error():
     assert 0.05 < found.value - 2.0 < 2 * found.stderr < 0.4
 
 
+def test_the_error_of_a_coarse_loop_includes_that_between_its_samples():
+    """A steep loop of half a sample's distance in width: where the straight line crosses zero depends on where the samples lie."""
+    beyond = []
+    for shift in np.linspace(0.0, 0.9, 7):
+        h = np.linspace(1, -1, 41) + 0.05 * shift
+        both = np.concatenate([h, h[::-1]])
+        moment = np.tanh((both + np.repeat([0.012, -0.012], 41)) / 0.03)
+        noise = np.random.default_rng(1).normal(0, 1e-3, 82)
+        found = values_of(hf.Record(both, moment + noise, **MAGNETIC))
+        for name, true in (("coercive_input", 0.012), ("remanence", np.tanh(0.4))):
+            beyond.append(abs(found[name].value - true) / found[name].stderr)
+    assert max(beyond) < 3
+    assert np.mean(beyond) > 0.1  # no error that is always far too large
+
+
 def test_standard_errors_are_the_scatter_of_noisy_repeats():
     repeats = [values_of(ellipse(0.02, seed, count=401)) for seed in range(200)]
     for name in ("coercive_input", "remanence", "loop_area"):

@@ -41,7 +41,7 @@ _NOT_SUFFIX = frozenset(
 _NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
-    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
+    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
@@ -63,7 +63,7 @@ _LONGEST_SETTING = 1000  # characters of a line
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>.*[A-Za-z].*)")
+_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>(?!\d).*[A-Za-z].*)")
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )
@@ -302,6 +302,11 @@ def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> lis
         return []
     kinds = {cells.kind(part, decimal) for part in parts[1:]}
     return parts if kinds <= {cells.NUMBER, cells.TEXT} and not any("=" in part for part in parts) else []
+
+
+def is_listed(line: str) -> bool:
+    """Whether a line has the name of one column behind its number."""
+    return _LISTED.fullmatch(line.strip()) is not None
 
 
 def listed_names(above: Sequence[str], width: int) -> list[str]:

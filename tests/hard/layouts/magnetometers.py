@@ -59,7 +59,16 @@ def listed_columns(draw: Draw) -> Layout:
     first, (opening, closing) = draw.pick(0, 1), draw.pick("[]", "()")
     line = draw.pick("@Column {}: {}", "# {} = {}", "# name {} = {}", "# column {}: {}", "Col{}: {}")
     listed = [line.format(first + k, f"{c.name} {opening}{c.unit}{closing}") for k, c in enumerate(columns)]
-    above = ["VSM record", "Operator: abc", *listed, *["@@Data", "End of header", "*END*"][: draw.whole(0, 1)]]
+    correction = [
+        f"{k:.6f}   {1 + 1e-4 * k:.6E}" + 4 * "   0.0E+0" for k in range(draw.pick(0, 12))
+    ]  # of the pick-up coils
+    above = [
+        "VSM record",
+        "Operator: abc",
+        *correction,
+        *listed,
+        *["@@Data", "End of header", "*END*"][: draw.whole(0, 1)],
+    ]
     lines = above + rows(columns, Dialect(draw.pick("\t", " ", ",")))
     return Layout("", {draw.pick("film.VHD", "cast.cnv", "loop.txt"): packed(draw, lines)}, loops(loop(h, m)))
 
