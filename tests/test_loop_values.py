@@ -195,3 +195,16 @@ def test_a_charge_counted_from_the_start_of_a_record_has_its_zero_in_the_middle(
     assert found["offset_input"].value == pytest.approx(0.0, abs=0.01)
     (notes,) = quantities(record).notes.values() if lift else ((),)
     assert bool(lift) == any("counted from the start" in note.text for note in notes)
+
+
+def test_of_reversal_curves_the_outermost_has_coercivity_and_remanence():
+    """The others cross zero where the relays that their reversal left switch back, which is no coercivity."""
+    reversals = np.linspace(60, -120, 13)
+    curves = []
+    for k, low in enumerate(reversals):
+        h = np.arange(low, 150.0, 2.0)
+        y = 1 - np.clip((20 - low) / 100, 0, 1) * (1 - np.tanh((h - 30 - k) / 20))
+        curves.append(hf.Record(h, y * 1e-3, u_unit="mT", y_unit="emu", name=str(k)))
+    found = quantities(curves).rows
+    assert [name for name, rows in found.items() if rows] == ["12"]
+    assert {row.name for row in found["12"]} >= {"coercive_input", "remanence"}

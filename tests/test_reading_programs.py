@@ -416,3 +416,18 @@ def test_an_output_that_saturates_in_small_cycles_belongs_to_its_input(tmp_path:
     drift = np.linspace(0, 1, u.size) + 0.2 * np.sin(np.arange(u.size) / 40)
     content = "Gap (mm),Disp (mm),Force (kN)\n" + rows(",", np.round(drift, 4), np.round(u, 4), np.round(force, 4))
     assert one(written(tmp_path, content)).u_name == "Disp (mm)"
+
+
+def test_the_components_along_the_field_are_the_loop(tmp_path: Path) -> None:
+    """OOMMF gives all components of field and magnetization behind the names of the parts of the program, and the size of the field."""
+    m = 0.9 * np.tanh(Y / np.abs(Y).max() * 2)
+    across = np.sqrt(1 - m**2)
+    field = {"Bx": 0.02 * U, "By": U, "B": np.hypot(U, 0.02 * U)}
+    vector = {"mx": across, "my": m, "mz": 0.1 * across * np.sin(3 * m)}
+    columns = {"Oxs_CGEvolve::Total energy": -m * U}
+    columns |= {f"Oxs_UZeeman::{name}": values for name, values in field.items()}
+    columns |= {f"Oxs_MinDriver::{name}": values for name, values in vector.items()}
+    names = " ".join(f"{{{name}}}" if " " in name else name for name in columns)
+    above = f"# ODT 1.0\n# Table Start\n# Columns: {names}\n# Units: J mT mT mT {{}} {{}} {{}}\n"
+    record = one(written(tmp_path, above + rows(" ", *columns.values()) + "# Table End\n", "loop.odt"))
+    assert (record.u_name, record.y_name, record.u_unit) == ("Oxs_UZeeman::By", "Oxs_MinDriver::my", "mT")

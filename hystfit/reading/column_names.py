@@ -64,8 +64,13 @@ def column_quantity(name: str, unit: str = "") -> str:
 
 
 def _field(base: str) -> str:
-    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are."""
-    path = re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z]\w*)", base)
+    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are.
+
+    Behind two colons it is the name of a quantity of a part of a program (Oxs_UZeeman::Bx).
+    """
+    path = re.fullmatch(r"(?:\w+\.)+([A-Za-z]\w*)|[\w:]+::([A-Za-z][\w ]*)", base)
+    if path and path[2]:
+        return path[2]
     return path[1] if path and (len(path[1]) == 1 or any(w in _WORDS or w in _ROLES for w in _words(path[1]))) else base
 
 

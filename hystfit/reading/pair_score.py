@@ -48,8 +48,10 @@ _BARE = (
 # Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
-# Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
-_PARTIAL, _OF_LARGEST = -1.0, 0.3
+# Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
+# a part; the component of a field across its direction, or its size, which has no sign. Points of components along one axis (Bx, mx).
+_PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+_OF_PARTS = ("displacement", "field", "induction")
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
@@ -179,6 +181,7 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
+        points += _ALONG * (self._axis[i] == self._axis[o] != "")
         if kinds[i] != kinds[o] and self._is_measured[i]:
             points += _OVERTAKEN
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
@@ -251,16 +254,33 @@ class _Evidence:
         return _ByColumn(lambda k: not self.alone and is_held(self.table.columns[k]))
 
     @functools.cached_property
+    def _bases(self) -> list[str]:
+        return [split_unit(name)[0].strip() for name in self.table.names]
+
+    @functools.cached_property
+    def _axis(self) -> dict[int, str]:
+        """The axis of columns that are components of a vector, as the ends of their names tell; "" of others."""
+        names = self._bases
+        is_component = lambda name: (
+            name[1:]
+            and name[-1] in "xyz"
+            and any(f"{name[:-1]}{other}" in names for other in "xyz" if other != name[-1])
+        )
+        return {k: name[-1] if is_component(name) else "" for k, name in enumerate(names)}
+
+    @functools.cached_property
     def _is_partial(self) -> _ByColumn:
-        """Whether a column is the displacement of a part of the device, by column."""
-        extents: dict[str, float] = {}
+        """Whether a column is the displacement of a part of the device or a part of its field, by column."""
+        extents: dict[tuple[str, str], float] = {}
+        vectors = {self._bases[k][:-1] for k, axis in self._axis.items() if axis}
+        group = lambda k: (self.kinds[k], self.table.units[k])
         for k in self.ranks:
-            if self.kinds[k] == "displacement":
-                extents[self.table.units[k]] = max(extents.get(self.table.units[k], 0.0), extent(self.table.columns[k]))
+            extents[group(k)] = max(extents.get(group(k), 0.0), extent(self.table.columns[k]))
 
         def partial(k: int) -> bool:
-            whole = extents.get(self.table.units[k], 0.0) if self.kinds[k] == "displacement" else 0.0
-            return bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
+            of_part = bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
 

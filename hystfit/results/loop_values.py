@@ -17,6 +17,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
+from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
     ENDS,
@@ -125,7 +126,14 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
         DataError: a correction of another name.
     """
     records = Dataset.of(data)
-    read = {record.name: _of_record(record, sample or Sample(), correct) for record in records}
+    family = recognize_family(records)
+    inner = (
+        {record.name for record in family.curves[:-1]} if family else set[str]()
+    )  # their reversals lie inside the loop
+    read = {
+        record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
+        for record in records
+    }
     rows, corrections, notes = ({name: one[k] for name, one in read.items()} for k in range(3))
     for record in records:  # several measurements in one record: its values are of none of them
         notes[record.name] = (*(n for n in record.notes if n.code is Code.CONDITIONS), *notes[record.name])
