@@ -52,6 +52,30 @@ def test_the_energy_is_that_of_the_units():
     assert unknown["loop_area"].unit == ""
 
 
+def test_the_range_of_a_loop_with_noise_is_within_its_error():
+    """The largest of many samples at saturation lies above their level, which a model follows."""
+    u, noise = 3 * np.sin(np.linspace(0, 4 * np.pi, 801)), np.random.default_rng(0).normal(0, 0.02, 801)
+    up = np.gradient(u) > 0
+    record = hf.Record(u, np.tanh(20 * (u - np.where(up, 1, -1))) + noise, **MAGNETIC)
+    found = values_of(record)["stroke"]
+    assert 0.05 < found.value - 2.0 < 2 * found.stderr < 0.4
+
+
+def test_the_error_of_a_coarse_loop_includes_that_between_its_samples():
+    """A steep loop of half a sample's distance in width: where the straight line crosses zero depends on where the samples lie."""
+    beyond = []
+    for shift in np.linspace(0.0, 0.9, 7):
+        h = np.linspace(1, -1, 41) + 0.05 * shift
+        both = np.concatenate([h, h[::-1]])
+        moment = np.tanh((both + np.repeat([0.012, -0.012], 41)) / 0.03)
+        noise = np.random.default_rng(1).normal(0, 1e-3, 82)
+        found = values_of(hf.Record(both, moment + noise, **MAGNETIC))
+        for name, true in (("coercive_input", 0.012), ("remanence", np.tanh(0.4))):
+            beyond.append(abs(found[name].value - true) / found[name].stderr)
+    assert max(beyond) < 3
+    assert np.mean(beyond) > 0.1  # no error that is always far too large
+
+
 def test_standard_errors_are_the_scatter_of_noisy_repeats():
     repeats = [values_of(ellipse(0.02, seed, count=401)) for seed in range(200)]
     for name in ("coercive_input", "remanence", "loop_area"):
@@ -171,3 +195,16 @@ def test_a_charge_counted_from_the_start_of_a_record_has_its_zero_in_the_middle(
     assert found["offset_input"].value == pytest.approx(0.0, abs=0.01)
     (notes,) = quantities(record).notes.values() if lift else ((),)
     assert bool(lift) == any("counted from the start" in note.text for note in notes)
+
+
+def test_of_reversal_curves_the_outermost_has_coercivity_and_remanence():
+    """The others cross zero where the relays that their reversal left switch back, which is no coercivity."""
+    reversals = np.linspace(60, -120, 13)
+    curves = []
+    for k, low in enumerate(reversals):
+        h = np.arange(low, 150.0, 2.0)
+        y = 1 - np.clip((20 - low) / 100, 0, 1) * (1 - np.tanh((h - 30 - k) / 20))
+        curves.append(hf.Record(h, y * 1e-3, u_unit="mT", y_unit="emu", name=str(k)))
+    found = quantities(curves).rows
+    assert [name for name, rows in found.items() if rows] == ["12"]
+    assert {row.name for row in found["12"]} >= {"coercive_input", "remanence"}

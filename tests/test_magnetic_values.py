@@ -159,6 +159,20 @@ def test_corrections_are_listed_in_order_and_undo_their_errors():
     assert done[2].value == pytest.approx(shift, rel=0.01)
     with pytest.raises(hf.HystfitError, match="drift, offset, slope"):
         quantities(record, correct=("tilt",))
+    field = quantities(record.in_units("Oe", ""), correct=("drift", "offset")).corrections["record"][2]
+    assert (field.value, field.unit) == (pytest.approx(shift * 4e-3 * np.pi, rel=0.01), "Oe")
+
+
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])
+@pytest.mark.parametrize(("unit", "name", "label"), [("emu/g", "Moment", ""), ("Am2", "Remanence", " of remanence")])
+def test_moments_in_one_direction_have_a_coercivity(mirrored, unit, name, label):
+    """Of half a loop, and of the remanences after back fields, where no volume is known."""
+    h = np.linspace(0.0 if label else 2.4e6, -2.4e6, 1201)
+    record = hf.Record(mirrored * h, mirrored * branch(h), u_unit="A/m", y_unit=unit, u_name="Field", y_name=name)
+    found = values_of(record)
+    assert found["coercive_input"].label == f"coercivity{label}"
+    assert found["coercive_input"].value == pytest.approx(HC, rel=1e-3)
+    assert found["remanence"].value == pytest.approx(branch(0.0), rel=1e-3)
 
 
 @pytest.mark.parametrize("mirrored", [1.0, -1.0])

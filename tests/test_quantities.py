@@ -269,6 +269,14 @@ def test_units_decide_which_quantities_there_are(u, y, kind):
     assert stiffness == {LoopKind.DISPLACEMENT_DRIVEN: "kN/mm", LoopKind.FORCE_DRIVEN: "N/mm"}.get(kind, stiffness)
 
 
+def test_the_loss_is_an_energy_where_the_units_tell_it():
+    """Oe and emu/g: 1e-4 T times A m2/kg is 1e-4 J/kg, as of the loops read without a model."""
+    x = np.linspace(0, 6 * np.pi, 1201)
+    data = hf.Dataset.of(hf.Record(50 * np.sin(x), 3 * np.sin(x - 0.5), u_unit="Oe", y_unit="emu/g"))
+    assert QUANTITIES["loop_area"].units(data) == "J/kg"
+    assert measured_quantities(data)["loop_area"] == pytest.approx(1e-4 * np.pi * 150 * np.sin(0.5), rel=1e-3)
+
+
 def test_gaps_have_their_reason(fit):
     no_error = dataclasses.replace(fit, joint=None)
     assert {q.reason for q in no_error.quantities} == {Unknown.NO_ERRORS}
@@ -278,7 +286,7 @@ def test_gaps_have_their_reason(fit):
     found = {q.name: q for q in dataclasses.replace(fit, joint=unseen).quantities}
     assert found["loop_area"].reason is Unknown.NOT_DETERMINED
     assert found["loop_area"].to_dict() == {
-        "value": None, "stderr": None, "unit": "kN mm", "reason": "not-determined", "measured": fit.quantities[0].measured,
+        "value": None, "stderr": None, "unit": "J", "reason": "not-determined", "measured": fit.quantities[0].measured,
         "measured_stderr": fit.quantities[0].measured_stderr, "differs": False,
     }  # fmt: skip
     loose = dataclasses.replace(fit, joint=1e10 * fit.joint)

@@ -117,6 +117,22 @@ def test_a_magnetometer_writes_one_loop_raw_and_adjusted(
     assert (record.u_name, record.y_name, record.reading["adjusted"]) == ("Adjusted Field", "Adjusted Moment", "true")
 
 
+def test_remanence_curves_keep_what_the_magnetometer_states(tmp_path: Path) -> None:
+    """An acquisition and a demagnetization curve, each from zero field, in two segments."""
+    field = np.linspace(0, 1, 41)
+    sections = SECTIONS.replace("Coercivity           ", "Coercivity (remanent)")
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nRemanence curves:  IRM + DCD\n\n"
+    text += sections.format(system="Hybrid SI", count=2) + SEGMENTS[16]
+    text += segment(16, 1, 0, 1, 41) + segment(16, 2, 0, -1, 82) + f"\n{'Field':>14}{'Remanence':>14}\n"
+    both = np.concatenate([field, -field]), np.concatenate([field**2, 1 - 2 * field**2])
+    text += "".join(f"{u:+.6E},{y:+.6E}\n" for u, y in zip(*both, strict=True))
+    data = Dataset.of(read(written(tmp_path, text, "dcd.001")))
+    assert [len(record) for record in data] == [41, 41]
+    stated = {one.quantity: one.value for one in data[1].stated}
+    assert stated["coercive_input"] == 16.31905e-3
+    assert data[1].y_name == "Remanence"
+
+
 def test_a_magnetometer_without_adjusted_columns(tmp_path: Path) -> None:
     path = written(tmp_path, magnetometer(16, adjusted=False, units=False, extra=False, system="cgs"), "a.hys")
     record = one(path)
@@ -574,6 +590,10 @@ COLUMNS = {  # names, and the columns: the output of a source is an input, a mon
     "held": ("Temperature (K),Field (Oe),Moment (emu)", (300 + 0.02 * NOISE, FIELD, MOMENT)),
     "unrelated": ("Gauge pressure (kPa),Field (Oe),Signal,Detector", (1 + 0.5 * NOISE, FIELD, MOMENT, NOISE)),
     "scans": ("Scan,Displacement (mm),Load (kN)", (np.arange(81.0), FIELD, MOMENT)),
+    "command of a field": ("source_output,field_calibrated,detector_voltage", (0.01 * FIELD, FIELD, MOMENT)),
+    "shunt": ("voltage (V),current (A),polarization (uC/cm2),applied voltage (V)", (5 * NOISE, NOISE, MOMENT, FIELD)),
+    "lock-in amplifier": ("Field (Oe),Voltage Ampl (V),Resistance (Ohms)", (FIELD, 0.1 * MOMENT, MOMENT)),
+    "units behind a blank": ("Time s,Vplus V,I1 A,P1 uC_per_cm2", (np.arange(81.0), FIELD, NOISE, MOMENT)),
 }
 
 
@@ -582,6 +602,29 @@ def test_columns_beside_the_loop_are_not_taken(kind: str, tmp_path: Path) -> Non
     header, columns = COLUMNS[kind]
     rows = "\n".join(",".join(f"{v:.8f}" for v in row) for row in zip(*columns, strict=True))
     is_loop(one(written(tmp_path, f"{header}\n{rows}\n")))
+
+
+def test_a_column_in_another_unit_is_left_out_of_columns_without_names(tmp_path: Path) -> None:
+    """The field of a coil beside its current leaves one pair."""
+    rows = "\n".join(f"{u:.8f} {701.8 * u:.4f} {y:.8f}" for u, y in zip(FIELD, MOMENT, strict=True))
+    record = one(written(tmp_path, rows + "\n"))
+    is_loop(record)
+    assert "column 1 is column 0 in another unit and is not used" in [note.text for note in record.notes]
+
+
+def test_of_curves_that_all_rise_unevenly_none_is_the_time(tmp_path: Path) -> None:
+    x = np.arange(12.0)
+    rows = "\n".join(f"{700 * np.tanh(k / 4):.1f} {k:.0f} {9e5 * np.tanh(k / 3):.1f}" for k in x)
+    with pytest.raises(DataError, match="nothing in the file tells which columns"):
+        read(written(tmp_path, rows + "\n"))
+
+
+def test_the_direction_of_the_sweep_is_no_condition(tmp_path: Path) -> None:
+    u, y = np.repeat(FIELD, 2), np.repeat(MOMENT, 2)  # 162 samples
+    up = np.where(np.arange(162) < 82, -1, 1)
+    rows = "\n".join(f"{a:.8f},{d},{b:.8f}" for a, d, b in zip(u, up, y, strict=True))
+    record = one(written(tmp_path, f"Field (Oe),direction,Moment (emu)\n{rows}\n"))
+    assert not [note.text for note in record.notes if "levels" in note.text]
 
 
 def test_frequencies_below_each_other_are_records(tmp_path: Path) -> None:

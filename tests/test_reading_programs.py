@@ -254,6 +254,26 @@ def test_numbered_loops_that_close_are_no_branches(tmp_path: Path) -> None:
     assert [len(record) for record in data] == [120, 120]
 
 
+def test_pulses_side_by_side_are_one_record(tmp_path: Path) -> None:
+    """Their times follow each other, and each begins where the one before ended."""
+    pulse = 1 - np.abs(np.linspace(-1, 1, 41))
+    u = np.concatenate([pulse, pulse, -pulse])
+    y = np.concatenate([0.5 * pulse + np.linspace(-1, 1, 41), 0.5 * pulse + 1, -0.5 * pulse + np.linspace(1, -1, 41)])
+    t = np.concatenate([k + np.linspace(0, 0.1, 41) for k in range(3)])
+    groups = [values[k * 41 : (k + 1) * 41] for k in range(3) for values in (t, u, y)]
+    head = "Psw [uC/cm2]: 17.5\nWloss [uJ/cm2]: 69.8\n" + "\t".join(["Time [s]\tV [V]\tP [uC/cm2]"] * 3)
+    record = one(written(tmp_path, head + "\n" + rows("\t", *groups), "pund.dat"))
+    np.testing.assert_allclose(record.u, u, atol=1e-6)
+    np.testing.assert_allclose(record.t, t, atol=1e-6)
+    assert not record.stated  # of pulses, not of a loop
+
+
+def test_conditions_in_brackets_are_no_units(tmp_path: Path) -> None:
+    data = Dataset.of(read(written(tmp_path, "H (Oe),M (300 K),M (77K)\n" + rows(",", U, Y, 2 * Y))))
+    assert [(record.name, record.y_unit) for record in data] == [("300 K", ""), ("77 K", "")]
+    assert one(written(tmp_path, "I1(135deg) X\n" + rows(" ", U, Y), "b.dat")).u_unit == ""
+
+
 def test_letters_of_phases_are_no_units(tmp_path: Path) -> None:
     content = "Disp_A,Force_A,Disp_B,Force_B\n" + rows(",", U, Y, 2 * U, 2 * Y)
     data = Dataset.of(read(written(tmp_path, content)))
@@ -396,3 +416,18 @@ def test_an_output_that_saturates_in_small_cycles_belongs_to_its_input(tmp_path:
     drift = np.linspace(0, 1, u.size) + 0.2 * np.sin(np.arange(u.size) / 40)
     content = "Gap (mm),Disp (mm),Force (kN)\n" + rows(",", np.round(drift, 4), np.round(u, 4), np.round(force, 4))
     assert one(written(tmp_path, content)).u_name == "Disp (mm)"
+
+
+def test_the_components_along_the_field_are_the_loop(tmp_path: Path) -> None:
+    """OOMMF gives all components of field and magnetization behind the names of the parts of the program, and the size of the field."""
+    m = 0.9 * np.tanh(Y / np.abs(Y).max() * 2)
+    across = np.sqrt(1 - m**2)
+    field = {"Bx": 0.02 * U, "By": U, "B": np.hypot(U, 0.02 * U)}
+    vector = {"mx": across, "my": m, "mz": 0.1 * across * np.sin(3 * m)}
+    columns = {"Oxs_CGEvolve::Total energy": -m * U}
+    columns |= {f"Oxs_UZeeman::{name}": values for name, values in field.items()}
+    columns |= {f"Oxs_MinDriver::{name}": values for name, values in vector.items()}
+    names = " ".join(f"{{{name}}}" if " " in name else name for name in columns)
+    above = f"# ODT 1.0\n# Table Start\n# Columns: {names}\n# Units: J mT mT mT {{}} {{}} {{}}\n"
+    record = one(written(tmp_path, above + rows(" ", *columns.values()) + "# Table End\n", "loop.odt"))
+    assert (record.u_name, record.y_name, record.u_unit) == ("Oxs_UZeeman::By", "Oxs_MinDriver::my", "mT")

@@ -27,6 +27,12 @@ DRAWN = {
         "Date,12.3.2024",
     ],
     "listed": ["VSM record", "@Column 0: H, [kA/m]", "@Column 1: B, [T]", "@@Data", *ROWS],
+    "listed behind corrections": [
+        *[f"{k}.000000   {1 + k / 1e4:.6E}   0.0E+0" for k in range(30)],
+        "@Column 0: H, [kA/m]",
+        "@Column 1: B, [T]",
+        *ROWS,
+    ],
     "listed behind tabs": ["Nsig\t2", "Sig1\tH (kA/m)", "Sig2\tB (T)", "StartOfData", *ROWS],
     "braces": ["# Columns: {Driver::Field H} {Driver::B}", "# Units: {kA/m} {T}", *ROWS],
     "behind a label": [

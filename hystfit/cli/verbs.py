@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import re
+import shlex
 from collections.abc import Mapping
 
 VERBS = {
@@ -82,7 +83,7 @@ def as_options(message: str) -> str:
     def option(match: re.Match[str]) -> str:
         if match[1] not in option_names():
             return match[0]
-        value = "none" if match[3] else match[2]
+        value = "none" if match[3] else match[2] and shlex.quote(match[2])
         return f"--{match[1].replace('_', '-')}" + (f" {value}" if value else "")
 
     text = _ARGUMENT.sub(option, message)

@@ -16,6 +16,7 @@ _WORDS, _ROLES = (
 )
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
+_DRIVERS = frozenset(_VOCABULARY["drivers"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
@@ -63,8 +64,13 @@ def column_quantity(name: str, unit: str = "") -> str:
 
 
 def _field(base: str) -> str:
-    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are."""
-    path = re.fullmatch(r"\w+(?:\.\w+)*\.([A-Za-z]\w*)", base)
+    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are.
+
+    Behind two colons it is the name of a quantity of a part of a program (Oxs_UZeeman::Bx).
+    """
+    path = re.fullmatch(r"(?:\w+\.)+([A-Za-z]\w*)|[\w:]+::([A-Za-z][\w ]*)", base)
+    if path and path[2]:
+        return path[2]
     return path[1] if path and (len(path[1]) == 1 or any(w in _WORDS or w in _ROLES for w in _words(path[1]))) else base
 
 
@@ -79,6 +85,8 @@ def column_role(name: str) -> str:
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
+    if roles == {"output"} and _DRIVERS.intersection(_words(base)):
+        return "input"
     return roles.pop() if len(roles) == 1 else ""
 
 

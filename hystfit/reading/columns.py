@@ -20,7 +20,7 @@ from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.header import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import proportional
+from hystfit.reading.signal_evidence import computed, proportional
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
@@ -154,6 +154,9 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
                 return None
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
+        uneven = not named and np.ptp(steps) > np.median(steps)
+        if uneven and all((np.diff(table.columns[other]) > 0).all() for other in free):
+            return None  # of several curves over each other, none is that of time
         if not table.counts(k):
             reason = "always increases" if (steps > 0).all() else "never decreases"
             notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it {reason}"))
@@ -250,7 +253,7 @@ def _as_option(table: Table, position: int) -> str:
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
-    """The columns that do not repeat an earlier one, as they are or with the other sign."""
+    """The columns that do not repeat an earlier one, as they are or with the other sign, and were not computed from it."""
     kept: list[int] = []
     for k in free:
         source = next((j for j in (*given.values(), *kept) if _repeats(table.columns[j], table.columns[k])), None)
@@ -263,6 +266,11 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
             f"{table.source}: the columns {', '.join(map(str, free))} are one signal, of equal or opposite sign; a loop needs an input and "
             f"an output; {_half_of_pair(table)}"
         )
+    for k in [*kept]:
+        earlier = (j for j in (*given.values(), *kept) if j < k and computed(table.columns[j], table.columns[k]))
+        if len(kept) + len(given) > 2 and (source := next(earlier, None)) is not None:
+            kept.remove(k)
+            notes.append(Note(Code.LEFT_OUT, f"column {k} is column {source} in another unit and is not used"))
     return kept
 
 

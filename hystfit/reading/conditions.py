@@ -32,6 +32,8 @@ def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) 
     present = np.isfinite(table.columns[output])
     for k in others:
         own = np.isfinite(table.columns[k])
+        if column_quantity(table.names[k], table.units[k]) == "error":
+            continue
         if table.units[k] and table.units[k] == table.units[output] and own.any() and not (own & present).any():
             yield warn(
                 Code.CONDITIONS,

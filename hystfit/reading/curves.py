@@ -25,6 +25,7 @@ _JUMP = 5.0  # step to the next curve over the steps around it
 _MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
+_AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
@@ -300,6 +301,8 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
             notes.append(Note(Code.CURVES, text, option=("by", name)))
         elif position in table.labels or kind in ("index", "time") or table.pair is not None or _STATE.search(name):
             continue
+        elif _is_direction(table.columns[position], table.columns[choice.input]):
+            continue
         elif levels := _levels(table.columns[position]):
             shown_levels = ", ".join(f"{level:g}" for level in levels)
             text = (
@@ -307,6 +310,14 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
                 f"where='{name}={levels[-1]:g}' reads the samples of one level"
             )
             notes.append(warn(Code.CURVES, text))
+
+
+def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:
+    """Whether a column of two levels tells whether the input rises or falls."""
+    step = np.diff(drive)
+    rising, high = step[step != 0] > 0, values[1:][step != 0] > values.min()
+    agree = float(np.mean(rising == high)) if high.size else 0.5
+    return np.unique(values).size == 2 and max(agree, 1.0 - agree) > _AGREES
 
 
 def _levels(values: np.ndarray) -> list[float]:

@@ -41,7 +41,7 @@ _NOT_SUFFIX = frozenset(
 _NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
 _NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
 _SAMPLE = re.compile(
-    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file))"
+    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
@@ -63,7 +63,7 @@ _LONGEST_SETTING = 1000  # characters of a line
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
 # "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>.*[A-Za-z].*)")
+_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>(?!\d).*[A-Za-z].*)")
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )
@@ -107,11 +107,13 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
         inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
         if base and closed and not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
             return f"{base} {inner}", of_inner  # 1-1(位移/mm)
-        if base and closed and (is_unit(unit) or (re.search(r"[A-Za-z%°]", unit) and len(unit) <= 12)):
+        if base and closed and (is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12)):
             return base, unit
+        if base and closed and re.match(r"\d+[.,]?\d*\s*[A-Za-z%°]", unit):  # M (300 K): a condition
+            return base, ""
         if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
             return base, ""
-    if match := re.fullmatch(r"(.+?)_([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
+    if match := re.fullmatch(r"(.+?)[_ ]([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
         return match[1], f"{match[2]}/{match[3]}"
     if match := _JOINED.fullmatch(name):
         over, under = filter(None, match.groups()[1:])
@@ -123,9 +125,14 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     # Moment / A m2, Force, kN, Field in kA/m
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
-    # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A.
-    if (match := re.fullmatch(r"(.*[^\W\d_]{2,}\.?) (\S{2,})", name)) and is_unit(match[2]):
-        if match[2] not in _NOT_SUFFIX and not _is_role(match[1], match[2], siblings):
+    # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A, unless all columns have one.
+    if (match := re.fullmatch(r"(.*\S) (\S+)", name)) and is_unit(match[2]):
+        spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
+        if (
+            (spelled or _all_have_units(siblings))
+            and match[2] not in _NOT_SUFFIX
+            and not _is_role(match[1], match[2], siblings)
+        ):
             return match[1], match[2]
     if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
         others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
@@ -134,6 +141,13 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
             return name, ""
         return (name, "") if _is_role(match[1], match[2], siblings) else (match[1], match[2])
     return name, ""
+
+
+def _all_have_units(names: Sequence[str]) -> bool:
+    """Whether each of several names, none of them twice, has a unit behind it: Time s, Vplus V, I1 A."""
+    pairs = [name.strip().rpartition(" ") for name in names]
+    bases = {base for base, _, _ in pairs}
+    return len(bases) == len(pairs) > 1 and all(base and is_unit(unit) for base, _, unit in pairs)
 
 
 def _opening(name: str) -> int:
@@ -288,6 +302,11 @@ def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> lis
         return []
     kinds = {cells.kind(part, decimal) for part in parts[1:]}
     return parts if kinds <= {cells.NUMBER, cells.TEXT} and not any("=" in part for part in parts) else []
+
+
+def is_listed(line: str) -> bool:
+    """Whether a line has the name of one column behind its number."""
+    return _LISTED.fullmatch(line.strip()) is not None
 
 
 def listed_names(above: Sequence[str], width: int) -> list[str]:

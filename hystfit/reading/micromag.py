@@ -157,10 +157,10 @@ def _by_segments(table: Table, lines: Sequence[str], rows: Sequence[int]) -> Tab
     notes = [Note(Code.CURVES, text)]
     if not moves.all():
         notes.append(Note(Code.LEFT_OUT, f"left out: {(~moves).sum()} curves at one field"))
-    names = [f"curve={k}" for k in np.flatnonzero(moves)]
-    table = dataclasses.replace(
-        table, part=np.cumsum(moves)[curve] - 1, parts=tuple(map(Part, names)), calibration=held if held.any() else None
-    )
+    whole = table.parts[0]
+    parts = tuple(dataclasses.replace(whole, name=f"curve={k}") for k in np.flatnonzero(moves))
+    part, marked = np.cumsum(moves)[curve] - 1, held if held.any() else None
+    table = dataclasses.replace(table, part=part, parts=parts, calibration=marked)
     return table.take(moves[curve]).noted(*notes)
 
 

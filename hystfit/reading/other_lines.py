@@ -12,7 +12,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import is_unit, listed_names, read_header, split_unit, stated_units, titled_names
+from hystfit.reading.header import is_listed, is_unit, listed_names, read_header, split_unit, stated_units, titled_names
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
@@ -76,7 +76,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         for position in nameless:
             names.insert(position, "")
             units.insert(position, "")
-    listed = [] if used else listed_names(text.lines[:first], dialect.width)
+    listed = [] if used and not is_listed(text.lines[first - 1]) else listed_names(text.lines[:first], dialect.width)
+    used = 0 if listed else used
     titled, of_titled = (
         ([], []) if used or listed else titled_names(text.lines[:first], dialect.width, dialect.delimiter)
     )

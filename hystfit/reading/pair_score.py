@@ -17,6 +17,7 @@ from hystfit.reading.column_names import column_role, is_bare_role, is_channel, 
 from hystfit.reading.header import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
+    computed,
     explained,
     extent,
     is_held,
@@ -47,8 +48,10 @@ _BARE = (
 # Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
-# Points of a displacement whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of a part.
-_PARTIAL, _OF_LARGEST = -1.0, 0.3
+# Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
+# a part; the component of a field across its direction, or its size, which has no sign. Points of components along one axis (Bx, mx).
+_PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+_OF_PARTS = ("displacement", "field", "induction")
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
@@ -80,6 +83,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
 )  # fmt: skip
+_OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
@@ -92,7 +96,9 @@ _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -3.0, 0.5
-_COPY = -3.0  # points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input
+# Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
+# one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
+_COPY, _COMPUTED = -3.0, -3.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
@@ -175,6 +181,7 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
+        points += _ALONG * (self._axis[i] == self._axis[o] != "")
         if kinds[i] != kinds[o] and self._is_measured[i]:
             points += _OVERTAKEN
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
@@ -198,7 +205,8 @@ class _Evidence:
             u, y = columns[reading.input], columns[reading.output]
             same = self.kinds[reading.input] == self.kinds[reading.output]
             copied = (same and proportional(u, y)) or repeats(u, y)
-            return _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED) + _COPY * copied
+            unrelated = _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED)
+            return unrelated + _COMPUTED + _COPY if computed(u, y) else unrelated + _COPY * copied
 
         return [
             dataclasses.replace(
@@ -246,16 +254,33 @@ class _Evidence:
         return _ByColumn(lambda k: not self.alone and is_held(self.table.columns[k]))
 
     @functools.cached_property
+    def _bases(self) -> list[str]:
+        return [split_unit(name)[0].strip() for name in self.table.names]
+
+    @functools.cached_property
+    def _axis(self) -> dict[int, str]:
+        """The axis of columns that are components of a vector, as the ends of their names tell; "" of others."""
+        names = self._bases
+        is_component = lambda name: (
+            name[1:]
+            and name[-1] in "xyz"
+            and any(f"{name[:-1]}{other}" in names for other in "xyz" if other != name[-1])
+        )
+        return {k: name[-1] if is_component(name) else "" for k, name in enumerate(names)}
+
+    @functools.cached_property
     def _is_partial(self) -> _ByColumn:
-        """Whether a column is the displacement of a part of the device, by column."""
-        extents: dict[str, float] = {}
+        """Whether a column is the displacement of a part of the device or a part of its field, by column."""
+        extents: dict[tuple[str, str], float] = {}
+        vectors = {self._bases[k][:-1] for k, axis in self._axis.items() if axis}
+        group = lambda k: (self.kinds[k], self.table.units[k])
         for k in self.ranks:
-            if self.kinds[k] == "displacement":
-                extents[self.table.units[k]] = max(extents.get(self.table.units[k], 0.0), extent(self.table.columns[k]))
+            extents[group(k)] = max(extents.get(group(k), 0.0), extent(self.table.columns[k]))
 
         def partial(k: int) -> bool:
-            whole = extents.get(self.table.units[k], 0.0) if self.kinds[k] == "displacement" else 0.0
-            return bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
+            of_part = bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
 
@@ -301,9 +326,20 @@ def _either_drives(one: str, other: str) -> bool:
 
 
 def _is_raw_signal(table: Table, position: int) -> bool:
-    """Whether a column in volts has the name of another one in a unit of its own: Force (V) beside Force (N)."""
+    """Whether a column in volts has the name of another one in a unit of its own, Force (V) beside Force (N), or is that across a shunt.
+
+    The voltage across a shunt and that of a lock-in amplifier are proportional to the current or resistance computed from them.
+    """
     name = split_unit(table.names[position])[0].strip().lower()
     if not name or quantity(table.units[position]) != "voltage":
         return False
-    same = [k for k, other in enumerate(table.names) if split_unit(other)[0].strip().lower() == name and k != position]
-    return any(quantity(table.units[k]) not in ("", "voltage") for k in same)
+
+    def measures(k: int) -> bool:
+        kind = quantity(table.units[k])
+        if kind in ("", "voltage"):
+            return False
+        computable = kind in _OF_VOLTAGES and k not in table.labels
+        same = split_unit(table.names[k])[0].strip().lower() == name
+        return same or (computable and proportional(table.columns[position], table.columns[k]))
+
+    return any(measures(k) for k in range(len(table.names)) if k != position)

@@ -74,8 +74,14 @@ def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
 
 def _condition(name: str) -> tuple[str, str, str] | None:
     """The rest of a name, and the value and unit of a condition that it states ("M 5K", "280 K", "B at 50 Hz"); None without one."""
-    match = _CONDITION.fullmatch(split_unit(name)[0] if name.endswith((")", "]")) else name)
+    match = _CONDITION.fullmatch(_bare(name))
     return (match[1], match[2], match[3]) if match and quantity(match[3]) else None
+
+
+def _bare(name: str) -> str:
+    """A name without a unit in brackets."""
+    base, unit = split_unit(name)
+    return base if name.endswith((")", "]")) and is_unit(unit) else name
 
 
 def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
@@ -83,8 +89,7 @@ def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
 
     In M_300K and H_300K beside M_77K and H_77K these are 300K, 77K, and M, H; none where the names are made in another way.
     """
-    bare = lambda name: split_unit(name)[0] if name.endswith((")", "]")) and is_unit(split_unit(name)[1]) else name
-    words = [[_WORD.findall(bare(name)) for name in group] for group in groups]
+    words = [[_WORD.findall(_bare(name)) for name in group] for group in groups]
     shared = [set.intersection(*map(set, names)) for names in words]
     common = set.intersection(*shared)
     rest = [
@@ -148,6 +153,16 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
     base = table.parts[0] if table.parts else Part()
     titles = titles or [table.over[group[0]] if table.over else "" for group in groups]
     named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
+    if "time" in kinds and not named and width > 2:
+        clocks = [table.columns[group[kinds.index("time")]][rows] for group, rows in zip(groups, kept, strict=True)]
+        if all(one[-1] < other[0] for one, other in itertools.pairwise(clocks)):
+            joined = table.select(first).take(np.concatenate(kept))
+            pulses = tuple(dataclasses.replace(part, stated=()) for part in table.parts)  # what was stated is of pulses
+            joined = dataclasses.replace(
+                joined, columns=tuple(below(side) for side in range(width)), parts=pulses, over=()
+            )
+            text = f"{len(groups)} groups of {width} columns side by side, whose times follow each other, are read as one record"
+            return joined.noted(Note(Code.CURVES, text))
     text = f"{len(groups)} loops side by side, each of {width} columns named alike, are read as curves"
     return dataclasses.replace(
         table.select(first).take(np.concatenate(kept)),

@@ -7,9 +7,13 @@ import numpy as np
 # Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
 # leave 0.001 to 0.02 to their hysteresis.
 _PROPORTIONAL = 2e-4
+# The same of a column that was computed from the other one: numbers of five digits are rounded by 1e-10 of the variance, and sensors of 16
+# bits leave more.
+_COMPUTED = 1e-9
 _SMALL = 0.01  # range of a column over its size, below which it is held at a value far from zero
 _SWING = 0.02  # of the range of an input, below which it swings as noise does
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
+_FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
 
 
 def extent(values: np.ndarray) -> float:
@@ -74,13 +78,23 @@ def _swings(values: np.ndarray) -> int:
 
 def proportional(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether a straight line leaves nearly nothing of an output."""
+    return _beside_a_line(u, y, _FEWEST) < _PROPORTIONAL
+
+
+def computed(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether one column is the other one in another unit or scale, but for the digits that were written."""
+    return _beside_a_line(u, y, _FEWEST_COMPUTED) < _COMPUTED
+
+
+def _beside_a_line(u: np.ndarray, y: np.ndarray, fewest: int) -> float:
+    """Part of the variance that a straight line leaves; 1 of fewer samples, and of a constant column."""
     u, y = sample(u), sample(y)
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
-    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
-        return False
+    if u.size < fewest or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return 1.0
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
-    return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y))) < _PROPORTIONAL
+    return float(1.0 - (u @ y) ** 2 / ((u @ u) * (y @ y)))
 
 
 def repeats(u: np.ndarray, y: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from hystfit.reading.header import setting_of, split_unit
 
 # Names of results by the quantity of `hystfit.results.quantities` that they are.
 _NAMES = {
-    "coercive_input": r"coerciv(?:e|ity)(?: (?:field|force|voltage))?|[HVE]c[bij]?|[bij]Hc",
+    "coercive_input": r"coerciv(?:e|ity)(?: (?:field|force|voltage|\(remanent\)))?|[HVE]c[bij]?|[bij]Hc",
     "remanence": r"remanence|remanent (?:magneti[sz]ation|polari[sz]ation|induction|moment)|[MPBJ]r",
     "saturation": r"saturation(?: (?:magneti[sz]ation|polari[sz]ation|induction|moment))?|[MPBJ]s(?:at)?",
     "offset_input": r"[VE]_?c_?shift|imprint(?: (?:voltage|field))?",

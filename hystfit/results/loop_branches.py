@@ -167,7 +167,12 @@ def crossing(
     near = np.flatnonzero(np.abs(level) <= _CLEAR * (sigma or 0.0))
     if near.size < 5 or abs(step) > _CLEAR * (sigma or 0.0):
         error = of_values if sigma is None else sigma * abs(run / step)
-        return float(values[k] - level[k] * run / step), None if error is None else float(error)
+        if error is not None:
+            curved = (
+                _beside_chord(level, values, k) if sigma is None else _beside_chord(values, level, k) * abs(run / step)
+            )
+            error = float(np.hypot(error, (level[k] / step) * (1 + level[k] / step) * curved))
+        return float(values[k] - level[k] * run / step), error
     # Noise crosses zero several times: a straight line through the samples about it.
     slope, offset = np.polyfit(values[near], level[near], 1)
     at = -offset / slope
@@ -175,6 +180,18 @@ def crossing(
         float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
     )
     return float(at), float((sigma or 0.0) / abs(slope) * np.sqrt(spread))
+
+
+def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:
+    """Half the squared distance of two neighboring samples times the larger second derivative about them.
+
+    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance.
+    """
+    triples = [slice(first, first + 3) for first in (k - 1, k) if first >= 0 and first + 3 <= x.size]
+    slopes = [np.diff(y[three]) / np.diff(x[three]) for three in triples if np.all(np.diff(x[three]))]
+    widths = [abs(x[three][2] - x[three][0]) for three in triples if np.all(np.diff(x[three]))]
+    second = max((2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width), default=0.0)
+    return 0.5 * float((x[k + 1] - x[k]) ** 2 * second)
 
 
 def combined(found: list[tuple[float, float | None] | None]) -> tuple[float, float | None, int] | None:

@@ -17,6 +17,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
+from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
     ENDS,
@@ -34,11 +35,12 @@ from hystfit.results.loop_branches import (
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
-from hystfit.results.magnetic_values import magnetic_values, quadrant_values
+from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
+_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 _SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 
@@ -124,7 +126,14 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
         DataError: a correction of another name.
     """
     records = Dataset.of(data)
-    read = {record.name: _of_record(record, sample or Sample(), correct) for record in records}
+    family = recognize_family(records)
+    inner = (
+        {record.name for record in family.curves[:-1]} if family else set[str]()
+    )  # their reversals lie inside the loop
+    read = {
+        record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
+        for record in records
+    }
     rows, corrections, notes = ({name: one[k] for name, one in read.items()} for k in range(3))
     for record in records:  # several measurements in one record: its values are of none of them
         notes[record.name] = (*(n for n in record.notes if n.code is Code.CONDITIONS), *notes[record.name])
@@ -227,12 +236,18 @@ def _levels(
         words = ("coercivity", "remanence") if named else ("half width", "half height")
         yield from _both(width, "coercive_input", words[0], units[0], sides=named)
         yield from _both(height, "remanence", words[1], units[1], sides=named)
-    error = None if sigma is None else sigma * float(np.sqrt(2))
+    error = None if sigma is None else _range_error(np.concatenate([b.y for b in branches]), sigma)
     yield LoopValue("stroke", "range of the output", float(top - bottom), error, units[1])
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from _stiffness(branches, cycles, sigma, units)
+
+
+def _range_error(y: np.ndarray, sigma: float) -> float:
+    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
+    many = np.array([np.count_nonzero(side >= side.max() - _NEAR * sigma) for side in (y, -y)])
+    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
 def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[LoopValue]:
@@ -289,25 +304,25 @@ def _loss(closed: Sequence[Pair], sigma: float | None, record: Record) -> Iterat
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | None) -> tuple[LoopValue, ...]:
-    """HcB, Br and (BH)max of a demagnetization curve: one way, in the second or the fourth quadrant; nothing of other curves."""
+    """Coercivity and remanence of a magnetic curve in one direction that is remanent at zero field; nothing of other curves.
+
+    It is a demagnetization curve, half a loop, or a curve of remanences after back fields, whose zero is the coercivity of remanence.
+    """
     kinds = quantity(record.u_unit), quantity(record.y_unit)
-    named = {record.u_name[:1].upper(), record.y_name[:1].upper()}
-    magnetic = kinds in (
-        ("field", "induction"),
-        ("field", "magnetization"),
-        ("induction", "magnetization"),
-    ) or named in ({"H", "B"}, {"H", "J"}, {"H", "M"})
-    slack = _SIDE * float(np.abs(u).max()), _SIDE * float(np.abs(y).max())
-    sign = 1.0 if u.min() < -slack[0] else -1.0
-    field, flux = -sign * u, sign * y  # the demagnetizing field counts positive
-    if not magnetic or field.min() < -slack[0] or flux.min() < -slack[1]:
+    named = {record.u_name[:1].upper(), record.y_name[:1].upper()} in ({"H", "B"}, {"H", "J"}, {"H", "M"})
+    magnetic = kinds[0] in ("field", "induction") and kinds[1] in ("induction", "magnetization", "moment")
+    slack, largest = _SIDE * float(np.abs(u).max()), float(np.abs(y).max())
+    rest = int(np.argmin(np.abs(u)))
+    if not (magnetic or named) or abs(y[rest]) < REMANENT_PART * largest:
         return ()
+    field, flux = -np.sign(y[rest]) * u, np.sign(y[rest]) * y  # the demagnetizing field counts positive
     order = np.argsort(field, kind="stable")
     field, flux = field[order], flux[order]
     found = []
-    if flux[-1] <= slack[1]:
+    if field[-1] > slack and flux[-1] <= _SIDE * largest:
         found_at = crossing(flux, field, sigma) or (float(field[-1]), None)
-        found.append(LoopValue("coercive_input", "coercivity", *found_at, record.u_unit))
-    if field[0] <= slack[0]:
-        found.append(LoopValue("remanence", "remanence", float(flux[0]), sigma, record.y_unit))
-    return tuple(found)
+        label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
+        found.append(LoopValue("coercive_input", label, *found_at, record.u_unit))
+    if abs(u[rest]) <= slack:
+        found.append(LoopValue("remanence", "remanence", abs(float(y[rest])), sigma, record.y_unit))
+    return tuple(with_stated(record, found, lambda _: (), []))

@@ -59,6 +59,8 @@ class MagneticLoop:
         branches: between turning points over nearly the whole range of the field.
         corrections: in order.
         saturation: by the law of approach; None where there are too few samples.
+        units: of field and output in the file.
+        per_field: size of that of the field [A/m].
     """
 
     h: np.ndarray
@@ -68,6 +70,8 @@ class MagneticLoop:
     branches: tuple[Branch, ...]
     corrections: tuple[Correction, ...]
     saturation: Saturation | None
+    units: tuple[str, str]
+    per_field: float
 
     @classmethod
     def of(
@@ -91,7 +95,8 @@ class MagneticLoop:
         if field is None or per_field is None:
             return None
         sample = sample.with_header(record.metadata)
-        h, y = per_field * field.factor * record.u[record.used], record.y[record.used]
+        per_field *= field.factor
+        h, y = per_field * record.u[record.used], record.y[record.used]
         factor, corrections = _to_polarization(record, sample)
         if sample.image is not None:
             factor = None if factor is None else factor / sample.image
@@ -99,7 +104,8 @@ class MagneticLoop:
             corrections.append(Correction("image", "images in the poles", sample.image, None, "", True))
         scale = 1.0 if factor is None else factor
         j = scale * y - (MU0 * h if factor is not None and _is_flux(record) else 0.0)
-        made = cls(h, j, None if noise is None else scale * noise, factor is not None, (), tuple(corrections), None)
+        noise, units = None if noise is None else scale * noise, (record.u_unit, record.y_unit)
+        made = cls(h, j, noise, factor is not None, (), tuple(corrections), None, units, per_field)
         return made._drift("drift" in correct)._demagnetized(sample)._centered("offset" in correct)._sloped("slope" in correct)  # fmt: skip
 
     def _with(self, correction: Correction | None = None, **changes: object) -> MagneticLoop:
@@ -111,7 +117,7 @@ class MagneticLoop:
     @property
     def unit(self) -> str:
         """Of j."""
-        return "T" if self.absolute else ""
+        return "T" if self.absolute else self.units[1]
 
     @property
     def sigma(self) -> float | None:
@@ -171,9 +177,11 @@ class MagneticLoop:
             return made
         shift = 0.5 * (sides[0][0] + sides[1][0])
         known = sides[0][1] is not None and sides[1][1] is not None
-        error = 0.5 * float(np.hypot(sides[0][1] or 0.0, sides[1][1] or 0.0)) if known else None
+        size = self.per_field
+        error = 0.5 * float(np.hypot(sides[0][1] or 0.0, sides[1][1] or 0.0)) / size if known else None
+        text = "of the field: half sum of both crossings"
         return made._with(
-            Correction("offset", "of the field: half sum of both crossings", shift, error, "A/m", apply),
+            Correction("offset", text, shift / size, error, self.units[0], apply),
             h=made.h - (shift if apply else 0.0),
         )
 

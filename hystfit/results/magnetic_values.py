@@ -21,7 +21,7 @@ _HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically har
 _KNEE = 0.9  # of Jr, at the knee field Hk
 _RAYLEIGH = 0.3  # of the coercivity, up to which the first curve follows the Rayleigh law
 _REST = 0.02  # of the ranges, within which a record begins demagnetized
-_REMANENT = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
+REMANENT_PART = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
 _NEIGHBORS = 7  # samples of a local quadratic of a switching field distribution, at least
 _LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at least
 Found = tuple[float, float | None]
@@ -167,7 +167,7 @@ def quadrant_values(loop: MagneticLoop, field_unit: tuple[str, float], output_un
     h, j = loop.h, loop.j
     rest = float(j[np.argmin(np.abs(h))])
     branch = Branch(np.sign(rest) * h, np.sign(rest) * j)
-    if abs(rest) < _REMANENT * np.abs(j).max() or branch.u.min() >= -_REST * np.abs(h).max():
+    if abs(rest) < REMANENT_PART * np.abs(j).max() or branch.u.min() >= -_REST * np.abs(h).max():
         return ()
     return _of_branches(loop, [branch], [False], field_unit, output_unit)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.params.units import loop_energy
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
 
@@ -24,7 +25,7 @@ class Quantity:
     Attributes:
         label: its name in a report.
         doc: what it is.
-        unit: with {u}, {y}, {force} and {path} for the units of input, output, force and displacement.
+        unit: with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop.
         of_loops: its value for each loop; None for the creep, which follows from a step.
         kinds: of loops for which it is defined; None for all.
         leads: kinds in whose reports it comes first, in the order of the registry.
@@ -41,14 +42,14 @@ class Quantity:
         """Its unit on these records; empty where they have none."""
         u, y = data.units["u"], data.units["y"]
         force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
-        text = self.unit.format(u=u, y=y, force=force, path=path).strip()
+        text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
         return text if (u and y) or "/" not in text else ""
 
 
 CREEP = "creep_percent_per_decade"
 QUANTITIES: dict[str, Quantity] = {
     "loop_area": Quantity(
-        "loss per cycle", "area of the steady loop over the fitted input range", "{y} {u}", lambda loops: loops.area,
+        "loss per cycle", "area of the steady loop over the fitted input range", "{energy}", lambda loops: loops.loss,
         leads=REMANENT | STRUCTURAL,
     ),
     "coercive_input": Quantity(

@@ -55,8 +55,10 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
+    if "stroke" in part:  # the largest of noisy heights over that of noisy outputs
+        part["hysteresis_percent"] = float(np.sqrt(2)) * part["stroke"]
     for name, y in values.items():
-        sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{y} {u}": scales.y * scales.u}
+        sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
@@ -218,7 +220,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
                     branches[rises].append(branch)
     if not branches[True]:
         return {}
-    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.force_driven)
+    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.force_driven, excitation.energy)
     values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
     return {name: value for name, value in values.items() if np.isfinite(value)}
 

@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.params.units import loop_energy
 from hystfit.quality.loops import cycles
 from hystfit.results.loop_kinds import LoopKind
 
@@ -38,12 +39,14 @@ class SteadyLoops:
         inputs: rising, shape (P,).
         rising, falling: outputs of each loop at these inputs, shape (count, P).
         force_driven: whether the input is the force.
+        energy: that of a unit of area, in the unit of `loop_energy`.
     """
 
     inputs: np.ndarray
     rising: np.ndarray
     falling: np.ndarray
     force_driven: bool = False
+    energy: float = 1.0
 
     @property
     def gap(self) -> Float[np.ndarray, "count P"]:
@@ -64,6 +67,11 @@ class SteadyLoops:
     def area(self) -> Float[np.ndarray, " count"]:
         """Enclosed area."""
         return np.abs(np.trapezoid(self.falling - self.rising, self.inputs, axis=1))
+
+    @property
+    def loss(self) -> Float[np.ndarray, " count"]:
+        """Energy of the enclosed area."""
+        return self.energy * self.area
 
     @property
     def travel(self) -> Float[np.ndarray, " count"]:
@@ -114,6 +122,7 @@ class Excitation:
         sine: whether the cycles of the records are nearer to a sine than to a triangle.
         points: samples of a cycle, an even number.
         cycles: the last of which shows the steady loop.
+        energy: that of a unit of area of a loop.
     """
 
     low: float
@@ -123,6 +132,7 @@ class Excitation:
     sine: bool = False
     points: int = _POINTS
     cycles: int = _CYCLES
+    energy: float = 1.0
 
     @classmethod
     def of(cls, data: Dataset, *, hardens: bool = False) -> Excitation:
@@ -135,7 +145,8 @@ class Excitation:
         high = max(float(r.u[r.used].max()) for r in data)
         interval, sine, points = _waveform(data)
         count = _cycles_of_path(data, high - low) if hardens else _CYCLES
-        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count)
+        energy = loop_energy(data.units["u"], data.units["y"])[1]
+        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, energy)
 
     @functools.cached_property
     def inputs(self) -> np.ndarray:
@@ -163,7 +174,7 @@ class Excitation:
         """The steady loops in outputs over `loop`, shape (count, T)."""
         half, y = self.points // 2, y[:, -self.points :]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
-        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven)
+        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy)
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:

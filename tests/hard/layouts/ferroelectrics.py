@@ -171,3 +171,52 @@ def published_loop(draw: Draw) -> Layout:
         {draw.pick("PE_loop.csv", "Fig3a.txt", "P-E 1Hz.dat", "fig2b"): packed(draw, table(draw, columns, dialect))},
         loops(loop(e, p)),
     )
+
+
+@kind("pulses side by side")
+def pulses(draw: Draw) -> Layout:
+    n, volts, rest = draw.whole(50, 400), draw.size(1, 50), draw.pick(0.1, 1.0)
+    signs = draw.pick((1, 1, -1, -1, 1), (-1, 1, 1, -1, -1), (1, 1, -1, -1))
+    pulse = 1 - np.abs(np.linspace(-1, 1, n))
+    u = volts * np.concatenate([sign * pulse for sign in signs])
+    y = draw.noise(draw.size(1, 60) * saturating(draw, u / volts), 1e-3)
+    place = lambda values, k: values[k * n : (k + 1) * n]
+    columns = []
+    for k in range(len(signs)):
+        t = Column("Time", k * rest + np.linspace(0, 0.01, n), "s", aix_number)
+        current = Column("I", np.gradient(place(y, k)), "A", aix_number)
+        columns += [t, Column("V", place(u, k), "V", aix_number), current]
+        columns += [Column("P", place(y, k), "uC/cm2", aix_number, "uC/cm2")]
+    head = [
+        "PulseResult",
+        "",
+        "Pulse",
+        "TfaModule: PM",
+        "Pulse Points: 401",
+        "Area [mm2]: 0.01",
+        "Psw [uC/cm2]: 17.5273",
+    ]
+    lines = head + table(draw, columns, Dialect("\t", style="brackets", trailing=True))
+    v, p = Column("V", u, "V", aix_number), Column("P", y, "uC/cm2", aix_number)
+    return Layout("", {draw.pick("pund.dat", "PM_5pulses.txt"): packed(draw, lines, ("cp1252",))}, loops(loop(v, p)))
+
+
+@kind("test bench of a script")
+def scripted(draw: Draw) -> Layout:
+    """The voltage across a shunt beside the current computed from it and the applied voltage; or units behind a blank."""
+    n, volts = 2 * draw.whole(60, 250), draw.size(1, 40)
+    u = volts * triangle(n, draw.whole(1, 3))
+    y = draw.noise(draw.size(2, 60) * saturating(draw, u / volts), 1e-3)
+    current = np.gradient(y) * 1e-6
+    t, p = Column("time", np.arange(n) * 1e-5, "s", ".9g"), Column("polarization", y, "uC/cm2", ".9g", "uC/cm^2")
+    i, drive = Column("current", current, "A", ".12g"), Column("applied voltage", u, "V", ".9g", "V")
+    shunt = Column("voltage", draw.pick(50, 1000, 1e6) * current, "V", ".12g", "V")
+    columns, style = [t, shunt, i, p, drive], "parentheses"
+    if draw.chance(0.5):
+        t, p = t.renamed("Time"), Column("P1", y, "uC/cm2", ".9g", "uC_per_cm2")
+        drive, i = drive.renamed("Vplus"), i.renamed("I1")
+        columns, style = [t, drive, i, p], "blank"
+    lines = table(draw, columns, Dialect(draw.pick(",", "\t"), style=style))
+    return Layout(
+        "", {draw.pick("0_hysteresis_3p0V.csv", "cap 100Hz 4V Table1.tsv"): packed(draw, lines)}, loops(loop(drive, p))
+    )

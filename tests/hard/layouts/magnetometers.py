@@ -41,6 +41,39 @@ def lake_shore(draw: Draw) -> Layout:
     return Layout("", {draw.pick("loop.csv", "FILM12 MvsH.csv"): packed(draw, lines)}, loops(loop(h, m)))
 
 
+@kind("table of a micromagnetic program")
+def micromagnetic(draw: Draw) -> Layout:
+    """MuMax3 and OOMMF: all components of field and magnetization, of which those along the field are the loop."""
+    n = 2 * draw.whole(80, 300)
+    share, axis, tilt = major_loop(n), draw.whole(0, 2), draw.rng.uniform(0, 0.1)
+    m = 0.98 * saturating(draw, share, begin=1) / 2
+    m /= max(1.0, 1.02 * np.abs(m).max())
+    across = np.sqrt(1 - m**2)
+    free = 0.5 * np.sin(3 * m)
+    vector = np.roll([m, across * free, across * np.sqrt(1 - free**2)], axis, axis=0)
+    field = np.roll([share, tilt * share, 0 * share], axis, axis=0) * draw.size(0.02, 2)
+    if draw.chance(0.5):
+        b = [Column(f"B_ext{letter}", values, "T", ".8g") for letter, values in zip("xyz", field, strict=True)]
+        reduced = [Column(f"m{letter}", values, "", ".8g") for letter, values in zip("xyz", vector, strict=True)]
+        columns = [Column("t", np.zeros(n), "s", ".0f"), *reduced, *b]
+        names = "\t".join(f"{column.name} ({column.unit})" for column in columns)
+        lines, name = [f"# {names}", *rows(columns, Dialect("\t"))], "table.txt"
+    else:
+        of_field = [Column(f"Oxs_UZeeman::B{c}", 1e3 * v, "mT", ".12g") for c, v in zip("xyz", field, strict=True)]
+        driver = [Column(f"Oxs_MinDriver::m{c}", v, "", ".12g") for c, v in zip("xyz", vector, strict=True)]
+        b, reduced = of_field, driver
+        size = Column("Oxs_UZeeman::B", np.sqrt(np.sum((1e3 * field) ** 2, axis=0)), "mT", ".12g")
+        energy = Column("Oxs_CGEvolve::Total energy", -1e-17 * m * share, "J", ".12g")
+        steps = Column("Oxs_MinDriver::Iteration", np.cumsum(draw.rng.integers(20, 400, n)).astype(float), "", ".0f")
+        columns = [energy, size, *b, steps, *reduced]
+        above = ["# ODT 1.0", "# Table Start", "# Title: mmArchive Data Table"]
+        brace = lambda text: f"{{{text}}}" if " " in text or not text else text
+        named = "# Columns: " + " ".join(brace(column.name) for column in columns)
+        units = "# Units: " + " ".join(brace(column.unit) for column in columns)
+        lines, name = [*above, named, units, *rows(columns, Dialect(" ")), "# Table End"], "loop.odt"
+    return Layout("", {name: packed(draw, lines)}, loops(loop(b[axis], reduced[axis])))
+
+
 @kind("columns listed in the preamble")
 def listed_columns(draw: Draw) -> Layout:
     """Numbered names below each other, as EasyVSM, Sea-Bird and hand-written comments have them, then rows without names."""
@@ -59,7 +92,16 @@ def listed_columns(draw: Draw) -> Layout:
     first, (opening, closing) = draw.pick(0, 1), draw.pick("[]", "()")
     line = draw.pick("@Column {}: {}", "# {} = {}", "# name {} = {}", "# column {}: {}", "Col{}: {}")
     listed = [line.format(first + k, f"{c.name} {opening}{c.unit}{closing}") for k, c in enumerate(columns)]
-    above = ["VSM record", "Operator: abc", *listed, *["@@Data", "End of header", "*END*"][: draw.whole(0, 1)]]
+    correction = [
+        f"{k:.6f}   {1 + 1e-4 * k:.6E}" + 4 * "   0.0E+0" for k in range(draw.pick(0, 12))
+    ]  # of the pick-up coils
+    above = [
+        "VSM record",
+        "Operator: abc",
+        *correction,
+        *listed,
+        *["@@Data", "End of header", "*END*"][: draw.whole(0, 1)],
+    ]
     lines = above + rows(columns, Dialect(draw.pick("\t", " ", ",")))
     return Layout("", {draw.pick("film.VHD", "cast.cnv", "loop.txt"): packed(draw, lines)}, loops(loop(h, m)))
 

@@ -50,6 +50,7 @@ STYLES = {
     "comma": "{name}, {unit}",
     "in": "{name} in {unit}",
     "underscore": "{name}_{unit}",
+    "blank": "{name} {unit}",
 }
 
 
