@@ -137,6 +137,9 @@ def writing_file(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     if not path.parent.is_dir():
         raise DataError(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} does not exist; make it first")
+    if path.parent.name.startswith(_SCRATCH):  # its files are moved together
+        yield path
+        return
     with writing(path.parent) as scratch:
         yield scratch / path.name
 
