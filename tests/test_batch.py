@@ -426,7 +426,7 @@ def test_progress_counts_the_loops(records):
 # -- the table -------------------------------------------------------------------------------------------------------------------
 
 
-def test_the_table_as_a_frame_as_csv_and_as_netcdf(fits, tmp_path):
+def test_the_table_as_a_frame_as_csv_as_netcdf_and_as_zarr(fits, tmp_path):
     import xarray
 
     frame = fits.to_dataframe()
@@ -440,6 +440,7 @@ def test_the_table_as_a_frame_as_csv_and_as_netcdf(fits, tmp_path):
     with xarray.open_dataset(fits.save(tmp_path / "fits.nc"), engine="h5netcdf") as data:
         np.testing.assert_array_equal(data["tau"], fits.values("tau"))
         assert data["tau_stderr"].attrs["units"] == "1/V"
+        xarray.testing.assert_equal(xarray.open_zarr(fits.save(tmp_path / "fits.zarr")).load(), data.load())
     with pytest.raises(DataError, match="written as"):
         fits.save(tmp_path / "fits.ods")
 
@@ -465,6 +466,7 @@ def test_parquet(fits, tmp_path):
         ("pyarrow", ".parquet", "frames"),
         ("xarray", ".nc", "frames"),
         ("h5netcdf", ".nc", "frames"),
+        ("zarr", ".zarr", "frames"),
     ],
 )
 def test_a_missing_package_is_named_with_its_extra(package, ending, extra, fits, tmp_path, monkeypatch):
@@ -531,14 +533,14 @@ def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
         "--units",
         "V,nm",
     ]
-    assert cli.run([*arguments, "--table", "netcdf", "--out", str(out), "--json"]) == 1
+    assert cli.run([*arguments, "--table", "zarr", "--out", str(out), "--json"]) == 1
     content = json.loads(capsys.readouterr().out)
     assert content == json.loads((out / "result.json").read_text())
     assert (content["schema"], content["status"]) == ("hystfit.batch/1", "partial")
     assert content["counts"] == {"ok": 8, "failed": 1}
     assert content["units"]["y"] == "nm"
     assert {path.name for path in out.iterdir()} == {
-        "result.json", "fits.csv", "fits.nc", "overview.html", "reports", "run"
+        "result.json", "fits.csv", "fits.zarr", "overview.html", "reports", "run"
     }  # fmt: skip
     reports = list((out / "reports").glob("*/report.html"))
     assert len(reports) == 1

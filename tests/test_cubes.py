@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+import zarr
 
 import hystfit as hf
 from hystfit import cli
@@ -28,26 +29,34 @@ def outputs() -> np.ndarray:
     return y
 
 
-@pytest.fixture
-def scan(tmp_path: Path) -> Path:
+def scan(folder: Path, kind: str) -> Path:
     """A file in other units, with the samples first and a coordinate of the scan."""
-    path = tmp_path / "scan.h5"
-    with h5py.File(path, "w") as file:
-        file["scan/z"] = 1e-9 * np.moveaxis(outputs(), -1, 0)
-        file["scan/z"].attrs["units"] = "m"
-        file["scan/bias_V"], file["scan/time_ms"], file["scan/column"] = U, T, np.arange(5.0)
+    path = folder / f"scan.{kind}"
+    arrays = {"z": 1e-9 * np.moveaxis(outputs(), -1, 0), "bias_V": U, "time_ms": T, "column": np.arange(5.0)}
+    if kind == "h5":
+        with h5py.File(path, "w") as file:
+            for name, values in arrays.items():
+                file[f"scan/{name}"] = values
+            file["scan/z"].attrs["units"] = "m"
+        return path
+    group = zarr.open_group(path, mode="w", zarr_format=int(kind[-1])).create_group("scan")
+    for name, values in arrays.items():
+        group.create_array(name, data=values)
+    group["z"].attrs["units"] = "m"
     return path
 
 
-def test_data_sets_and_units_are_recognized(scan: Path) -> None:
-    with open_cube(scan, units="V,nm") as cube:
+@pytest.mark.parametrize("kind", ["h5", "zarr2", "zarr3"])
+def test_data_sets_and_units_are_recognized(tmp_path: Path, kind: str) -> None:
+    path = scan(tmp_path, kind)
+    with open_cube(path, units="V,nm") as cube:
         assert cube.names == {"u": "scan/bias_V", "y": "scan/z", "t": "scan/time_ms"}
         assert cube.units == {"u": "V", "y": "nm", "t": "s"}
         assert cube.y.shape == (*SHAPE, SAMPLES)
         np.testing.assert_allclose(cube.y[1:2], outputs()[1:2], rtol=1e-12)
         np.testing.assert_array_equal(cube.u, U)
         np.testing.assert_allclose(cube.t, T / 1000)
-    with open_cube(scan, time="none") as cube:
+    with open_cube(path, time="none") as cube:
         assert cube.t is None
 
 
@@ -77,10 +86,63 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_the_command_writes_maps_and_pictures(scan: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = scan.parent / "maps"
-    arguments = ["map", str(scan), "--model", "bouc-wen", "--units", "V,nm", "--starts", "2", "--out", str(out)]
-    assert cli.run(arguments) == 1  # one loop has no fit
+@pytest.mark.parametrize("kind", ["nc", "zarr2", "zarr3"])
+def test_packed_outputs_are_those_that_xarray_reads(tmp_path: Path, kind: str) -> None:
+    path, z = tmp_path / f"packed.{kind}", outputs()
+    data = xr.Dataset({"z": (("y", "x", "sample"), z), "w": (("y", "x", "sample"), z), "u": ("sample", U)})
+    codes = {"z": {"dtype": "int16", "scale_factor": 1e-3, "add_offset": 0.5, "_FillValue": np.int16(-32768)}}
+    codes["w"] = {"_FillValue": -1e30}
+    if kind == "nc":
+        data.to_netcdf(path, engine="h5netcdf", encoding=codes)
+    else:
+        data.to_zarr(path, zarr_format=int(kind[-1]), consolidated=False, encoding=codes)
+    for name, error in (("z", 1e-3), ("w", 0.0)):
+        with open_cube(path, output=name, input="u") as cube:
+            np.testing.assert_allclose(cube.y[:], z, rtol=0, atol=error)  # NaN where NaN was
+
+
+@pytest.mark.parametrize("kind", ["h5", "zarr3"])
+def test_damaged_outputs_are_an_error(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"scan.{kind}"
+    if kind == "h5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("z", data=outputs(), chunks=(1, 5, SAMPLES), compression="gzip")
+            file["u"] = U
+            place = file["z"].id.get_chunk_info(1).byte_offset
+        with path.open("r+b") as damaged:
+            damaged.seek(place)
+            damaged.write(bytes(200))
+    else:
+        group = zarr.open_group(path, mode="w")
+        group.create_array("z", data=outputs(), chunks=(1, 5, SAMPLES))
+        group.create_array("u", data=U)
+        (path / "z/c/1/0/0").write_bytes(bytes(200))
+    with open_cube(path) as cube:
+        np.testing.assert_array_equal(cube.y[:1], outputs()[:1])
+        with pytest.raises(DataError, match="damaged"):
+            cube.y[1:]
+
+
+def test_a_store_that_is_damaged_or_no_cube_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    zarr.save_array(tmp_path / "alone.zarr", outputs())
+    with pytest.raises(DataError, match="name it with input="), open_cube(tmp_path / "alone.zarr"):
+        pass
+    with pytest.raises(DataError, match="hystfit map"):
+        hf.read(tmp_path / "alone.zarr")
+    for verb in ("fit", "batch"):
+        assert cli.run([verb, str(tmp_path / "alone.zarr")]) == 2
+        assert "hystfit map" in capsys.readouterr().err
+    (tmp_path / "alone.zarr/zarr.json").write_text("{")
+    with pytest.raises(DataError, match="cannot be opened"), open_cube(tmp_path / "alone.zarr"):
+        pass
+    with pytest.raises(DataError, match="no Zarr store"), open_cube(tmp_path):
+        pass
+
+
+def test_the_command_writes_maps_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = scan(tmp_path, "zarr3"), tmp_path / "maps"
+    arguments = ["map", str(path), "--model", "bouc-wen", "--units", "V,nm", "--starts", "2", "--out", str(out)]
+    assert cli.run([*arguments, "--table", "zarr"]) == 1  # one loop has no fit
     assert "10 loops: 9 ok, 1 failed" in capsys.readouterr().out
     content = json.loads((out / "result.json").read_text())
     assert (content["schema"], content["status"], content["shape"]) == ("hystfit.map/1", "partial", [2, 5])
@@ -90,3 +152,4 @@ def test_the_command_writes_maps_and_pictures(scan: Path, capsys: pytest.Capture
     assert float(errors.max()) < 4.5
     assert maps["c"].attrs["units"] == "nm/V"
     assert (out / "map_mu.png").stat().st_size > 5000
+    xr.testing.assert_equal(xr.open_zarr(out / "maps.zarr").load(), maps.load())

@@ -1,5 +1,6 @@
 """One model fitted to every loop of an array."""
 
+import dataclasses
 import errno
 import functools
 from pathlib import Path
@@ -13,7 +14,7 @@ import xarray as xr
 
 import hystfit as hf
 from hystfit.batch import fit_map as maps
-from hystfit.errors import DataError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.outcome import Status
 
 SAMPLES, SHAPE = 480, (3, 8)
@@ -133,7 +134,7 @@ def test_tables_and_pictures(tmp_path: Path) -> None:
     table = pd.read_parquet(found.save(tmp_path / "map.parquet"))
     assert len(table) == 24
     assert table["status"].value_counts()["ok"] == 21
-    with pytest.raises(DataError, match=r"\.nc or \.parquet"):
+    with pytest.raises(DataError, match=r"\.parquet, \.nc, \.zarr"):
         found.save(tmp_path / "map.txt")
     figure = found.plot("mu")
     shown = figure.axes[0].images[0].get_array()
@@ -141,6 +142,34 @@ def test_tables_and_pictures(tmp_path: Path) -> None:
     assert np.ma.is_masked(np.ma.masked_invalid(shown)[0, 1])
     assert found.outliers("mu")[1, 3]
     plt.close(figure)
+
+
+@pytest.mark.parametrize("ending", ["nc", "parquet", "zarr"])
+def test_a_table_that_does_not_fit_on_the_disk_leaves_the_older_one(tmp_path: Path, ending: str) -> None:
+    resource = pytest.importorskip("resource", reason="limits the size of files")
+    found, path = fitted(), tmp_path / f"map.{ending}"
+    found.save(path)
+    stored = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500, limits[1]))
+    try:
+        with pytest.raises(HystfitError, match="cannot write"):
+            found.save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == stored
+
+
+def test_a_store_is_replaced_as_a_whole_and_no_other_folder(tmp_path: Path) -> None:
+    found = fitted()
+    wider = dataclasses.replace(found, quantities={**found.quantities, "width": found["c"]})
+    assert "width" in xr.open_zarr(wider.save(tmp_path / "map.zarr"))
+    assert "width" not in xr.open_zarr(found.save(tmp_path / "map.zarr"))
+    (tmp_path / "other.zarr").mkdir()
+    (tmp_path / "other.zarr/notes.txt").touch()
+    with pytest.raises(HystfitError, match="no Zarr store"):
+        found.save(tmp_path / "other.zarr")
+    assert [file.name for file in (tmp_path / "other.zarr").iterdir()] == ["notes.txt"]
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,14 @@ from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone, record_of
 from hystfit.data.record import Record
-from hystfit.errors import DataError, ParameterError, optional
+from hystfit.errors import ParameterError, optional
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.outcome.table import write_csv
 from hystfit.params.space import MANY
 from hystfit.params.units import with_unit
 from hystfit.registry import near
+from hystfit.results.exchange import write_table
+from hystfit.results.folders import writing_file
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
@@ -186,34 +188,20 @@ class Fits(WithStatus):
         return xarray.Dataset(data, {"loop": loops}, {"schema": SCHEMA, "model": self.model})
 
     def save(self, path: str | Path) -> Path:
-        """Write the table: .csv (units in the headings), .parquet, or .nc (netCDF).
+        """Write the table: .csv (units in the headings), .parquet, .nc (netCDF) or .zarr (a Zarr store).
 
         Raises:
-            DataError: another ending, or the file cannot be written.
-            MissingExtraError: the package for this kind of file is not installed.
+            DataError: another ending.
+            HystfitError: the file cannot be written; an older one stays.
+            MissingExtraError: a package for this kind of file is not installed.
         """
-        path = Path(path)
-        writers = {".csv": self._write_csv, ".parquet": self._write_parquet, ".nc": self._write_netcdf}
-        if path.suffix not in writers:
-            raise DataError(f"a table is written as {', '.join(writers)}, got {path.name!r}")
-        try:
-            writers[path.suffix](path)
-        except OSError as error:
-            raise DataError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-        return path
-
-    def _write_csv(self, path: Path) -> None:
+        if (path := Path(path)).suffix != ".csv":
+            return write_table(path, self.to_dataframe, self.to_xarray)
         units = self.column_units()
         columns = {with_unit(name, units.get(name, "")): values for name, values in self.columns().items()}
-        write_csv(path, columns, ".15g")
-
-    def _write_parquet(self, path: Path) -> None:
-        optional("pyarrow", "frames", "a Parquet table")
-        self.to_dataframe().to_parquet(path, engine="pyarrow", index=False)
-
-    def _write_netcdf(self, path: Path) -> None:
-        optional("h5netcdf", "frames", "a netCDF table")
-        self.to_xarray().to_netcdf(path, engine="h5netcdf")
+        with writing_file(path) as scratch:
+            write_csv(scratch, columns, ".15g")
+        return path
 
     def worst(self, count: int = _WORST) -> tuple[Row, ...]:
         """Loops to inspect: first those without a fit, then unusable ones, then those with the largest errors."""

@@ -12,12 +12,13 @@ import numpy as np
 
 from hystfit.batch.work import Work
 from hystfit.data.record import Record
-from hystfit.errors import DataError, ParameterError, optional
+from hystfit.errors import ParameterError, optional
 from hystfit.fitting.fit import fit
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.colors import MODEL, SECOND
+from hystfit.results.exchange import write_table
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
@@ -101,8 +102,8 @@ class LoopMap(WithStatus):
             stderr={name: joined(f"stderr {name}") for name in names},
             quantities={name.removeprefix("quantity "): joined(name) for name in known},
             errors={name: joined(name) for name in _NUMBERS},
-            statuses=joined("status"),
-            codes=joined("codes"),
+            statuses=_shared(joined("status")),
+            codes=_shared(joined("codes")),
             reasons=reasons,
             alone=joined("alone").astype(bool),
             units=units,
@@ -266,26 +267,21 @@ class LoopMap(WithStatus):
         for name, values in self.stderr.items():
             data[f"{name}_stderr"] = (names, values, {"units": self.units.get(name, "")})
         data |= {name: (names, values) for name, values in self.errors.items()}
-        data |= {"status": (names, self.statuses.astype(object)), "notes": (names, self.codes.astype(object))}
+        data |= {"status": (names, self.statuses), "notes": (names, self.codes)}
         return xarray.Dataset(data, attrs={"schema": SCHEMA, "model": self.model})
 
     def save(self, path: str | Path) -> Path:
-        """Write the maps: .nc (netCDF) with the axes of the array, .parquet with one row a loop.
+        """Write the maps: .nc (netCDF) and .zarr (a Zarr store) over the axes of the array, .parquet with one row a loop.
 
         Raises:
-            DataError: another ending, or the file cannot be written.
-            MissingExtraError: the package for this kind of file is not installed.
+            DataError: another ending.
+            HystfitError: the file cannot be written; an older one stays.
+            MissingExtraError: a package for this kind of file is not installed.
         """
-        path, data = Path(path), self.to_xarray()
-        try:
-            if path.suffix == ".nc":
-                optional("h5netcdf", "frames", "a netCDF map")
-                data.to_netcdf(path, engine="h5netcdf")
-            elif path.suffix == ".parquet":
-                optional("pyarrow", "frames", "a Parquet table")
-                data.to_dataframe().reset_index().to_parquet(path, engine="pyarrow", index=False)
-            else:
-                raise DataError(f"a map is written as .nc or .parquet, got {path.name!r}")
-        except OSError as error:
-            raise DataError(f"cannot write {str(path)!r}: {error.strerror or error}") from error
-        return path
+        return write_table(path, lambda: self.to_xarray().to_dataframe().reset_index(), self.to_xarray)
+
+
+def _shared(texts: np.ndarray) -> np.ndarray:
+    """The same texts as objects, each different one once, so that a loop costs a pointer."""
+    different, numbers = np.unique(texts, return_inverse=True)
+    return np.array(different.tolist(), object)[numbers].reshape(texts.shape)

@@ -26,7 +26,8 @@ from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
 
-# Loops in one task, where each takes milliseconds: what they share is found once for them, and an interruption loses the task.
+# Loops in one task, where each takes milliseconds: what they share is found once for them. An interruption loses the task, so that tasks
+# are smaller where finished rows are kept.
 _FEW, _MOST = 32, 128
 _ROWS = "rows.jsonl"
 
@@ -74,7 +75,7 @@ def fit_many(
     journal = None if folder is None else Journal(claim(Path(folder), "batch.json", _described(work)) / _ROWS)
     rows: dict[str, Sequence[Row]] = {} if journal is None else dict(journal.rows)
     missing = [source for source in sources if source.key not in rows]
-    chunks = _chunks(missing, workers if work.quick else len(missing))
+    chunks = _chunks(missing, workers if work.quick else len(missing), _MOST if journal is None else _FEW)
     for number, outcome in computed(partial(fit_sources, work), chunks, workers, scheduler):
         finished = _finished(chunks[number], outcome)
         if journal is not None and not isinstance(outcome, Exception):  # what broke is tried again by the next call
@@ -87,10 +88,10 @@ def fit_many(
     return Fits(tuple(row for row, _ in pairs), _name(work), work.units, work, tuple(source for _, source in pairs))
 
 
-def _chunks(sources: Sequence[Source], workers: int) -> list[Sequence[Source]]:
-    """Tasks of nearly equal size, as many for each process."""
+def _chunks(sources: Sequence[Source], workers: int, few: int) -> list[Sequence[Source]]:
+    """Tasks of nearly equal size, of `few` loops or more where there are so many, as many for each process."""
     share = -(-len(sources) // max(1, workers))
-    count = max(1, workers) * max(1, round(share / max(_FEW, min(_MOST, share // 4))))
+    count = max(1, workers) * max(1, round(share / max(few, min(_MOST, share // 4))))
     edges = np.linspace(0, len(sources), count + 1).round().astype(int).tolist()
     return [sources[a:b] for a, b in itertools.pairwise(edges) if b > a]
 

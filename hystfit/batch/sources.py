@@ -12,6 +12,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError
 from hystfit.reading import datasets
+from hystfit.reading.file_bytes import no_file
 from hystfit.reading.read import read
 from hystfit.reading.several import files_of, pair_of
 
@@ -76,7 +77,7 @@ def _key(path: str) -> str:
     digest = hashlib.sha256(path.encode())
     for part in pair_of(path) or (path,):
         if Path(part).is_dir():
-            raise DataError(f"{part!r} is a folder; give a pattern ('{part}/*.csv')")
+            raise no_file(part, f"give a pattern ('{part}/*.csv')")
         if not Path(part).exists():
             raise DataError(f"no file {part!r}")
         try:

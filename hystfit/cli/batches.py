@@ -24,17 +24,18 @@ if TYPE_CHECKING:
     from hystfit.batch.fits import Fits
 
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
-Format = Literal["parquet", "netcdf"]
-ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc"}
-PACKAGES: dict[Format, tuple[str, ...]] = {"parquet": ("pandas", "pyarrow"), "netcdf": ("xarray", "h5netcdf")}
+Format = Literal["parquet", "netcdf", "zarr"]
+ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc", "zarr": ".zarr"}
 RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 FEW = 32  # loops below which further processes take longer to start than to compute
 
 
 def check_packages(forms: Iterable[Format]) -> None:
     """Refuse forms of a table whose packages are missing, before hours of fits."""
+    from hystfit.results.exchange import TABLES
+
     for form in forms:
-        for package in PACKAGES[form]:
+        for package in TABLES[ENDINGS[form]]:
             optional(package, "frames", f"--table {form}")
 
 
@@ -63,7 +64,7 @@ def batch(
         method: auto (suits the model), {methods}.
         workers: processes on this machine; default: one for each core, for many loops.
         scheduler: address of a Dask scheduler to use instead.
-        table: form of the table besides CSV: parquet or netcdf; repeatable.
+        table: form of the table besides CSV: parquet, netcdf or zarr; repeatable.
         reports: number of loops with a report, those that need attention first; or all.
     """
     from hystfit.batch.many import fit_many

@@ -19,7 +19,7 @@ from hystfit.fitting.registry import ESTIMATORS
 if TYPE_CHECKING:
     from hystfit.batch.loop_map import LoopMap
 
-File = Annotated[Path, Parameter(help="HDF5 or netCDF-4 file with an array of loops over one input")]
+File = Annotated[Path, Parameter(help="HDF5 or netCDF-4 file, or Zarr store, with an array of loops over one input")]
 
 
 @lists(methods=ESTIMATORS)
@@ -52,7 +52,7 @@ def fit_loops(
         units: units of input and output, such as V,nm; others of the same quantity in the file are converted.
         method: auto (suits the model), {methods}.
         workers: threads; default: one for each core.
-        table: form of the table besides netCDF: parquet.
+        table: form of the maps besides netCDF: zarr, or parquet with one row a loop; repeatable.
     """
     from hystfit.batch.fit_map import fit_map
     from hystfit.reading.cubes import open_cube

@@ -67,11 +67,12 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
 def _load_one(loop: str, reading: Reading) -> Dataset:
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
+    from hystfit.reading.file_bytes import no_file
     from hystfit.reading.read import read
     from hystfit.reading.several import pair_of
 
     if Path(loop).is_dir():
-        raise DataError(f"{loop!r} is a folder; name a file in it, or give a pattern ('{loop}/*.csv')")
+        raise no_file(loop, f"name a file in it, or give a pattern ('{loop}/*.csv')")
     if Path(loop).exists() or pair_of(loop):
         return Dataset.of(read(loop, **dataclasses.asdict(reading)))
     if loop in datasets.names():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 
 from hystfit.errors import DataError
@@ -41,6 +42,7 @@ def with_adjusted(table: Table, *, adjusted: bool) -> Table:
     return table.select([k for k in range(len(table.names)) if k not in dropped]).noted(note)
 
 
+@functools.lru_cache(maxsize=4096)
 def _base(name: str) -> str:
     """Name of a column without its unit and the words for raw and adjusted."""
     plain = split_unit(name)[0].replace("_", " ")

@@ -7,6 +7,7 @@ step beside the current. Their difference, or the integral with the sign of the 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 from collections.abc import Sequence
 
@@ -40,7 +41,7 @@ def with_throughput(table: Table) -> Table | None:
     """Battery cyclers: the charge that passed, with its sign, is one more column and the input of the voltage; None for other tables."""
     if not table.named or table.part is not None or NAME in table.names:
         return None
-    names = [re.sub(r"[\s_./-]+", " ", split_unit(name)[0]).strip(" .").lower() for name in table.names]
+    names = [_words_of(name) for name in table.names]
     in_volts = lambda k: _is_number(table, k) and (not table.units[k] or quantity(table.units[k]) == "voltage")
     voltage = next((k for k, name in enumerate(names) if _OF_VOLTAGE.match(name) and in_volts(k)), None)
     found = None if voltage is None else _passed(table, names)
@@ -54,6 +55,12 @@ def with_throughput(table: Table) -> Table | None:
         columns=(*table.columns, passed),
         pair=(len(table.names), voltage),
     ).noted(Note(Code.PREPARED, f"the input is the charge that passed: {how}"))
+
+
+@functools.lru_cache(maxsize=4096)
+def _words_of(name: str) -> str:
+    """A name without its unit, in lower case, with a blank between its words."""
+    return re.sub(r"[\s_./-]+", " ", split_unit(name)[0]).strip(" .").lower()
 
 
 def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, int, str] | None:

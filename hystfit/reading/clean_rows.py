@@ -36,7 +36,7 @@ def clean_columns(
     count = np.count_nonzero(np.frombuffer(body.encode(), np.uint8) == ord("\n")) + 1
     if count < 2 or (dialect.decimal == "," and "." in body):
         return None
-    if not settled and not _shows_its_mark(lines[first : first + _EXAMINED], body, dialect):
+    if not settled and not _shows_its_mark(lines, first, body, dialect):
         return None
     numbers = _parsed(body, dialect)
     if numbers is None or numbers.shape != (count, dialect.width):
@@ -58,13 +58,13 @@ def _end_of_rows(text: str, start: int) -> int:
     return start
 
 
-def _shows_its_mark(lines: Sequence[str], body: str, dialect: Dialect) -> bool:
-    """Whether the decimal mark does not occur, or a number proves that it does not separate thousands."""
+def _shows_its_mark(lines: Sequence[str], first: int, body: str, dialect: Dialect) -> bool:
+    """Whether the decimal mark does not occur, or a number from line `first` on proves that it does not separate thousands."""
     if dialect.decimal not in body or (dialect.decimal == "." and not cells.dots_are_doubtful(dialect.delimiter)):
         return True
     return any(
         dialect.decimal in cell and not cells.may_be_thousands(cells.clean(cell), dialect.decimal)
-        for line in lines
+        for line in lines[first : first + _EXAMINED]
         for cell in line.split(dialect.delimiter)
     )
 

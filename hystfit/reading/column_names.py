@@ -29,7 +29,10 @@ _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
-@functools.lru_cache(maxsize=4096)  # every fit asks for those of the same few columns, many times
+_of_names = functools.lru_cache(maxsize=4096)  # every file and fit asks for the same few names, many times
+
+
+@_of_names
 def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
@@ -79,6 +82,7 @@ def column_unit(name: str, unit: str) -> str:
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
 
 
+@_of_names
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
     base = _field(split_unit(name)[0].strip())
@@ -90,16 +94,19 @@ def column_role(name: str) -> str:
     return roles.pop() if len(roles) == 1 else ""
 
 
+@_of_names
 def is_bare_role(name: str) -> bool:
     """Whether the name of a column says which role it has and nothing of its quantity ("Sensor output")."""
     return column_role(name) != "" and not _named_quantities(split_unit(name)[0].strip())
 
 
+@_of_names
 def is_channel(name: str) -> bool:
     """Whether a column has the number or letter of a channel instead of a name."""
     return _CHANNEL.fullmatch(split_unit(name)[0].strip()) is not None
 
 
+@_of_names
 def secondary(name: str) -> int:
     """Number of words in a name by which it comes after other columns of its quantity ("Min. Field", "Raw Moment")."""
     return len(_SECONDARY.intersection(_words(name)))

@@ -1,10 +1,12 @@
-"""Arrays of loops in HDF5 and netCDF-4 files: outputs over the points of a scan and the samples of an input that all loops share."""
+"""Arrays of loops in HDF5 and netCDF-4 files and Zarr stores: outputs over the points of a scan, and the input that all loops share."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ import numpy as np
 from hystfit.errors import DataError, optional
 from hystfit.params.units import conversion
 from hystfit.reading.column_names import column_quantity, column_role
+from hystfit.reading.file_bytes import is_zarr
 from hystfit.reading.header import split_unit
 
 
@@ -22,7 +25,7 @@ class Outputs:
     """Outputs of a file, read part by part, with the samples as the last axis.
 
     Attributes:
-        values: the array of the file, anything with a shape and slices.
+        values: the array of the file: an HDF5 data set or a Zarr array.
         axis: of its samples.
         factor: to the unit of the cube.
     """
@@ -38,8 +41,13 @@ class Outputs:
         return (*shape[: self.axis], *shape[self.axis + 1 :], shape[self.axis])
 
     def __getitem__(self, part: slice) -> np.ndarray:
+        """Outputs of some rows of the first axis of the scan.
+
+        Raises:
+            DataError: they cannot be read.
+        """
         places = (slice(None), part) if self.axis == 0 else (part,)
-        return self.factor * np.moveaxis(np.asarray(self.values[places], float), self.axis, -1)
+        return self.factor * np.moveaxis(_numbers(self.values, places), self.axis, -1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +59,6 @@ class Cube:
         y: outputs, shape (..., T).
         units: of "u", "y" and "t", "" where unknown.
         names: of the data sets of input, output and time in the file.
-        axes: of the points of the scan, "" where the file does not name them.
     """
 
     u: np.ndarray
@@ -59,7 +66,6 @@ class Cube:
     t: np.ndarray | None
     units: dict[str, str]
     names: dict[str, str]
-    axes: tuple[str, ...]
 
 
 @contextlib.contextmanager
@@ -74,18 +80,26 @@ def open_cube(
     """The loops of a file, which stays open while they are read.
 
     Args:
-        path: of an HDF5 or netCDF-4 file.
+        path: of an HDF5 or netCDF-4 file, or a Zarr store.
         input, output, time: names of data sets. By default the output is the one with the most axes, and input and time are the data
             sets of one axis along its samples; the time is recognized by its name or unit, "none" reads without it.
         units: of input and output, "V,nm"; other units of the same quantity in the file are converted.
 
     Raises:
         DataError: not such a file, no array of loops in it, or several data sets that may be the input.
-        MissingExtraError: h5py is not installed.
+        MissingExtraError: h5py or zarr is not installed.
     """
+    arrays_of = _zarr_arrays if is_zarr(path) else _hdf5_data_sets
+    with arrays_of(Path(path)) as found:
+        found = {name: item for name, item in found.items() if item.dtype.kind in "fiu" and item.ndim > 0}
+        yield _cube(str(path), found, {"input": input, "output": output, "time": time}, units)
+
+
+@contextlib.contextmanager
+def _hdf5_data_sets(path: Path) -> Iterator[dict[str, Any]]:
     h5py = optional("h5py", "files", "reading HDF5 and netCDF files")
-    if not Path(path).is_file():
-        raise DataError(f"no file {str(path)!r}")
+    if not path.is_file():
+        raise DataError(f"no file {str(path)!r}" if not path.is_dir() else f"the folder {str(path)!r} is no Zarr store")
     try:
         file = h5py.File(path, "r")
     except OSError as error:
@@ -94,13 +108,42 @@ def open_cube(
         ) from error
     with file:
         found: dict[str, Any] = {}
-        visit = lambda name, item: found.update({name: item}) if _numbers(item, h5py) else None
+        visit = lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None
         file.visititems(visit)
-        yield _cube(str(path), found, {"input": input, "output": output, "time": time}, units)
+        yield found
 
 
-def _numbers(item: Any, h5py: Any) -> bool:
-    return isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu" and item.ndim > 0
+@contextlib.contextmanager
+def _zarr_arrays(path: Path) -> Iterator[dict[str, Any]]:
+    zarr = optional("zarr", "files", "reading Zarr stores")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about files of other programs in the folder
+            root = zarr.open(path, mode="r")
+            members = [("", root)] if isinstance(root, zarr.Array) else root.members(max_depth=None)
+    except Exception as error:  # several kinds, of damaged metadata
+        raise DataError(f"the Zarr store {str(path)!r} cannot be opened: {error}") from error
+    yield {name: item for name, item in members if isinstance(item, zarr.Array)}
+
+
+def _numbers(item: Any, places: Any = ()) -> np.ndarray:
+    """Values of a data set, unpacked by the attributes of the CF conventions: fill value, scale factor and offset.
+
+    Raises:
+        DataError: they cannot be read.
+    """
+    attribute = lambda name, default: np.ravel(item.attrs.get(name, default))[0]
+    # In Zarr of format 2, xarray names the axes, and then the value of chunks that were not written is that of missing numbers too.
+    unwritten = item.fill_value if "_ARRAY_DIMENSIONS" in item.attrs else None
+    try:
+        stored = np.asarray(item[places])
+        values, missing = stored.astype(float), attribute("_FillValue", unwritten)
+        if isinstance(missing, str):  # as xarray writes numbers in attributes of Zarr
+            missing = np.frombuffer(base64.b64decode(missing), "<f8")[0]
+        values[stored == missing] = np.nan
+        return values * float(attribute("scale_factor", 1.0)) + float(attribute("add_offset", 0.0))
+    except Exception as error:  # of h5py, zarr and the codecs of both
+        raise DataError(f"the data set {item.name!r} cannot be read: {error}; the file is damaged") from error
 
 
 def _cube(path: str, found: dict[str, Any], names: dict[str, str | None], wanted: str | None) -> Cube:
@@ -109,9 +152,9 @@ def _cube(path: str, found: dict[str, Any], names: dict[str, str | None], wanted
         if name is not None and name not in found and not (option == "time" and name == "none"):
             raise DataError(f"{path!r} has no data set {name!r}; there are {', '.join(found) or 'none of numbers'}")
     output = names["output"] or max(
-        found, key=lambda name: (found[name].ndim, math.prod(found[name].shape)), default=""
+        found, key=lambda name: (found[name].ndim, math.prod(found[name].shape)), default=None
     )
-    if not output or found[output].ndim < 2:
+    if output is None or found[output].ndim < 2:
         raise DataError(
             f"{path!r} holds no array of loops: data sets of two or more axes, one of them along the samples"
         )
@@ -131,14 +174,12 @@ def _cube(path: str, found: dict[str, Any], names: dict[str, str | None], wanted
         raise DataError(f"{path!r}: which data set is the input? {options}; name it with input=")
     chosen = {"u": inputs[0], "y": output} | ({"t": clock} if clock not in (None, "none") else {})
     units, factors = _converted({key: _unit(found[name], name) for key, name in chosen.items()}, wanted)
-    column = lambda key: factors[key] * np.asarray(found[chosen[key]][()], float) if key in chosen else None
-    axes = [str(one.label) or _scale(one) for one in values.dims]
-    axes.pop(axis)
+    column = lambda key: factors[key] * _numbers(found[chosen[key]]) if key in chosen else None
     u, t = column("u"), column("t")
     for name, one in (("input", u), ("time", t)):
         if one is not None and one.shape != (values.shape[axis],):
             raise DataError(f"{path!r}: the {name} has shape {one.shape}, and each loop {values.shape[axis]} samples")
-    return Cube(np.asarray(u), Outputs(values, axis, factors["y"]), t, units, chosen, tuple(axes))
+    return Cube(np.asarray(u), Outputs(values, axis, factors["y"]), t, units, chosen)
 
 
 def _converted(units: dict[str, str], wanted: str | None) -> tuple[dict[str, str], dict[str, float]]:
@@ -173,8 +214,3 @@ def _unit(item: Any, name: str) -> str:
     stored = item.attrs.get("units", "")
     text = stored.decode(errors="replace") if isinstance(stored, bytes) else str(stored)
     return text or split_unit(Path(name).name)[1]
-
-
-def _scale(dimension: Any) -> str:
-    """Name of the coordinate of an axis, "" where it has none."""
-    return Path(dimension[0].name).name if len(dimension) else ""

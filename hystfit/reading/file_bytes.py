@@ -20,6 +20,7 @@ _LARGEST = 4 * 2**30  # bytes of a file
 _PACKED = {b"\x1f\x8b": "gzip", b"\xfd7zXZ\x00": "xz", b"BZh": "bzip2"}
 _PACKED_SUFFIXES = frozenset({".gz", ".xz", ".bz2", ".lzma", ".zip"})
 _LZMA_ALONE = b"\x5d\x00\x00"
+_ZARR = ("zarr.json", ".zgroup", ".zarray")  # metadata of formats 3 and 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +51,23 @@ def exists(path: str | Path) -> bool:
         return False
 
 
+def is_zarr(path: str | Path) -> bool:
+    """Whether a folder is a Zarr store."""
+    return any((Path(path) / name).is_file() for name in _ZARR)
+
+
+def no_file(folder: str | Path, remedy: str) -> DataError:
+    """The error of a folder where a file is needed.
+
+    Args:
+        remedy: for a folder of files.
+    """
+    if is_zarr(folder):
+        remedy = "a Zarr store; fit the array of loops in it by hystfit map, in Python by fit_map"
+        return DataError(f"{str(folder)!r} is {remedy}")
+    return DataError(f"{str(folder)!r} is a folder; {remedy}")
+
+
 def inner_name(path: str | Path) -> Path:
     """The name without the suffix of a compressed file: loop.csv.xz holds loop.csv."""
     path = Path(path)
@@ -65,7 +83,7 @@ def load(path: str | Path) -> FileBytes:
     try:
         status = os.stat(path)
         if stat.S_ISDIR(status.st_mode):
-            raise DataError(f"{path} is a folder; name one file in it")
+            raise no_file(path, "name one file in it")
         if not stat.S_ISREG(status.st_mode):
             raise DataError(f"{path} is a pipe or a device, and only files are read; save its content in a file first")
         if status.st_size > _LARGEST:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Sequence
 
@@ -95,6 +96,15 @@ def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     name = name.strip().translate(_WIDE)
     if len(name) > _LONGEST_NAME:
         return name, ""
+    return _split(name, siblings) if siblings else _split_alone(name)
+
+
+@functools.lru_cache(maxsize=4096)
+def _split_alone(name: str) -> tuple[str, str]:
+    return _split(name, ())
+
+
+def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
         name = match[1] + _CYRILLIC[match[2]] + match[3]
     if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):

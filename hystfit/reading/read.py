@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -185,11 +186,14 @@ def as_texts(options: Mapping[str, Any]) -> dict[str, str]:
     Args:
         options: of `read`, and others, which are left out.
     """
-    defaults = {
-        name: parameter.default for name, parameter in inspect.signature(read).parameters.items() if name != "name"
-    }
-    changed = {name: options[name] for name in defaults if options.get(name) not in (None, defaults[name])}
+    changed = {name: options[name] for name, default in _defaults().items() if options.get(name) not in (None, default)}
     return {name: _as_text(value) for name, value in changed.items()}
+
+
+@functools.cache
+def _defaults() -> dict[str, Any]:
+    """The defaults of the options for reading, by name."""
+    return {name: parameter.default for name, parameter in inspect.signature(read).parameters.items() if name != "name"}
 
 
 def _as_text(value: Any) -> str:

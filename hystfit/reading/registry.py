@@ -25,6 +25,7 @@ from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.igor_text import read_igor
 from hystfit.reading.json_text import read_json
 from hystfit.reading.key_values import read_key_values
+from hystfit.reading.known_layouts import KnownLayouts
 from hystfit.reading.long_format import widened
 from hystfit.reading.magic_tables import read_magic
 from hystfit.reading.markup import read_markup
@@ -162,6 +163,8 @@ ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (unscaled, with_thro
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
 REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 
+_LAYOUTS = KnownLayouts()  # of the texts read by this process
+
 
 def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False) -> Table:
     """The columns of a file, by its content.
@@ -172,13 +175,18 @@ def table_of_file(file: FileBytes, opening: Opening, *, text_only: bool = False)
     Raises:
         DataError: the file cannot be read.
     """
+    if (known := _LAYOUTS.read(file, opening)) is not None:
+        return known
     found = None if text_only else next((one for one in FORMATS if one.recognizes(file)), None)
     if found is not None:
         return found.read(file, opening)
     if opening.sheet is not None:
         raise DataError(f"{file.source} is text and has no sheets; leave out sheet=")
     text = text_of(file, opening)
-    return next(table for read in TEXTS if (table := read(text)) is not None)
+    read, table = next((read, table) for read in TEXTS if (table := read(text)) is not None)
+    if read is plain_text:
+        _LAYOUTS.learn(file, text, table)
+    return table
 
 
 def arranged(table: Table, *, named: bool, free: bool, adjusted: bool) -> Table:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import re
 
 import numpy as np
@@ -84,6 +85,7 @@ def _is_frequency(table: Table, position: int) -> bool:
     return column_quantity(table.names[position], table.units[position]) == "frequency"
 
 
+@functools.lru_cache(maxsize=4096)
 def _rank(name: str) -> int:
     """Position among the words of columns that tell records apart; past the last for other names."""
     words, titles = words_of(name), [*_OBJECTS, *_PASSES]

@@ -11,7 +11,7 @@ from hystfit.reading.encodings import decode
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.lines import lines_of
 
-_HEAD = 200  # lines by which layouts are recognized
+HEAD = 200  # lines by which layouts are recognized
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +54,7 @@ class TextFile:
     @functools.cached_property
     def head(self) -> Sequence[str]:
         """The first lines, by which layouts are recognized."""
-        return self.lines[:_HEAD]
+        return self.lines[:HEAD]
 
     def without(self, blanked: Iterable[int]) -> TextFile:
         """The file with some lines blank, so that the others keep their numbers."""

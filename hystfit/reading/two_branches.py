@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import re
 from collections.abc import Sequence
@@ -101,6 +102,7 @@ def _named_alike(table: Table) -> list[_Pair]:
     return found if len({*used}) == len(used) and len(there) - len(used) == 2 - len(found) else []
 
 
+@functools.lru_cache(maxsize=4096)
 def _branch(name: str) -> tuple[str, str]:
     """A name without its unit and the word of a branch, in lower case, and that word; "" without one."""
     name, column = _OF_MATRIX.sub("", name), "".join(_OF_MATRIX.findall(name))

@@ -73,6 +73,11 @@ def _ends_as_stated(text: TextFile) -> bool:
     return False
 
 
+def may_state_samples(row: str) -> bool:
+    """Whether a row of numbers may be a line that states how many samples follow it."""
+    return any(int(n) > _FEWEST * len(row.split()) for n in _WHOLE.findall(row) if len(n) < _LONGEST)
+
+
 def _blocks(lines: Sequence[str]) -> list[_Block] | None:
     """The signals of a text; None where a block of numbers is none."""
     blocks: list[_Block] = []

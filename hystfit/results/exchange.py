@@ -1,20 +1,23 @@
-"""Fits and draws for other programs: a .mat file, an xarray data set, ArviZ' container."""
+"""Fits and draws for other programs: a .mat file, an xarray data set, netCDF and Zarr, ArviZ' container."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hystfit.errors import DataError, optional
-from hystfit.results.folders import writing
+from hystfit.results.folders import writing_file
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
+
+# Endings of tables of many fits, and the packages that write them.
+TABLES = {".parquet": ("pandas", "pyarrow"), ".nc": ("xarray", "h5netcdf"), ".zarr": ("xarray", "zarr")}
 
 
 def write_mat(result: FitResult, path: str | Path) -> Path:
@@ -32,12 +35,9 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
     """
     import scipy.io
 
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise DataError(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} does not exist; make it first")
-    with writing(path.parent) as scratch:
-        scipy.io.savemat(scratch / path.name, {"fit": _contents(result)}, oned_as="column", long_field_names=True)
-    return path
+    with writing_file(path) as scratch:
+        scipy.io.savemat(scratch, {"fit": _contents(result)}, oned_as="column", long_field_names=True)
+    return Path(path)
 
 
 def _contents(result: FitResult) -> dict[str, Any]:
@@ -92,6 +92,34 @@ def to_xarray(result: FitResult) -> Any:
     if all(r.t is not None for r in result.data):
         where["t"] = ("sample", np.concatenate([r.t for r in result.data]), {"units": units["t"]})
     return xarray.Dataset(data, where, {"model": result.name, "status": str(result.status)})
+
+
+def write_table(path: str | Path, frame: Callable[[], Any], dataset: Callable[[], Any]) -> Path:
+    """Write a table of many fits, whole or not at all: .parquet, .nc (netCDF) or .zarr (a Zarr store of format 2).
+
+    Args:
+        path: of the file or store; one that exists is replaced.
+        frame: makes the pandas data frame of a Parquet table.
+        dataset: makes the xarray data set of the others.
+
+    Raises:
+        DataError: another ending.
+        HystfitError: it cannot be written.
+        MissingExtraError: the package for this kind of file is not installed.
+    """
+    path = Path(path)
+    if path.suffix not in TABLES:
+        raise DataError(f"a table is written as {', '.join(TABLES)}, got {path.name!r}")
+    for package in TABLES[path.suffix]:
+        optional(package, "frames", f"a table in {path.suffix}")
+    with writing_file(path) as scratch:
+        if path.suffix == ".parquet":
+            frame().to_parquet(scratch, engine="pyarrow", index=False)
+        elif path.suffix == ".nc":
+            scratch.write_bytes(dataset().to_netcdf(engine="h5netcdf"))  # HDF5 can crash on a full disk
+        else:  # format 3 has no common metadata of all arrays, and no types of text, that all programs read
+            dataset().to_zarr(scratch, zarr_format=2, consolidated=True)
+    return path
 
 
 def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

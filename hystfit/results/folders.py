@@ -14,7 +14,8 @@ from typing import Any
 
 import filelock
 
-from hystfit.errors import HystfitError
+from hystfit.errors import DataError, HystfitError
+from hystfit.reading.file_bytes import is_zarr
 from hystfit.results.manifest import MANIFEST, PENDING
 
 _LOCK, _SCRATCH, _WHOLE = ".hystfit-lock", ".hystfit-new-", ".hystfit-whole"
@@ -125,6 +126,24 @@ class writing:
             shutil.rmtree(self.target, ignore_errors=True)
 
 
+@contextlib.contextmanager
+def writing_file(path: str | Path) -> Iterator[Path]:
+    """The place of a file or Zarr store within a scratch folder, from which it is moved when it is written.
+
+    Raises:
+        DataError: the folder does not exist.
+        HystfitError: as `writing`.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise DataError(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} does not exist; make it first")
+    if path.parent.name.startswith(_SCRATCH):  # its files are moved together
+        yield path
+        return
+    with writing(path.parent) as scratch:
+        yield scratch / path.name
+
+
 def refused(target: Path, error: OSError) -> HystfitError:
     """Why a folder cannot be written, in words."""
     if isinstance(error, FileNotFoundError) and not target.parent.is_dir():
@@ -145,6 +164,8 @@ def _refuse_clashes(source: Path, target: Path) -> None:
             raise HystfitError(
                 f"cannot write {str(place)!r}: a {kind} has this name; move it away, or choose another folder"
             )
+        if is_zarr(entry) and place.is_dir() and not is_zarr(place):
+            raise HystfitError(f"cannot write {str(place)!r}: this folder is no Zarr store; choose another name")
         if entry.is_dir() and place.is_dir():
             _refuse_clashes(entry, place)
 
@@ -158,11 +179,17 @@ def _move_pending(target: Path) -> None:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move the files of a folder into another, and those of its folders into theirs; manifests last."""
+    """Move the files of a folder into another, and those of its folders into theirs; manifests last.
+
+    A Zarr store replaces an older one as a whole, of which other arrays would remain.
+    """
     for entry in sorted(source.iterdir(), key=lambda entry: (entry.name == MANIFEST, entry.name)):
         if entry.name == _LOCK:
             continue
-        if entry.is_dir():
+        if is_zarr(entry):
+            shutil.rmtree(target / entry.name, ignore_errors=True)
+            os.replace(entry, target / entry.name)
+        elif entry.is_dir():
             (target / entry.name).mkdir(exist_ok=True)
             _move(entry, target / entry.name)
         else:
