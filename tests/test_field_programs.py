@@ -15,6 +15,7 @@ from hystfit.control.magnetic_law import parts_of
 from hystfit.control.spice_winding import winding
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
+from hystfit.models.linear import Linear
 from hystfit.models.rate import Viscous
 from hystfit.params.units import MU0
 
@@ -148,7 +149,7 @@ def fields_of(netlist, voltage, times, **given):
     """Field over time of a winding at a voltage, by an ODE solver on the sources of its netlist."""
     sources, moved = {}, {}
     for line in netlist.splitlines():
-        if line[0] == "B" and (source := re.fullmatch(r"B\w+ (\w+) (\w+) [VI]=(.*)", line)) and "p" not in source[1]:
+        if line[0] == "B" and (source := re.fullmatch(r"B\w+ (\w+) (\w+) [VI]=(.*)", line)) and source[2] != "n":
             filled = re.sub(r"\{(\w+)\}", lambda name: repr(given[name[1]]), source[3])
             code = compile(re.sub(r"V\(([\w,]+)\)", r"v('\1')", filled), "source", "eval")
             (moved if source[1] == "0" else sources)[source[2 if source[1] == "0" else 1]] = code
@@ -156,7 +157,7 @@ def fields_of(netlist, voltage, times, **given):
     assert all(f"C{node} {node} 0 1" in netlist for node in moved)
 
     def at(t, state, *wanted):
-        known = {"p,n": voltage(t), "x": state[0], "m": state[1]}
+        known = {"p,n": voltage(t), "q,n": voltage(t), "x": state[0], "m": state[1]}
 
         def v(node):
             if node not in known:
@@ -174,19 +175,29 @@ def fields_of(netlist, voltage, times, **given):
 FREQUENCY = 50.0
 LOSSES = {"eddy": 0.05, "excess": 0.6, "e": 0.1}
 WINDINGS = {
-    "every term, driven by the field": JilesAthertonDynamic(**SHAPE, **LOSSES, q=[1.2], p=[0.7], r=[4.0]),
-    "tanh, driven by the flux density": hf.Sum(JilesAthertonField(**SHAPE, curve="tanh"), Viscous(c=LOSSES["eddy"])),
+    "every term, driven by the field": hf.Sum(
+        JilesAthertonDynamic(**SHAPE, **LOSSES, q=[1.2], p=[0.7], r=[4.0]), Linear(k=1e-3)
+    ),
+    "tanh, driven by the flux density": hf.Sum(
+        JilesAthertonField(**{**SHAPE, "slope": 5 * MU0}, curve="tanh"), Viscous(c=LOSSES["eddy"]), Linear(k=80.0)
+    ),
 }
 
 
 @pytest.mark.parametrize("label", WINDINGS)
 def test_a_winding_for_spice_has_the_field_of_every_term_of_the_law(label):
-    """Beside the library: of the first model the flux density over that field, of the second the field over the flux density."""
+    """Beside the library: the flux density over the field of the winding, or the field over the flux density.
+
+    The voltage is that of the core, before which an inductor has that of the air.
+    """
     model, peak, w = WINDINGS[label], 1.1, 2 * np.pi * FREQUENCY
     parts, core = parts_of(model), {"turns": 100.0, "area": 1e-4}
     t, scale = np.arange(1, 2001) / 1000 / FREQUENCY, peak * w * core["turns"] * core["area"]
-    h, b = fields_of(winding(parts.law(1.0, 1.0)), lambda time: scale * np.cos(w * time), t, **core)
-    np.testing.assert_allclose(b, peak * np.sin(w * t), atol=2e-4)
+    netlist = winding(parts.law(1.0, 1.0))
+    h, b = fields_of(netlist, lambda time: scale * np.cos(w * time), t, **core)
+    air = re.search(r"Lair p q \{(.*)\}", netlist)
+    linked = eval(air[1], {"length": 0.1, **core}) * h * 0.1 / core["turns"] if air else 0.0
+    np.testing.assert_allclose(core["turns"] * core["area"] * (b - peak * np.sin(w * t)), linked, atol=2e-6)
     given, expected = (b, h) if parts.by_flux else (h, b)
     found = np.asarray(hf.simulate(model, np.append(0.0, given), np.diff(t, prepend=0.0, append=2 * t[-1] - t[-2]))[0])
     np.testing.assert_allclose(found[1001:], expected[1000:], atol=1e-3 * np.ptp(expected))
@@ -198,6 +209,46 @@ def test_programs_that_read_loops_get_that_of_a_slow_field(tmp_path, written):
     assert all(f"{value}*V(rate)" in Path(files["SPICE subcircuit"]).read_text() for value in ("0.05", "0.6"))
     with pytest.raises(hf.HystfitError, match="A/m,T"):
         export_field_programs(fitted(JilesAthertonDynamic, **LOSSES, slope=0.0), tmp_path)
+
+
+def test_a_line_that_no_file_can_show_is_left_out_and_any_other_refused(tmp_path, written):
+    """0.04 and 4 % of the range of the flux density at the largest field."""
+    none, small, large = (hf.Sum(fitted().model, Linear(k=share / TURN)) for share in (0.0, 1e-3, 1e-1))
+    of = lambda model: SimpleNamespace(**{**vars(written[0]), "model": model})
+    files = export_field_programs(of(small), tmp_path / "small")
+    numbers = lambda path: [line.split(",")[1] for line in Path(path).read_text().splitlines()[3:]]
+    assert numbers(files["Flux"]) == numbers(written[1]["Flux"])
+    assert_same(loop_of(of(small))[1:], loop_of(of(none))[1:])
+    refused = export_field_programs(of(large), tmp_path / "large")
+    assert all("line" in refused[program] for program in ("COMSOL", "Flux", "SPICE"))
+    h, rising, falling = loop_of(of(large))
+    jmag = np.loadtxt(refused["JMAG"], delimiter=",", skiprows=1)
+    assert_same((np.interp(h, jmag[:, 0], jmag[:, 1]), np.interp(h, jmag[:, 0], jmag[:, 2])), (rising, falling))
+    assert parts_of(large).law(1.0, 1.0) == parts_of(fitted(slope=MU0 + 1e-1 / TURN).model).law(1.0, 1.0)
+    falls = hf.Sum(JilesAthertonDynamic(**SHAPE, **LOSSES), Linear(k=-1e-1 / TURN))
+    assert "refit" in export_field_programs(of(falls), tmp_path / "falls")["SPICE subcircuit"]
+
+
+def test_branches_of_a_magnet_behind_a_gap_are_those_of_its_model(tmp_path):
+    model = hf.Sum(JilesAthertonField(**SHAPE), Linear(k=80.0))
+    b = 1.1 * np.sin(np.linspace(0, 6 * np.pi, 1201))
+    h = np.asarray(hf.simulate(model, b)[0])
+    record = SimpleNamespace(u=b, y=h, u_unit="T", y_unit="A/m", used=np.ones(b.size, bool))
+    files = export_field_programs(SimpleNamespace(model=model, data=[record], input_range=(-1.1, 1.1)), tmp_path)
+    jmag = np.loadtxt(files["JMAG"], delimiter=",", skiprows=1)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(b)))) + 1
+    for one, column in ((slice(turns[-3], turns[-2] + 1), 1), (slice(turns[-2], turns[-1] + 1), 2)):
+        np.testing.assert_allclose(np.interp(h[one], jmag[:, 0], jmag[:, column]), b[one], atol=1e-3 * np.ptp(b))
+
+
+def test_a_magnetization_over_the_field_gives_the_flux_density(tmp_path):
+    """Of any model: B = mu0 (H + M)."""
+    plays = hf.PrandtlIshlinskii(w=[[800.0, 400.0, 200.0]], r=[0.0, 0.1, 0.2], low=-TURN, high=TURN)
+    data = [SimpleNamespace(u_unit="A/m", y_unit="A/m")]
+    files = export_field_programs(SimpleNamespace(model=plays, data=data, input_range=(-TURN, TURN)), tmp_path)
+    h, rising = np.loadtxt(files["JMAG"], delimiter=",", skiprows=1)[:, :2].T
+    expected = MU0 * (h + np.asarray(hf.simulate(plays, np.concatenate([h, h[::-1], h]))[0])[-h.size :])
+    np.testing.assert_allclose(rising, expected, atol=1e-6 * np.ptp(expected))
 
 
 def test_programs_without_a_term_of_the_model_get_no_file(tmp_path):

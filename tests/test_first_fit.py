@@ -80,6 +80,11 @@ def test_a_first_look_at_a_model_that_does_not_converge_is_short_and_about_as_go
     whole, look = (estimator.estimate(problem, start) for estimator in (LeastSquares(), LeastSquares().quick()))
     assert look.evaluations < 0.75 * whole.evaluations
     assert whole.cost * (1 - 1e-6) < look.cost < 1.01 * whole.cost
+    error = float(np.sqrt(2 * look.cost / 300) * problem.scales.y)
+    near, far = (LeastSquares().quick().up_to(share * error).estimate(problem, start) for share in (0.6, 0.4))
+    assert near.evaluations == look.evaluations
+    assert far.evaluations < 0.5 * look.evaluations
+    assert look.cost * (1 - 1e-6) < far.cost < 1.1 * look.cost
 
 
 def test_the_error_of_a_first_look_is_that_of_all_samples():

@@ -208,3 +208,21 @@ def test_of_reversal_curves_the_outermost_has_coercivity_and_remanence():
     found = quantities(curves).rows
     assert [name for name, rows in found.items() if rows] == ["12"]
     assert {row.name for row in found["12"]} >= {"coercive_input", "remanence"}
+
+
+def test_a_loop_that_was_cut_gives_what_its_whole_branch_shows_and_says_so():
+    """A falling branch of 1.2 tanh((H + 40) / 50), and a part of the rising one."""
+    h = np.concatenate([np.linspace(200, -200, 201), np.linspace(-198, -82, 59)])
+    b = 1.2 * np.tanh((h + np.where(np.arange(h.size) < 201, 40.0, -40.0)) / 50)
+    cut = quantities(hf.Record(u=h, y=b, u_unit="A/m", y_unit="T", name="cut"))
+    values = {one.name: one.value for one in cut.rows["cut"]}
+    assert values["HcJ"] == pytest.approx(40.0, abs=0.1)
+    assert values["Br"] == pytest.approx(1.2 * np.tanh(0.8), abs=1e-3)
+    assert "loop_area" not in values
+    assert "whole cycle" in "\n".join(cut.lines())
+    noise = np.random.default_rng(0).normal(0, 0.05, 201)
+    line = quantities(
+        hf.Record(np.append(h[:201], h[200::-1]), np.append(h[:201], h[200::-1]) + np.append(noise, noise[::-1]))
+    )
+    assert not any(line.rows.values())
+    assert "noise" in "\n".join(line.lines())

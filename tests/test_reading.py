@@ -137,6 +137,11 @@ GOOD: dict[str, tuple[str | bytes, dict[str, Any], dict[str, Any]]] = {
     "y before x": ("y,x\n" + _rows(",", [Y, U]), {}, {"t": None}),
     "stress before strain": ("sigma_MPa,eps\n" + _rows(",", [Y, U]), {}, {"t": None, "units": ("s", "", "MPa")}),
     "induction before field": ("B_T,H_A_per_m\n" + _rows(",", [Y, U]), {}, {"t": None, "units": ("s", "A/m", "T")}),
+    "polarization over field, henry and joule": (
+        "H_A_per_m,J_T\n" + _rows(",", [U, Y]),
+        {},
+        {"t": None, "units": ("s", "A/m", "T")},
+    ),
     "displacement before voltage": ("Position (um),Voltage (V)\n" + _rows(",", [Y, U]), {}, {"t": None}),
     "velocity beside displacement": ("t_s,x,v,F\n" + _rows(",", [T, U, [1, 2, 4, 3], Y]), {}, {}),
     "constant columns": ("\n".join(f"{u} 0 0 {y} -317.2" for u, y in zip(U, Y, strict=True)), {}, {"t": None}),

@@ -5,7 +5,6 @@ Every text states its units and its convention. A program that lacks a term of t
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -13,94 +12,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystfit.control.magnetic_law import Law, parts_of
+from hystfit.control.magnetic_law import Law
+from hystfit.control.magnetic_material import Material
 from hystfit.control.spice_winding import winding
 from hystfit.errors import ModelError
-from hystfit.params.units import MU0, parse_unit
-from hystfit.results.steady_loops import Excitation
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
 
-_POINTS = 401  # of each branch
 _LINE = 0.8  # of the largest field, from which the straight line is taken whose intercept is the Bs of LTspice
 _CONVENTION = (
     "dM/dHe = max(s (Man - M), 0) / k + c dMan/dHe, He = H + alpha M, Man = Ms (coth(He/a) - a/He), s = sign(dH)"
 )
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Material:
-    """A fitted material in SI units.
-
-    Attributes:
-        h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T],
-            shape (2, _POINTS).
-        law: Jiles-Atherton; None for other models.
-        lacking: terms of the static law that the published one lacks, such as pinning that falls.
-    """
-
-    h: np.ndarray
-    b: np.ndarray
-    law: Law | None
-    lacking: str = ""
-
-    @classmethod
-    def of(cls, result: FitResult) -> Material:
-        """The material of a fit: of a dynamic model its static loop, with the dynamic fields in the law.
-
-        Raises:
-            ModelError: field and output have other units, the model depends on time in another way, or its dynamic fields act on J.
-        """
-        parts = parts_of(result.model)
-        per_field, per_output = _sizes(result, by_flux=parts is not None and parts.by_flux)
-        model = result.model if parts is None else parts.static
-        if not model.rate_independent:
-            raise ModelError(
-                "these programs read static loops, or jiles-atherton-dynamic alone, without other terms: refit with --model"
-            )
-        if parts is not None and parts.dynamic and float(parts.static.slope) == 0.0:
-            raise ModelError("the dynamic fields act on the polarization: fit B over H with --units A/m,T")
-        low, high = result.input_range
-        if parts is not None and parts.by_flux:
-            low, high = (float(of([of(record.y[record.used]) for record in result.data])) for of in (np.min, np.max))
-        excitation = Excitation(low, high, 1.0, points=2 * (_POINTS - 1))
-        steady, rise = excitation.loops(model.free_run(excitation.loop.u)[None]), per_field * excitation.inputs
-        flux = per_output * np.stack([steady.rising[0], steady.falling[0]])
-        if parts is None:
-            return cls(np.stack([rise] * 2), flux, None, f"{type(model).__name__} is no Jiles-Atherton model")
-        if float(parts.static.slope) == 0.0 and per_output != 1.0:
-            flux = flux + MU0 * rise
-        law = parts.law(per_field, per_output)
-        return cls(np.stack([rise] * 2), flux, law, law.variants)
-
-
-def _sizes(result: FitResult, *, by_flux: bool) -> tuple[float, float]:
-    """Units of the field [A/m] and of the flux density, polarization or magnetization [T] of a fit.
-
-    Args:
-        by_flux: the input is not the field, but what it magnetizes.
-
-    Raises:
-        ModelError: the units are no such units.
-    """
-    first = result.data[0]
-    powers = lambda unit: getattr(parse_unit(unit), "powers", None)
-    names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)
-    field, output = map(parse_unit, names)
-    per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
-    per_output = {powers("T"): 1.0, powers("A/m"): MU0}.get(output.powers) if output else None
-    if field is None or output is None or per_field is None or per_output is None:
-        raise ModelError(
-            "a field program needs H in A/m, Oe or T and B, J or M in T or A/m; "
-            f"the fit has {first.u_unit or 'no unit'} and {first.y_unit or 'no unit'}: give --units, or divide the moment by the volume"
-        )
-    return per_field * field.factor, per_output * output.factor
-
-
 def _needs_law(material: Material) -> Law:
-    if material.law is None or material.lacking:
-        raise ModelError(f"{material.lacking}: refit jiles-atherton without variants")
+    if material.law is None:
+        raise ModelError(f"{material.lacking}: refit with --model jiles-atherton")
+    if material.lacking:
+        raise ModelError(f"it has no term for {material.lacking}: refit without it")
     return material.law
 
 
@@ -146,6 +76,8 @@ def _winding(material: Material) -> str:
     """ngspice and LTspice: a winding as a subcircuit, with every term of the law."""
     if material.law is None:
         raise ModelError(material.lacking)
+    if material.law.air < 0 or material.law.mu <= 0:
+        raise ModelError("the line beside the law falls, with which no winding is stable: refit without linear")
     return winding(material.law)
 
 

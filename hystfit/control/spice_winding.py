@@ -20,7 +20,8 @@ def winding(law: Law) -> str:
     """
     number = lambda value: f"{value:.9g}"
     curves = [("", law.p, 1.0)] if law.p == 1.0 else [("1", law.p, 1.0), ("2", 1.0 - law.p, law.r)]
-    sources: dict[str, str] = {"rate": "V(p,n)/({turns}*{area})"}
+    core = "q" if law.air else "p"  # the flux of air beside the core is that of an inductor before it
+    sources: dict[str, str] = {"rate": f"V({core},n)/({{turns}}*{{area}})"}
     for tag, _, ratio in curves:
         x = "V(x)" if ratio == 1.0 else f"V(x)/{number(ratio)}"
         sources |= _curve(tag, x, tanh=law.tanh)
@@ -30,6 +31,7 @@ def winding(law: Law) -> str:
     )
     pinning = f"{number(law.a / law.k)}*max(sgn(V(rate))*(V(an)-V(m)),0)"
     inner = f"{number(law.a)}*V(x)-{number(law.alpha * law.Ms)}*V(tot)"
+    rest = 1 - law.mu * law.alpha
     dynamic = f"+{number(law.eddy)}*V(rate)" if law.eddy else ""
     if law.excess:
         dynamic += f"+{number(law.excess)}*V(rate)/sqrt(sqrt(V(rate)*V(rate)+{number(law.e**2)}))"
@@ -38,9 +40,10 @@ def winding(law: Law) -> str:
         "tot": f"{number(law.c)}*V(an)+{number(1 - law.c)}*V(m)",
         "follow": pinning + (f"*exp({number(law.q)}*V(tot)*V(tot))" if law.q else ""),
         "chi": f"{number(law.c)}*({mixed('bend', 1)})+{number(1 - law.c)}*V(follow)",
-        "move": f"V(rate)/({number(MU0 * law.a)}+{number(MU0 * law.Ms * (1 - law.alpha))}*V(chi))",
-        "b": f"{number(MU0)}*({number(law.a)}*V(x)+{number((1 - law.alpha) * law.Ms)}*V(tot))",
-        "h": inner + dynamic,
+        "move": f"V(rate)/({number(MU0 * law.mu * law.a)}+{number(MU0 * law.Ms * rest)}*V(chi))",
+        "core": f"{number(MU0)}*({number(law.mu * law.a)}*V(x)+{number(rest * law.Ms)}*V(tot))",
+        "h": inner + dynamic + (f"+{number(law.gap)}*V(core)" if law.gap else ""),
+        "b": "V(core)" + (f"+{number(law.air)}*V(h)" if law.air else ""),
     }
     head = [
         "* winding on a core: turns, area [m^2], length of the path [m]; inside, node h is the field [A/m] and b the flux density [T]",
@@ -54,8 +57,9 @@ def winding(law: Law) -> str:
         for node, rate in (("x", "V(move)"), ("m", "V(follow)*V(move)"))
         for line in (f"B{node} 0 {node} I={rate}", f"C{node} {node} 0 1", f"R{node} {node} 0 1e12")
     ]
-    ports = ["Bi p n I=V(h)*{length}/{turns}", "Rpar p n {rpar}", ".ic V(x)=0 V(m)=0", ".ends winding", ""]
-    return "\n".join([*head, *body, *states, *ports])
+    ports = [f"Bi {core} n I=V(h)*{{length}}/{{turns}}", f"Rpar {core} n {{rpar}}"]
+    ports += [f"Lair p q {{{number(law.air)}*turns*turns*area/length}}"] if law.air else []
+    return "\n".join([*head, *body, *states, *ports, ".ic V(x)=0 V(m)=0", ".ends winding", ""])
 
 
 def _curve(tag: str, x: str, *, tanh: bool) -> dict[str, str]:

@@ -190,11 +190,11 @@ class ComparisonRun:
             method = ESTIMATORS.make(choose_method(problem)).quick()
             # Points that a model reads off the records are sorted, the best first.
             starts = 1 if len(points) > 1 else min(_FIRST_STARTS, self.options.starts)
-            estimate = solve(problem, method, starts, self.options.seed, points)
-            weight = np.asarray(problem.objective.batch.weight)
-            rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
             alike = self._all_held and [*map(len, fitted)] == [*map(len, self.data)]
             lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
+            estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered))
+            weight = np.asarray(problem.objective.batch.weight)
+            rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
@@ -219,13 +219,13 @@ class ComparisonRun:
             chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
             given = chosen if one.choices else given
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
-        one.solved = early or solve_model(given, self.data, self.options, self._worth())
+        one.solved = early or solve_model(given, self.data, self.options, self._worth(_LOWERED))
 
-    def _worth(self) -> float:
-        """The rms error [y] of a descent above which the finished fit would be beaten."""
+    def _worth(self, lowered: float) -> float:
+        """The rms error [y] of a descent, of which a finished fit leaves this part at least, above which it would be beaten."""
         if self.named or self.best is None:
             return np.inf
-        return self.equal * self.best * self.span / 100 / _LOWERED
+        return self.equal * self.best * self.span / 100 / lowered
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""

@@ -249,7 +249,9 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     Args:
         rows: cells of the lines above the numbers, the nearest one first; bare: the same without brackets around a cell.
     """
-    place = next((k for k, row in enumerate(bare) if _are_units(row, rows[k])), None)
+    # H_A_per_m and J_T alone above the numbers are names with their units, though henry and joule are units too.
+    named = len(rows) == 1 and all("_" in cell for cell in bare[0])
+    place = None if named else next((k for k, row in enumerate(bare) if _are_units(row, rows[k])), None)
     if place is None and len(rows) > 1:  # a line of units beside words, such as "segments", has names above it
         place = next(
             (k for k, row in enumerate(bare[:-1]) if _mostly_units(row) and not _mostly_units(bare[k + 1])), None

@@ -141,6 +141,12 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
     return LoopValues(rows, some(corrections), some(notes))
 
 
+_NO_CYCLE = Note(
+    Code.NOT_CLOSED,
+    "no closed loop: the input does not run there and back over one range; measure a whole cycle",
+    Severity.WARNING,
+)
+_NO_AREA = Note(Code.NOT_CLOSED, "no loop: its branches differ by no more than the noise", Severity.WARNING)
 _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 
@@ -162,8 +168,11 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
     branches = large_branches(u, y, turns)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    if not pairs or not is_open(pairs, sigma):
-        return (), (), ()
+    if not pairs:
+        rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
+        return rows, corrections, (_NO_CYCLE, *notes)
+    if not is_open(pairs, sigma):
+        return (), (), (_NO_AREA,)
     cycles = large_cycles(u, y, pairs)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
