@@ -6,7 +6,8 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+import types
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
+SHAPE_CHECKS = 8  # calls of a function in one test of the quick form whose shapes are checked
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 LONGEST = (
     "quality",
@@ -56,9 +58,10 @@ LONGEST = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The flags are read at the first computation, after this."""
+    """The flags are read at the first computation, and the rooms that are checked are imported, after this."""
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
+        jaxtyping.jaxtyped = Sparing(jaxtyping.jaxtyped)
 
 
 @functools.cache
@@ -82,6 +85,42 @@ def pytest_collection_finish() -> None:
     """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
     gc.freeze()
     gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
+
+
+class Sparing:
+    """`jaxtyping.jaxtyped` that checks only the first calls of each function in a test.
+
+    Checks of host functions, which a test calls thousands of times with the same shapes, took up to a quarter of its time.
+    """
+
+    def __init__(self, checks: Callable[..., Any]):
+        self.checks = checks
+        self.test = 0
+
+    def __call__(self, fn: Any = None, **options: Any) -> Any:
+        if fn is None:
+            return functools.partial(self, **options)
+        checked = self.checks(fn, **options)
+        if not isinstance(fn, types.FunctionType):
+            return checked
+        test = calls = 0
+
+        @functools.wraps(fn)
+        def sparing(*args: Any, **kwargs: Any) -> Any:
+            nonlocal test, calls
+            __tracebackhide__ = True
+            if test != self.test:
+                test, calls = self.test, 0
+            calls += 1
+            return (checked if calls <= SHAPE_CHECKS else fn)(*args, **kwargs)
+
+        return sparing
+
+
+def pytest_runtest_setup() -> None:
+    """Each test counts its calls anew."""
+    if isinstance(jaxtyping.jaxtyped, Sparing):
+        jaxtyping.jaxtyped.test += 1
 
 
 @pytest.fixture(autouse=True, scope="module")
