@@ -2,6 +2,7 @@
 
 import functools
 import gc
+import io
 import os
 import re
 import shutil
@@ -82,7 +83,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
+    """Draw few pictures. Leave what was imported out of every later garbage collection, and collect as seldom as the command does:
+    4 % of the time.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    FigureCanvasAgg.print_png = PICTURES.sparing(FigureCanvasAgg.print_png)
+    FigureCanvasSVG.print_svg = PICTURES.sparing(FigureCanvasSVG.print_svg)
     gc.freeze()
     gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
 
@@ -117,6 +125,43 @@ class Sparing:
         return sparing
 
 
+class Pictures:
+    """Pictures of the commands: each kind is drawn once a test file, and that one written again where only the data differ.
+
+    With every fit, ten of them are written twice, which took a third of the time of the tests of commands.
+    """
+
+    def __init__(self) -> None:
+        self.all_drawn = False
+        self.kept: dict[tuple[Any, ...], bytes] = {}
+
+    def sparing(self, draw: Callable[..., None]) -> Callable[..., None]:
+        """A method of a canvas that draws sparingly."""
+
+        @functools.wraps(draw)
+        def drawn(canvas: Any, target: Any, **options: Any) -> None:
+            if self.all_drawn:
+                draw(canvas, target, **options)
+                return
+            words = [
+                (ax.get_title(), ax.get_xlabel(), ax.get_xscale(), ax.get_ylabel(), ax.get_yscale())
+                for ax in canvas.figure.axes
+            ]
+            kind = (draw, *canvas.figure.get_size_inches(), *words)
+            if kind not in self.kept:
+                draw(canvas, stream := io.BytesIO(), **options)
+                self.kept[kind] = stream.getvalue()
+            if isinstance(target, str | os.PathLike):
+                Path(target).write_bytes(self.kept[kind])
+            else:
+                target.write(self.kept[kind].decode() if isinstance(target, io.TextIOBase) else self.kept[kind])
+
+        return drawn
+
+
+PICTURES = Pictures()
+
+
 def pytest_runtest_setup() -> None:
     """Each test counts its calls anew."""
     if isinstance(jaxtyping.jaxtyped, Sparing):
@@ -137,6 +182,14 @@ def _shapes_checked(request: pytest.FixtureRequest) -> None:
     """In the quick form only files that look inside a traced room check shapes: in all files it takes a ninth of the time."""
     checked = request.config.option.markexpr != "not slow" or looks_inside(request.path)
     jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _pictures_drawn(request: pytest.FixtureRequest) -> None:
+    """Each file draws its own pictures, and all of them where it looks into some or where all tests run."""
+    PICTURES.kept.clear()
+    looks = re.search(r"<svg|\.axes\b|imread|canvas", request.path.read_text(encoding="utf-8"))
+    PICTURES.all_drawn = bool(looks) or request.config.option.markexpr != "not slow"
 
 
 @pytest.fixture
