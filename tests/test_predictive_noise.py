@@ -51,8 +51,8 @@ def coverages(noise, seen_residual: np.ndarray, new_noise: np.ndarray) -> tuple[
     @eqx.filter_jit
     def draws(residual):
         residual = jnp.pad(residual, (0, pad))[None]
-        ahead = jax.vmap(lambda key: noise.predictive(full, key, setting, residual)[0, :T])(keys)
-        return ahead, jax.vmap(lambda key: noise.draw(full, key)[0, :T])(keys)
+        ahead = jax.lax.map(lambda key: noise.predictive(full, key, setting, residual)[0, :T], keys)
+        return ahead, jax.lax.map(lambda key: noise.draw(full, key)[0, :T], keys)
 
     inside = []
     for residual, true in zip(seen_residual, new_noise, strict=True):
