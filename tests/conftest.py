@@ -2,11 +2,13 @@
 
 import functools
 import gc
+import io
 import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+import types
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
+SHAPE_CHECKS = 8  # calls of a function in one test of the quick form whose shapes are checked
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 LONGEST = (
     "quality",
@@ -56,9 +59,10 @@ LONGEST = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The flags are read at the first computation, after this."""
+    """The flags are read at the first computation, and the rooms that are checked are imported, after this."""
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
+        jaxtyping.jaxtyped = Sparing(jaxtyping.jaxtyped)
 
 
 @functools.cache
@@ -79,9 +83,89 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
+    """Draw few pictures. Leave what was imported out of every later garbage collection, and collect as seldom as the command does:
+    4 % of the time.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    FigureCanvasAgg.print_png = PICTURES.sparing(FigureCanvasAgg.print_png)
+    FigureCanvasSVG.print_svg = PICTURES.sparing(FigureCanvasSVG.print_svg)
     gc.freeze()
     gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
+
+
+class Sparing:
+    """`jaxtyping.jaxtyped` that checks only the first calls of each function in a test.
+
+    Checks of host functions, which a test calls thousands of times with the same shapes, took up to a quarter of its time.
+    """
+
+    def __init__(self, checks: Callable[..., Any]):
+        self.checks = checks
+        self.test = 0
+
+    def __call__(self, fn: Any = None, **options: Any) -> Any:
+        if fn is None:
+            return functools.partial(self, **options)
+        checked = self.checks(fn, **options)
+        if not isinstance(fn, types.FunctionType):
+            return checked
+        test = calls = 0
+
+        @functools.wraps(fn)
+        def sparing(*args: Any, **kwargs: Any) -> Any:
+            nonlocal test, calls
+            __tracebackhide__ = True
+            if test != self.test:
+                test, calls = self.test, 0
+            calls += 1
+            return (checked if calls <= SHAPE_CHECKS else fn)(*args, **kwargs)
+
+        return sparing
+
+
+class Pictures:
+    """Pictures of the commands: each kind is drawn once a test file, and that one written again where only the data differ.
+
+    With every fit, ten of them are written twice, which took a third of the time of the tests of commands.
+    """
+
+    def __init__(self) -> None:
+        self.all_drawn = False
+        self.kept: dict[tuple[Any, ...], bytes] = {}
+
+    def sparing(self, draw: Callable[..., None]) -> Callable[..., None]:
+        """A method of a canvas that draws sparingly."""
+
+        @functools.wraps(draw)
+        def drawn(canvas: Any, target: Any, **options: Any) -> None:
+            if self.all_drawn:
+                draw(canvas, target, **options)
+                return
+            words = [
+                (ax.get_title(), ax.get_xlabel(), ax.get_xscale(), ax.get_ylabel(), ax.get_yscale())
+                for ax in canvas.figure.axes
+            ]
+            kind = (draw, *canvas.figure.get_size_inches(), *words)
+            if kind not in self.kept:
+                draw(canvas, stream := io.BytesIO(), **options)
+                self.kept[kind] = stream.getvalue()
+            if isinstance(target, str | os.PathLike):
+                Path(target).write_bytes(self.kept[kind])
+            else:
+                target.write(self.kept[kind].decode() if isinstance(target, io.TextIOBase) else self.kept[kind])
+
+        return drawn
+
+
+PICTURES = Pictures()
+
+
+def pytest_runtest_setup() -> None:
+    """Each test counts its calls anew."""
+    if isinstance(jaxtyping.jaxtyped, Sparing):
+        jaxtyping.jaxtyped.test += 1
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -98,6 +182,14 @@ def _shapes_checked(request: pytest.FixtureRequest) -> None:
     """In the quick form only files that look inside a traced room check shapes: in all files it takes a ninth of the time."""
     checked = request.config.option.markexpr != "not slow" or looks_inside(request.path)
     jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _pictures_drawn(request: pytest.FixtureRequest) -> None:
+    """Each file draws its own pictures, and all of them where it looks into some or where all tests run."""
+    PICTURES.kept.clear()
+    looks = re.search(r"<svg|\.axes\b|imread|canvas", request.path.read_text(encoding="utf-8"))
+    PICTURES.all_drawn = bool(looks) or request.config.option.markexpr != "not slow"
 
 
 @pytest.fixture
