@@ -2,13 +2,11 @@
 
 import functools
 import gc
-import io
 import os
 import re
 import shutil
 import sys
-import types
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from hypothesis import settings
 from hystfit.config import enable_x64
 
 from . import FAST_TO_COMPILE
+from .sparing import Pictures, ShapeChecks
 
 enable_x64()
 # The same examples every time; `--hypothesis-profile=default` looks for new ones.
@@ -31,8 +30,8 @@ MAPS = Path("/proc/self/maps")
 # Memory maps of a process at which its compiled programs are dropped: Linux allows 65 530, each program takes about ten, and a
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
-SHAPE_CHECKS = 8  # calls of a function in one test of the quick form whose shapes are checked
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
+PICTURES = Pictures()
 LONGEST = (
     "quality",
     "sampling",
@@ -62,7 +61,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """The flags are read at the first computation, and the rooms that are checked are imported, after this."""
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
-        jaxtyping.jaxtyped = Sparing(jaxtyping.jaxtyped)
+        jaxtyping.jaxtyped = ShapeChecks(jaxtyping.jaxtyped)
 
 
 @functools.cache
@@ -83,88 +82,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Draw few pictures. Leave what was imported out of every later garbage collection, and collect as seldom as the command does:
-    4 % of the time.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    FigureCanvasAgg.print_png = PICTURES.sparing(FigureCanvasAgg.print_png)
-    FigureCanvasSVG.print_svg = PICTURES.sparing(FigureCanvasSVG.print_svg)
+    """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
+    PICTURES.draw_few()
     gc.freeze()
     gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
 
 
-class Sparing:
-    """`jaxtyping.jaxtyped` that checks only the first calls of each function in a test.
-
-    Checks of host functions, which a test calls thousands of times with the same shapes, took up to a quarter of its time.
-    """
-
-    def __init__(self, checks: Callable[..., Any]):
-        self.checks = checks
-        self.test = 0
-
-    def __call__(self, fn: Any = None, **options: Any) -> Any:
-        if fn is None:
-            return functools.partial(self, **options)
-        checked = self.checks(fn, **options)
-        if not isinstance(fn, types.FunctionType):
-            return checked
-        test = calls = 0
-
-        @functools.wraps(fn)
-        def sparing(*args: Any, **kwargs: Any) -> Any:
-            nonlocal test, calls
-            __tracebackhide__ = True
-            if test != self.test:
-                test, calls = self.test, 0
-            calls += 1
-            return (checked if calls <= SHAPE_CHECKS else fn)(*args, **kwargs)
-
-        return sparing
-
-
-class Pictures:
-    """Pictures of the commands: each kind is drawn once a test file, and that one written again where only the data differ.
-
-    With every fit, ten of them are written twice, which took a third of the time of the tests of commands.
-    """
-
-    def __init__(self) -> None:
-        self.all_drawn = False
-        self.kept: dict[tuple[Any, ...], bytes] = {}
-
-    def sparing(self, draw: Callable[..., None]) -> Callable[..., None]:
-        """A method of a canvas that draws sparingly."""
-
-        @functools.wraps(draw)
-        def drawn(canvas: Any, target: Any, **options: Any) -> None:
-            if self.all_drawn:
-                draw(canvas, target, **options)
-                return
-            words = [
-                (ax.get_title(), ax.get_xlabel(), ax.get_xscale(), ax.get_ylabel(), ax.get_yscale())
-                for ax in canvas.figure.axes
-            ]
-            kind = (draw, *canvas.figure.get_size_inches(), *words)
-            if kind not in self.kept:
-                draw(canvas, stream := io.BytesIO(), **options)
-                self.kept[kind] = stream.getvalue()
-            if isinstance(target, str | os.PathLike):
-                Path(target).write_bytes(self.kept[kind])
-            else:
-                target.write(self.kept[kind].decode() if isinstance(target, io.TextIOBase) else self.kept[kind])
-
-        return drawn
-
-
-PICTURES = Pictures()
-
-
 def pytest_runtest_setup() -> None:
     """Each test counts its calls anew."""
-    if isinstance(jaxtyping.jaxtyped, Sparing):
+    if isinstance(jaxtyping.jaxtyped, ShapeChecks):
         jaxtyping.jaxtyped.test += 1
 
 
