@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from hystfit import BoucWen, check, compare, datasets, fit, signals, simulate
 from hystfit.cli import run
+from hystfit.data.circulation import circulation
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.registry import judged, judged_as, make_model
@@ -1131,3 +1132,13 @@ def test_a_loop_is_open_on_a_steep_line_and_with_points_far_in_saturation():
     assert shape.circulation == "counter-clockwise"
     assert not shape.crossing
     assert shape.width == pytest.approx(2 * np.tanh(160 / 300), rel=0.05)
+
+
+def test_an_initial_curve_does_not_turn_the_way_of_a_narrow_loop():
+    """The chord from the end of the loop to the begin of the initial curve encloses more than the loop, and the other way round."""
+    share = np.concatenate([np.linspace(0, 1, 60), np.linspace(1, -1, 120)[1:], np.linspace(-1, 1, 120)[1:]])
+    way = np.where(np.arange(share.size) < 60, 0.0, np.sign(np.gradient(share)))
+    y = np.tanh(17 * share - 0.2 * way)
+    assert circulation(share, y) > 0
+    assert circulation(share[::-1], y[::-1]) < 0
+    assert circulation(share, y) == pytest.approx(circulation(share[59:], y[59:]), rel=0.01)

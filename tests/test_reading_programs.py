@@ -431,3 +431,21 @@ def test_the_components_along_the_field_are_the_loop(tmp_path: Path) -> None:
     above = f"# ODT 1.0\n# Table Start\n# Columns: {names}\n# Units: J mT mT mT {{}} {{}} {{}}\n"
     record = one(written(tmp_path, above + rows(" ", *columns.values()) + "# Table End\n", "loop.odt"))
     assert (record.u_name, record.y_name, record.u_unit) == ("Oxs_UZeeman::By", "Oxs_MinDriver::my", "mT")
+
+
+@pytest.mark.parametrize("loops", [(5,), (5, 300)])
+def test_a_sweep_of_the_temperature_is_no_part_of_the_loops_beside_it(loops: tuple[int, ...], tmp_path: Path) -> None:
+    """A sequence of a magnetometer: warming in a small field that is held, then a loop at each temperature."""
+    warm = np.linspace(5, 300, 200)
+    field, temperature, moment = [np.full(200, 99.9)], [warm], [3e-4 * np.exp(-warm / 80)]
+    share = np.concatenate([np.linspace(1, -1, 81), np.linspace(-1, 1, 81)[1:]])
+    for held in loops:
+        field.append(7e4 * share)
+        temperature.append(np.full(share.size, float(held)))
+        moment.append(np.tanh(5 * share - 0.5 * np.sign(np.gradient(share))) / held)
+    columns = [np.concatenate(parts) for parts in (temperature, field, moment)]
+    content = "Temperature (K),Magnetic Field (Oe),Moment (emu)\n" + rows(",", *columns)
+    records = Dataset.of(read(written(tmp_path, content)))
+    assert [record.u.size for record in records] == [161] * len(loops)
+    assert all(np.ptp(record.u) == 1.4e5 for record in records)
+    assert not any(note.code is Code.CONDITIONS for record in records for note in record.notes)

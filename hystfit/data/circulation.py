@@ -8,11 +8,16 @@ OPEN = 0.02  # area over that of the box around it, from which a loop has a dire
 FEWEST = 8  # samples of a loop or of a period
 GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 
+_NEAR = 0.01  # of the input's range, within which a record is back at its input
+_PART = 0.5  # of the input's range, which the part of a record that returns covers
+_FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lines between samples of a curve enclose as much
+
 
 def circulation(u: np.ndarray, y: np.ndarray) -> float:
     """Area inside the path of a record over that of the box around it: positive where it runs counter-clockwise, as an output that lags.
 
-    Where the output falls as the input rises, the path is mirrored first. Several cycles count several times.
+    Where the output falls as the input rises, the path is mirrored first. Several cycles count several times; what a record does before
+    or after it returns to its input does not count where it has a loop.
 
     Args:
         u, y: input and output, shape (T,), NaN where missing.
@@ -21,6 +26,29 @@ def circulation(u: np.ndarray, y: np.ndarray) -> float:
     u, y = u[both], y[both]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0
+    part, whole = _returning(u), _area(u, y)
+    if np.ptp(u[part]) < _PART * np.ptp(u) or not np.ptp(y[part]) > 0:
+        return whole
+    returned = _area(u[part], y[part])
+    return returned if abs(returned) >= _FLAT else whole
+
+
+def _area(u: np.ndarray, y: np.ndarray) -> float:
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
     area = 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
     return area * float(np.sign(np.sum(u * y)))
+
+
+def _returning(u: np.ndarray) -> slice:
+    """The longest part of a path at one end of a record that ends at the input where it begins.
+
+    The line from the end of an initial curve and a loop back to its begin would enclose more than the loop does.
+    """
+
+    def passes(level: float) -> np.ndarray:
+        near = np.abs(u - level) <= _NEAR * np.ptp(u)
+        near[1:] |= (u[:-1] - level) * (u[1:] - level) < 0
+        return np.flatnonzero(near)
+
+    first, last = passes(u[-1])[0], passes(u[0])[-1]
+    return slice(first, None) if u.size - first > last + 1 else slice(0, last + 1)

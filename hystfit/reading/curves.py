@@ -75,7 +75,7 @@ def split_curves(
             return curves, True
         number[1:] = np.cumsum(_restarts(table, choice, notes))
         if number[-1] == 0 and (found := curves_at_conditions(table, choice, notes)) is not None:
-            return found, True
+            return found, len(found) > 1
         if number[-1] == 0:
             _suggest(table, choice, notes)
             return [("", np.arange(table.rows))], False

@@ -11,6 +11,7 @@ from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
 from hystfit.reading.header import split_unit
+from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 
 _FEWEST = 8  # rows of a curve
@@ -20,6 +21,7 @@ _HELD = 0.2  # of the change to the temperature before or after, up to which one
 _JUMP = 5.0  # step to the next curve over the median step, of the input and of a time
 _NOISY = 0.05  # share of the steps that noise turns against the way of the input
 _NEAR = 0.05  # of the range of the input, within which all curves begin or end
+_RESTS = 1e-4  # of the range of a field, up to which its steps are those of one that is held
 
 Curves = list[tuple[str, np.ndarray]]
 
@@ -33,9 +35,22 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         if position in (choice.input, choice.output) or column_quantity(name, table.units[position]) != "temperature":
             continue
         values = table.columns[position]
-        begins = _steps_of_plateaus(values) if np.isfinite(values).all() else np.empty(0, dtype=int)
-        pieces = np.split(np.arange(u.size), begins)
-        if begins.size and _cover(u, pieces) and _begin_alike(u, begins):
+        if not np.isfinite(values).all():
+            continue
+        rows = np.arange(u.size)
+        if column_quantity(table.names[choice.input], table.units[choice.input]) in ("field", "induction"):
+            rows = np.flatnonzero(~_heated(u, values))
+        begins = _steps_of_plateaus(values[rows])
+        pieces = np.split(rows, begins)
+        one = not begins.size and 2 * _FEWEST <= rows.size < u.size and np.ptp(values[rows]) < HEATED
+        if one or (begins.size and _cover(u, pieces) and _begin_alike(u[rows], begins)):
+            if rows.size < u.size:
+                text = (
+                    f"left out: {u.size - rows.size} rows in which the temperature ({name!r}) changes at a held field"
+                )
+                notes.append(Note(Code.LEFT_OUT, text))
+            if one:
+                return [("", rows)]
             title = split_unit(name)[0]
             notes.append(Note(Code.CURVES, f"{len(pieces)} curves, each at a temperature that is held ({name!r})"))
             return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
@@ -49,11 +64,20 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
     return _labeled(pieces, [f"curve={k}" for k in range(len(pieces))])
 
 
+def _heated(u: np.ndarray, temperature: np.ndarray) -> np.ndarray:
+    """Whether each row is of a sweep of the temperature at a field that is held, such as the cooling before a loop."""
+    found = np.zeros(u.size, dtype=bool)
+    begins = np.flatnonzero(np.abs(np.diff(u)) > _RESTS * np.ptp(u)) + 1
+    for run in np.split(np.arange(u.size), begins):
+        found[run] = run.size >= _FEWEST and np.ptp(temperature[run]) > HEATED
+    return found
+
+
 def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
     """Rows at which a quantity that is held goes to its next value; none for one that varies in another way."""
     steps = np.abs(np.diff(values))
     largest = np.argsort(-steps, kind="stable")
-    for count in range(min(_MOST - 1, values.size // _FEWEST), 0, -1):
+    for count in range(min(_MOST - 1, values.size // _FEWEST, np.count_nonzero(steps)), 0, -1):
         begins = np.sort(largest[:count]) + 1
         drifts = [float(np.ptp(piece)) for piece in np.split(values, begins)]
         changes = [np.inf, *steps[begins - 1], np.inf]
