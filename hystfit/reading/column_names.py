@@ -39,6 +39,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     by_unit = quantity(unit or unit_of_name)
     if base == "T" and by_unit in ("charge", "capacitance"):
         return "temperature"  # degrees Celsius without their sign
+    if base in ("p", "P") and by_unit == "stress":
+        return "pressure"  # whose unit is that of a stress
     base = _field(base)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
