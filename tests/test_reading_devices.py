@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import io
+import json
 import pickle
 from pathlib import Path
 
@@ -290,3 +291,17 @@ def test_pressures_by_their_letter() -> None:
 @pytest.mark.parametrize("names", ["y (mm),p (kN/m)", "y (mm),F (kN)", "Drift (mm),v (kN/m)"])
 def test_forces_per_length_resist_a_displacement(names: str, tmp_path: Path) -> None:
     is_pair(one(tmp_path, f"{names}\n" + rows(",", U, Y)))
+
+
+def test_flows_and_years(tmp_path: Path) -> None:
+    record = one(tmp_path, "year,Q_m3s,SSC\n" + rows(",", 1960 + np.arange(N), U, Y))
+    is_pair(record)
+    assert (record.u_name, record.u_unit, record.t_unit) == ("Q_m3s", "m3/s", "year")
+
+
+def test_records_within_the_points_of_an_isotherm(tmp_path: Path) -> None:
+    points = [
+        {"pressure": u, "species_data": [{"gas": "N2", "adsorption": y}]}
+        for u, y in zip(U.tolist(), Y.tolist(), strict=True)
+    ]
+    is_pair(one(tmp_path, json.dumps({"adsorbent": {"name": "MIL-101"}, "isotherm_data": points}), "isotherm.json"))

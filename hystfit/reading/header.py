@@ -22,7 +22,8 @@ _JOINED = re.compile(
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
     r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
 )
-# Fluxes: sapflow_cm3_cm2_h, nee_umol_m2_s.
+# Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
+_FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _CYRILLIC = dict(
@@ -33,7 +34,9 @@ _CYRILLIC = dict(
     )
 )
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
-_BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
+_BARE_TIMES = frozenset(
+    {"day", "ms", "us", "µs", "μs", "ns"}
+)  # names of columns that are no more than the unit of time
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
@@ -86,7 +89,7 @@ _NAME_CELL = re.compile(
 _UNIT_CELL = re.compile(
     r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
 )
-_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]units?", re.IGNORECASE)
+_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -137,6 +140,8 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
         if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
             return base, ""
     if match := re.fullmatch(r"(.+?)[_ ]([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
+        return match[1], f"{match[2]}/{match[3]}"
+    if match := _FLOW.fullmatch(name):
         return match[1], f"{match[2]}/{match[3]}"
     if match := _FLUX.fullmatch(name):
         return match[1], f"{match[2]}/{match[3]}/{match[4]}"
