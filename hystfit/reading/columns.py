@@ -198,7 +198,7 @@ def _guess_pair(
     if any(kinds[k] == "capacitance" for k in free):  # D beside C is a loss
         kinds.update({k: "" for k in free if table.names[k] == "D"})
     _find_velocities(table, free, kinds)
-    if len(free) + len(given) > 2:
+    if table.named and len(free) + len(given) > 2:
         kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
