@@ -316,3 +316,16 @@ def test_the_next_command_leaves_out_the_half_cycle_that_failed(clock, tmp_path)
 def test_residuals_without_a_disturbance_to_name(row):
     record = made(output())
     assert disturbance_note([row], hf.Dataset.of(record)) is None
+
+
+def test_a_fit_to_an_input_that_noise_reverses_proposes_its_smoothing():
+    u = np.interp(np.arange(N), 100 * np.arange(7), [0, 1, 0, 1, 0, 1, 0])
+    y = np.zeros(N)
+    for k in range(1, N):
+        y[k] = min(max(y[k - 1], u[k] - 0.2), u[k] + 0.2)
+    record = hf.Record(u + 0.015 * WHITE, y)
+    result = hf.fit("prandtl-ishlinskii:plays=4", record)
+    name, length = next(note.option for note in result.notes if note.code is Code.CHATTER)
+    assert name == "smooth"
+    assert f"--smooth={length}" in " ".join(next_commands(dataclasses.replace(result, status=Status.ROUGH), Wording()))
+    assert hf.fit("prandtl-ishlinskii:plays=4", record.smoothed(int(length))).train.rmse < result.train.rmse

@@ -13,15 +13,16 @@ from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.quality.chatter import MOST
 from hystfit.quality.damage import fails_at
 from hystfit.quality.faults import clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, place_of
+from hystfit.quality.findings import AFTER_FAILURE, chatter_note, place_of
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 _BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_MOST = 0.5  # least share of a squared error that a drift explains
+_EXPLAINED = 0.5  # least share of a squared error that a drift explains
 _TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
 
@@ -35,6 +36,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _outliers(fitted.data),
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
+        _chattering(fitted),
         None
         if is_noise(fitted.train.rmse, fitted.baselines)
         else drift_note(fitted.rows, fitted.data, fitted.baselines.span),
@@ -102,6 +104,21 @@ def _delayed(fitted: Fitted) -> Note | None:
     )
 
 
+def _chattering(fitted: Fitted) -> Note | None:
+    """A warning where noise reverses the input, which a model follows and the device does not."""
+    if fitted.percent < VISIBLE or is_noise(fitted.train.rmse, fitted.baselines):
+        return None
+    back = lambda u: 100 * np.count_nonzero(np.diff(np.sign(np.diff(u)))) / u.size
+    if not any(back(record.u) > MOST for record in fitted.parts):
+        return None
+    motions = [quality.motion for quality in fitted.qualities if quality.motion.chatter_percent > MOST]
+    if not motions:
+        return None
+    worst = max(motions, key=lambda motion: motion.chatter_percent)
+    note = chatter_note(worst.chatter_percent, worst.smoothing)
+    return dataclasses.replace(note, option=("smooth", str(worst.smoothing))) if worst.smoothing else note
+
+
 def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
     """A warning where most of the squared error of a record lies along a straight line in time, which no model includes.
 
@@ -116,7 +133,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         passed, missed = record.t[record.used] - record.t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))
         change = slope * float(np.ptp(passed))
-        if slope**2 * (passed @ passed) < _MOST * (missed @ missed) or 100 * abs(change) < VISIBLE * span:
+        if slope**2 * (passed @ passed) < _EXPLAINED * (missed @ missed) or 100 * abs(change) < VISIBLE * span:
             continue
         size = f"{change:.3g} {record.y_unit}".rstrip()
         return warn(

@@ -82,15 +82,21 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             f"outliers (spikes) in the output: {record.spikes}; fits leave them out, and a robust loss (loss='huber') keeps them",
         )
     if record.motion.chatter_percent > MOST:
-        length = record.motion.smoothing
-        remedy = "measure the input with less noise"
-        if length:
-            remedy = f"--smooth {length} (smooth={length}) reduces them below {MOST:g} %"
-        yield warn(
-            Code.CHATTER,
-            f"{record.motion.chatter_percent:.0f} % of the input steps reverse direction because of noise, and each "
-            f"false reversal makes a small loop in a model: {remedy}",
-        )
+        yield chatter_note(record.motion.chatter_percent, record.motion.smoothing)
+
+
+def chatter_note(percent: float, smoothing: int | None) -> Note:
+    """That an input reverses because of noise, and what helps.
+
+    Args:
+        percent: share of the samples at which it steps back.
+        smoothing: filter that makes them few [samples]; None without one.
+    """
+    remedy = "measure the input with less noise"
+    if smoothing:
+        remedy = f"--smooth {smoothing} (smooth={smoothing}) reduces them below {MOST:g} %"
+    text = f"{percent:.0f} % of the input steps reverse direction because of noise, and each false reversal makes a small loop in a model"
+    return warn(Code.CHATTER, f"{text}: {remedy}")
 
 
 def _noise(record: RecordQuality, span: float) -> Iterator[Note]:

@@ -61,7 +61,10 @@ def table_of_arrays(
         return records
     columns: dict[str, np.ndarray] = {}
     odd, stamps = [], set()
+    title, named = _column_titles(arrays)
     for name, array in arrays.items():
+        if name == title:
+            continue
         array = np.squeeze(array)
         if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
             array = _seconds(array)
@@ -72,7 +75,8 @@ def table_of_arrays(
             columns[name or "column 0"] = array
         else:
             tall = array if array.shape[0] >= array.shape[1] else array.T
-            columns.update({f"{name}[{k}]" if name else f"column {k}": tall[:, k] for k in range(tall.shape[1])})
+            own = [f"{name}[{k}]" if name else f"column {k}" for k in range(tall.shape[1])]
+            columns.update(zip(named or own, tall.T, strict=True))
     if not columns:
         raise DataError(
             f"{source} holds no columns of numbers (found {', '.join(map(repr, odd)) or 'nothing'}); save arrays in it"
@@ -100,6 +104,25 @@ def table_of_arrays(
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
     return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+
+
+def _column_titles(arrays: Mapping[str, np.ndarray]) -> tuple[str | None, list[str]]:
+    """The array of texts that names the columns of the only matrix, and its texts; none where there is no such array."""
+    widths = [
+        min(shape)
+        for array in arrays.values()
+        if len(shape := np.squeeze(array).shape) == 2 and array.dtype.kind in "fiu"
+    ]
+    titles = {key: texts for key, array in arrays.items() if len({*(texts := _texts(array))}) == len(texts) > 1}
+    if len(titles) != 1 or widths != [len(next(iter(titles.values())))]:
+        return None, []
+    return next(iter(titles.items()))
+
+
+def _texts(array: np.ndarray) -> list[str]:
+    """The texts of an array or a cell array that has nothing else; [] for others."""
+    found = [np.squeeze(cell) for cell in np.ravel(array)] if array.dtype.kind in "OU" else []
+    return [str(cell) for cell in found] if all(cell.dtype.kind == "U" and not cell.ndim for cell in found) else []
 
 
 def _of_groups(

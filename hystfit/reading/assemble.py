@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
+from hystfit.reading.cells import unit_of_epoch
 from hystfit.reading.column_names import column_unit
 from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.conditions import changed_conditions
@@ -27,8 +28,6 @@ from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int
 _UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
-_EPOCH_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # and how many of them a second has
-_THIS_AGE = 6e8, 4e9  # s from 1970 to the years 1989 and 2096
 _RARE = 0.5  # share of the rows with text below which a column of text holds comments
 
 
@@ -280,18 +279,6 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
         notes.append(Note(Code.TIME_STEPS, text))
 
 
-def _unit_of_epoch(time: np.ndarray) -> str:
-    """The unit of a time since 1970 by its size, where that is no second; "" for other times."""
-    return next(
-        (
-            unit
-            for unit, second in _EPOCH_UNITS.items()
-            if (_THIS_AGE[0] * second < time).all() and time[-1] < _THIS_AGE[1] * second
-        ),
-        "",
-    )
-
-
 def _constants(table: Table, choice: Choice) -> dict[str, str]:
     """Columns of one number besides those of the record, by name: a temperature, a preload, a frequency."""
     others = [k for k in range(len(table.names)) if table.named and k not in (choice.time, choice.input, choice.output)]
@@ -300,7 +287,11 @@ def _constants(table: Table, choice: Choice) -> dict[str, str]:
 
 
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
-    time_unit = "s" if choice.time is None else table.units[choice.time] or _unit_of_epoch(data["time"])
+    time_unit = (
+        "s"
+        if choice.time is None
+        else table.units[choice.time] or unit_of_epoch(data["time"].min(), data["time"].max())
+    )
     part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
     if not time_unit:
         notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))

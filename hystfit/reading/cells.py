@@ -27,12 +27,30 @@ _INFINITE = {"inf": np.inf, "infinity": np.inf, "∞": np.inf, "1.#inf": np.inf}
 
 _STAMP = re.compile(
     r"""(?:(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})
-            |(?P<p>\d{1,2})[-/.](?P<q>\d{1,2})[-/.](?P<yy>\d{4}|\d{2})))?
+            |(?P<p>\d{1,2})[-/.*](?P<q>\d{1,2})[-/.*](?P<yy>\d{4}|\d{2})))?
         (?P<gap>[T ,]*)
         (?:(?P<hh>\d{1,3}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*|:\d{3})?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
            |(?P<min>\d{1,3}):(?P<sec>\d{2}[.,]\d+))?
         (?P<zone>Z|[+-]\d{2}:?\d{2})?""",
     re.VERBOSE | re.ASCII,
+)
+_MONTHS = (
+    "jan",
+    "feb",
+    "mar|mär|mrz",
+    "apr",
+    "may|mai",
+    "jun",
+    "jul",
+    "aug",
+    "sep",
+    "o[ck]t",
+    "nov",
+    "de[cz]",
+)  # English and German
+_NAMED_MONTH = re.compile(
+    rf"(\d{{1,2}})[-/. ]{{1,2}}(?:{'|'.join(f'({month})' for month in _MONTHS)})[a-z]*[-/.,: ]{{1,2}}(\d{{4}}|\d{{2}})(?!\d)",
+    re.IGNORECASE,
 )
 
 
@@ -53,6 +71,8 @@ _LONGEST = 1000  # characters of a number or stamp
 _AS_ASCII = (
     dict.fromkeys(map(ord, "−–﹣－"), "-") | {0xFF10 + k: str(k) for k in range(10)} | {ord("．"): ".", ord("，"): ","}
 )
+EPOCH_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # and how many of them a second has
+_THIS_AGE = 6e8, 4e9  # s from 1970 to the years 1989 and 2096
 _LONGER = 10.0  # step from one date to the next over the longest within a date, up to which an experiment goes on
 
 
@@ -66,9 +86,18 @@ def clean(cell: str) -> str:
     return cell if cell.isascii() else cell.translate(_AS_ASCII)
 
 
+def _matched(cell: str) -> re.Match[str] | None:
+    """A date, a time of day or both in a cleaned cell; the month of the date may be a name, as in 01-May-2010."""
+    if named := _NAMED_MONTH.match(cell):
+        day, *months, year = named.groups()
+        number = next(k for k, month in enumerate(months, 1) if month)
+        cell = f"{year if len(year) == 4 else f'20{year}'}-{number}-{day}{cell[named.end() :]}"
+    return _STAMP.fullmatch(cell)
+
+
 def is_stamp(cell: str) -> bool:
     """Whether a cleaned cell is a date, a time of day or both."""
-    match = _STAMP.fullmatch(cell) if cell[:1].isdigit() and len(cell) <= _LONGEST else None
+    match = _matched(cell) if cell[:1].isdigit() and len(cell) <= _LONGEST else None
     if not match:
         return False
     clock = match["min"] is not None or (match["hh"] is not None and match["ss"] is not None)
@@ -88,13 +117,13 @@ def is_word(cell: str) -> bool:
 
 def are_dates(column: Sequence[str]) -> bool:
     """Whether every cell holds a date without time of day, or nothing."""
-    matches = [_STAMP.fullmatch(clean(cell)) for cell in column if cell.strip()]
+    matches = [_matched(clean(cell)) for cell in column if cell.strip()]
     return bool(matches) and all(m and (m["y"] or m["p"]) and not (m["hh"] or m["min"]) for m in matches)
 
 
 def are_clocks(column: Sequence[str]) -> bool:
     """Whether every cell holds a time of day without date, or nothing."""
-    matches = [_STAMP.fullmatch(clean(cell)) for cell in column if cell.strip()]
+    matches = [_matched(clean(cell)) for cell in column if cell.strip()]
     return bool(matches) and all(m and (m["hh"] or m["min"]) and not (m["y"] or m["p"]) for m in matches)
 
 
@@ -182,6 +211,14 @@ def whole_from_first(cells: Sequence[str]) -> np.ndarray | None:
         return np.array([float(value - whole[0]) for value in whole])
     except (ValueError, OverflowError):
         return None
+
+
+def unit_of_epoch(first: float, last: float) -> str:
+    """The unit of a time since 1970 by its least and largest value, where that is no second; "" for other times."""
+    units = (
+        unit for unit, second in EPOCH_UNITS.items() if _THIS_AGE[0] * second < first <= last < _THIS_AGE[1] * second
+    )
+    return next(units, "")
 
 
 def dots_are_doubtful(delimiter: str | None) -> bool:
@@ -296,7 +333,7 @@ def _same(date: tuple[str, str, str, str, str, str]) -> tuple[str, str, str, str
 
 def _stamp(cell: str) -> _Stamp | None:
     """The date and the clock in a cell."""
-    stamp = _STAMP.fullmatch(cell)
+    stamp = _matched(cell)
     if stamp is None:
         return None
     clock = 0.0

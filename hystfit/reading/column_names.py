@@ -39,6 +39,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     by_unit = quantity(unit or unit_of_name)
     if base == "T" and by_unit in ("charge", "capacitance"):
         return "temperature"  # degrees Celsius without their sign
+    if base in ("p", "P") and by_unit == "stress":
+        return "pressure"  # whose unit is that of a stress
     base = _field(base)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
@@ -59,6 +61,8 @@ def column_quantity(name: str, unit: str = "") -> str:
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
     named = kinds[-1] if kinds else ""
+    if named == "charge" and (unit or unit_of_name) and not by_unit:
+        return ""  # Q in m3/s is a flow
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     if named == "wavelength" and base.lower() in ("λ", "lambda"):

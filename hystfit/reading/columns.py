@@ -125,7 +125,10 @@ def choose(
     if not {"input", "output"} <= given.keys():
         _guess_pair(table, free, kinds, given, clock, notes)
     for k, label in table.labels.items():
-        if k not in taken and (label != label[0]).any():
+        changes = label[1:] != label[:-1]
+        if table.part is not None:  # a column that tells records apart is used
+            changes &= np.diff(table.part) == 0
+        if k not in taken and changes.any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
     return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
 
@@ -133,7 +136,8 @@ def choose(
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
     if not named and len(free) + given > 2:
-        named = [k for k in free[:2] if table.names[k] == "s" and (np.diff(table.columns[k]) > 0).all()]
+        # The abscissa of a report of Abaqus is its X.
+        named = [k for k in free[:2] if table.names[k] in ("s", "X") and (np.diff(table.columns[k]) > 0).all()]
     if named:
         back = lambda k: int(
             (np.diff(table.columns[k]) < 0).sum()
@@ -185,9 +189,17 @@ def _guess_pair(
         free = _without_copies(table, free, given, notes)
     if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
+    if not {"field", "induction", "voltage", "electric field"} & {
+        kinds[k] for k in free
+    }:  # q beside a torque is an angle of a joint
+        kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
+        if "force" in (kinds[k] for k in free):
+            kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
     if any(kinds[k] == "capacitance" for k in free):  # D beside C is a loss
         kinds.update({k: "" for k in free if table.names[k] == "D"})
     _find_velocities(table, free, kinds)
+    if table.named and len(free) + len(given) > 2:
+        kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"

@@ -30,6 +30,7 @@ _MAGIC = {
     b"CPYUA": "an Origin project (export the worksheet as ASCII)",
     b"MDF  ": "an MDF file of CANape, INCA or others (export it as CSV)",
     b"SQLite format 3": "an SQLite database (export the table as CSV)",
+    b"\x80\x04\x95": "a pickle of Python, which could run any program (save the arrays as .npz or CSV)",
     b"ARROW1": "a Feather file (save it as Parquet or CSV)",
 }
 

@@ -22,6 +22,9 @@ _JOINED = re.compile(
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
     r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
 )
+# Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
+_FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
+_FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _CYRILLIC = dict(
     zip(
@@ -31,7 +34,9 @@ _CYRILLIC = dict(
     )
 )
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
-_BARE_TIMES = frozenset({"ms", "us", "µs", "μs", "ns"})  # names of columns that are no more than the unit of time
+_BARE_TIMES = frozenset(
+    {"day", "ms", "us", "µs", "μs", "ns"}
+)  # names of columns that are no more than the unit of time
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
@@ -40,14 +45,20 @@ _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
 _NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
-_NEVER_INCH = frozenset({"v", "u", "i", "p", "t", "q", "volt", "voltage", "signal", "sig", "cmd", "file", "data"})
+# Names before the "in" that is an inch: x_in, stroke_in; that of v_in, air_in and sw_in is the way in.
+_INCHES = re.compile(
+    r"x|y|z|d|l|(?:.*[_ ])?(?:\w*(?:pos|disp|dist|drift|defl|stroke|travel|slip|lift|gap|width|length|height|elong|ext|lvdt|pot)\w*)",
+    re.IGNORECASE,
+)
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
-_OF_CIRCUITS = {"V": "V", "I": "A"}  # voltage of a node and current of an element in the tables of SPICE
+_OF_CIRCUITS = re.compile(
+    r"(V)|I[a-z]?", re.IGNORECASE
+)  # voltage of a node, V(out), and current of an element, I(L1), Ic(Q1), in tables of SPICE
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
@@ -63,20 +74,25 @@ _LONGEST_SETTING = 1000  # characters of a line
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
-# "@Column 3: Applied Field [Oe]", "# 2 = time (s)": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3})(?:\s*[:=).]\s*|\t\s*)(?P<name>(?!\d).*[A-Za-z].*)")
+# "@Column 3: Applied Field [Oe]", "# 2 = time (s)", "# first column: time": a column by its number, in the lines above the numbers.
+_LISTED = re.compile(
+    r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3}|(?<![A-Za-z])first)(?: column:\s*|(?:\s*[:=).]\s*|\t\s*)(?!\d))(?P<name>.*[A-Za-z].*)"
+)
 _TITLED = re.compile(
     r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
 )
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
 _NAME_CELL = re.compile(
-    r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?)|CH名称|信号名|通道名称?|Kanalname", re.IGNORECASE
+    r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?|titles?)[=:]?|CH名称|信号名|通道名称?|Kanalname",
+    re.IGNORECASE,
 )
 _UNIT_CELL = re.compile(
     r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
 )
-_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]units?", re.IGNORECASE)
+_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
 _COMMENT = r"(?:[#%!*]+|//|--)"
+_BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
+_FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
 
@@ -112,8 +128,8 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
     if name.endswith(("]", ")", ">")) and (start := _opening(name)) > 0:
         base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
         closed = not re.search(r"[\])>]", unit) or is_unit(unit)
-        if base.upper() in _OF_CIRCUITS and not (closed and is_unit(unit)):  # V(out), I(L1)
-            return name, _OF_CIRCUITS[base.upper()]
+        if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and is_unit(unit)):
+            return name, "V" if of_circuit[1] else "A"
         inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
         if base and closed and not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
             return f"{base} {inner}", of_inner  # 1-1(位移/mm)
@@ -125,6 +141,10 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
             return base, ""
     if match := re.fullmatch(r"(.+?)[_ ]([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
         return match[1], f"{match[2]}/{match[3]}"
+    if match := _FLOW.fullmatch(name):
+        return match[1], f"{match[2]}/{match[3]}"
+    if match := _FLUX.fullmatch(name):
+        return match[1], f"{match[2]}/{match[3]}/{match[4]}"
     if match := _JOINED.fullmatch(name):
         over, under = filter(None, match.groups()[1:])
         if not (match[1].lower() in _LENGTHS and over in ("A", "V", "C")):  # x_A_m is the position of A
@@ -173,7 +193,7 @@ def _opening(name: str) -> int:
 def _is_role(base: str, unit: str, siblings: Sequence[str]) -> bool:
     """Whether the "in" after a name is no inch: v_in is an input voltage, beside v_out."""
     beside = any(f"{base}{mark}out".lower() == other.lower() for mark in "_ " for other in siblings)
-    return unit.lower() == "in" and (base.lower().split()[-1] in _NEVER_INCH or beside)
+    return unit.lower() == "in" and (_INCHES.fullmatch(base) is None or beside)
 
 
 def setting_of(line: str) -> tuple[str, str] | None:
@@ -272,6 +292,12 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     return names, units, used
 
 
+def unit_key(name: str) -> str:
+    """The column whose unit a setting or a column of this name states ("loading_unit", "Units of force"), in lower case; "" for others."""
+    match = _UNIT_KEY.fullmatch(name)
+    return "" if match is None else (match["of"] or match["by"]).lower()
+
+
 def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
     """Units in lines of the header that are called so.
 
@@ -280,19 +306,23 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     """
     width = len(names)
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
-    known = {
-        (match["of"] or match["by"]).lower(): unit for key, unit in settings if (match := _UNIT_KEY.fullmatch(key))
-    }
+    known = {unit_key(key): unit for key, unit in settings}
     if any(named := [unit if is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
         return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
+        units = ["" if unit in ("*", "-") else unit for unit in units]
         known = [is_unit(unit) for unit in units if unit]
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             if all(quantity(unit) == "time" for unit in units):
                 continue
             return ["", *units, *[""] * (width - 1 - len(units))]
     return [""] * width
+
+
+def _bare(parts: Sequence[str]) -> list[str]:
+    """Cells without the brackets around each."""
+    return [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
 
 
 def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
@@ -326,8 +356,9 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     found = [_LISTED.fullmatch(line.strip()) for line in above]
     for first in range(len(found) - width + 1):
         block = [match for match in found[first : first + width] if match]
-        if width > 1 and [int(match["number"]) - int(block[0]["number"]) for match in block] == list(range(width)):
-            if int(block[0]["number"]) in (0, 1):
+        numbers = [int(match["number"].replace("first", "1")) for match in block]
+        if width > 1 and [number - numbers[0] for number in numbers] == list(range(width)):
+            if numbers[0] in (0, 1):
                 return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
     attributes = [match["name"].strip("'\"") for line in above if (match := _ATTRIBUTE.fullmatch(line.strip()))]
     return attributes if len(attributes) == width else []
@@ -339,7 +370,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
     for line in above if delimiter else ():
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
-            found[False] = [title, *names]
+            found[False] = ["", *names]
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
         is_units = match["word"][0].lower() == "u"
@@ -368,26 +399,26 @@ def read_header(
     headers: list[tuple[int, list[str]]] = []
     for position in range(len(above) - 1, max(-1, len(above) - 7), -1):
         if not above[position].strip(" \t,;"):
-            if headers:
+            if headers and not (above[position].strip("\r\n") and _are_units(_bare(headers[0][1]), headers[0][1])):
                 break
             continue
         parts = split.get(position)
         if parts is None or len(parts) != width or re.match(_COMMENT, parts[0]):
-            if any(not line.strip() for line in above[position + 1 :]):
-                break
-            parts = _fields(above[position], width, delimiter)
-        if parts is None or not _is_header(parts := _named(parts), decimal):
+            apart = any(not line.strip() for line in above[position + 1 :])
+            parts = _cut(above[position], "  ") if apart else _fields(above[position], width, delimiter)
+        if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
+            continue
+        if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):
+            parts[0] = ""  # "Interval data:" before the names, above a row of units
+        if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
             break
-        if width > 2 and len(set(parts)) == 1:  # the format of the numbers, as "6:0" over each column
+        if width > 2 and (len(set(parts)) == 1 or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
             continue
         headers.append((position, parts))
     if not headers:
         names = _numbered(above[-1] if above else "", width, delimiter, decimal)
         return names or [""] * width, [split_unit(name)[1] for name in names or [""] * width], int(bool(names))
-    bare = [
-        [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
-        for _, parts in headers
-    ]
+    bare = [_bare(parts) for _, parts in headers]
     for row in bare:
         if match := _UNIT_CELL.fullmatch(row[0]):
             row[0] = match["unit"] or ""

@@ -87,8 +87,10 @@ def _columnar(value: Any, depth: int = 0) -> Any:
             return _columnar(list(value.values()), depth + 1)
         return {key: _columnar(item, depth + 1) for key, item in value.items()}
     if isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
-        if any(isinstance(item, list | Mapping) for row in value for item in row.values()):
+        flat = [_flat(row) for row in value]
+        if any(isinstance(item, list | Mapping) for row in flat for item in row.values()):
             return [_columnar(row, depth + 1) for row in value]
+        value = flat
         names = dict.fromkeys(name for row in value for name in row)
         return {name: [row.get(name) for row in value] for name in names}
     if isinstance(value, list) and value and all(isinstance(item, list) for item in value):
@@ -96,6 +98,17 @@ def _columnar(value: Any, depth: int = 0) -> Any:
         if len(widths) == 1 and not any(isinstance(cell, list | Mapping) for row in value for cell in row):
             return _of_rows(value)
     return value
+
+
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A record with the scalars of a record within it in its place, as those of the only gas in each point of an isotherm."""
+    flat: dict[str, Any] = {}
+    for key, item in row.items():
+        inner = item[0] if isinstance(item, list) and len(item) == 1 else item
+        flat |= (
+            {name: one for name, one in inner.items() if name not in row} if isinstance(inner, Mapping) else {key: item}
+        )
+    return flat
 
 
 def _of_rows(rows: list[list[Any]]) -> dict[str, list[Any]]:

@@ -17,6 +17,7 @@ from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _BETWEEN = 3  # lines between the names and the numbers
+_SYMBOLS = 3  # brackets behind names, all different and no known units, from which they are symbols of the columns
 _WIDER = 2  # names without a column at the end of a header
 _WORDS = {
     "header": "repeated header",
@@ -95,6 +96,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
             names, units, used = _labeled_units(text, block)
     if not any(units):
         units = stated_units(text.lines[:first], names, dialect.delimiter)
+    unknown = [unit for unit in units if unit and not is_unit(unit)]
+    if len(unknown) >= _SYMBOLS and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
+        units = ["" if unit in unknown else unit for unit in units]
     over = () if not used or place else _over(text, block, first - used - 1)
     return Header(names, units, used, apart=place > 0, over=over)
 

@@ -37,6 +37,7 @@ _DRIVE = {
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
+    "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3,
 }  # fmt: skip
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
@@ -58,7 +59,7 @@ _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "c
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
-    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("strain", "stress"): 4.0}
+    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0, ("strain", "stress"): 4.0}
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
@@ -218,7 +219,12 @@ class _Evidence:
     @functools.cached_property
     def _stated(self) -> dict[int, str]:
         """The role that the name of each column states."""
-        return {k: column_role(name) if self.table.named else "" for k, name in enumerate(self.table.names)}
+        of_length = {
+            k for k, unit in enumerate(self.table.units) if quantity(unit) == "displacement"
+        }  # y is a deflection there
+        named = {k: name for k, name in enumerate(self.table.names) if self.table.named}
+        bare = {k for k, name in named.items() if k in of_length and split_unit(name)[0].strip().lower() == "y"}
+        return {k: column_role(named[k]) if k in named and k not in bare else "" for k in range(len(self.table.names))}
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""

@@ -90,6 +90,11 @@ class Table:
         values = values[np.isfinite(values)]
         return values.size == 0 or bool((values == values[0]).all())
 
+    def runs(self, position: int) -> float:
+        """The way a column runs in one direction, 1 or -1; 0 for other columns."""
+        ways = {*np.sign(np.diff(self.columns[position])).tolist()} - {0.0}
+        return ways.pop() if len(ways) == 1 else 0.0
+
     def counts(self, position: int) -> bool:
         """Whether a column is a row number: whole numbers that go up by one from 0 or 1."""
         values = self.columns[position]

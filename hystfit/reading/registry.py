@@ -44,6 +44,7 @@ from hystfit.reading.text_file import Opening, TextFile, text_of
 from hystfit.reading.transposed import read_transposed
 from hystfit.reading.two_branches import unfolded
 from hystfit.reading.unit_cells import read_unit_cells
+from hystfit.reading.unit_columns import with_unit_columns
 from hystfit.reading.workbook import read_older_sheets, read_workbook
 from hystfit.reading.wrapped_blocks import read_wrapped_blocks
 
@@ -159,7 +160,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 )
 
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
-ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (unscaled, with_throughput, divided)
+ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_unit_columns, unscaled, with_throughput, divided)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
 REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 

@@ -35,6 +35,10 @@ def divided(table: Table) -> Table | None:
             f"column {table.names[own]!r} has another name in every row: results of specimens are no samples of a loop"
         )
         return table.noted(warn(Code.CURVES, text))
+    if (turns := _turns(table)) is not None:
+        position, count = turns
+        order = np.arange(table.rows).reshape(-1, count).T.ravel()
+        return _parted(table.take(order), position, np.arange(1, count) * (table.rows // count) - 1)
     best: tuple[tuple[int, int], int, np.ndarray] | None = None
     for position in range(len(table.names)):
         labels = _labels(table, position)
@@ -50,7 +54,30 @@ def divided(table: Table) -> Table | None:
             best = key, position, changes
     if best is None:
         return None
-    _, position, changes = best
+    return _parted(table, *best[1:])
+
+
+def _turns(table: Table) -> tuple[int, int] | None:
+    """Position of a column of text whose values take turns, with the same time in each turn, and their number; None without one.
+
+    The joints of a robot and the channels of a logger have a row each at every time. A table of one value a row is in long format.
+    """
+    clocks = [k for k in range(len(table.names)) if k in table.stamps or _quantity(table, k) == "time"]
+    if not clocks or len(table.names) - len(table.labels) - len(clocks) < 2:
+        return None
+    clock = table.columns[clocks[0]]
+    for position, labels in table.labels.items():
+        count = np.unique(labels).size
+        if count < 2 or table.rows % count or table.rows < _FEWEST * count:
+            continue
+        turns, times = labels.reshape(-1, count), clock.reshape(-1, count)
+        if (turns == turns[0]).all() and np.unique(turns[0]).size == count and (times == times[:, :1]).all():
+            return (position, count) if (np.diff(times[:, 0]) > 0).all() else None
+    return None
+
+
+def _parted(table: Table, position: int, changes: np.ndarray) -> Table:
+    """The table as a record for each value of a column, which changes after these rows."""
     labels = _labels(table, position)
     names = [] if labels is None else [str(labels[k]) for k in (0, *(changes + 1))]
     base = table.parts[0] if table.parts else Part()
@@ -82,7 +109,11 @@ def _labels(table: Table, position: int) -> np.ndarray | None:
 
 
 def _is_frequency(table: Table, position: int) -> bool:
-    return column_quantity(table.names[position], table.units[position]) == "frequency"
+    return _quantity(table, position) == "frequency"
+
+
+def _quantity(table: Table, position: int) -> str:
+    return column_quantity(table.names[position], table.units[position])
 
 
 @functools.lru_cache(maxsize=4096)
@@ -107,8 +138,8 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
 
 def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
     """Whether a column of times increases through all records, without pauses between them."""
-    for position, name in enumerate(table.names):
-        if position in table.stamps or column_quantity(name, table.units[position]) == "time":
+    for position in range(len(table.names)):
+        if position in table.stamps or _quantity(table, position) == "time":
             steps = np.diff(table.columns[position])
             if steps.size and (steps > 0).all() and steps[changes].max() <= _PAUSE * np.median(steps):
                 return True

@@ -134,7 +134,7 @@ def table_of_block(
         listed = ", ".join(f"{key} {value}" for key, value in metadata.items())
         notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {listed}"))
     shown = [name or f"column {k}" for k, name in enumerate(names)]
-    numbers, labels, stamps, more, unclear = _columns(text, block, clocks, shown)
+    numbers, labels, stamps, more, unclear = _columns(text, block, clocks, shown, units)
     notes += more
     notes += _doubtful_first_row(text, block, numbers, labels, named=named)
     return Table(
@@ -161,7 +161,7 @@ def table_of_block(
 
 
 def _columns(
-    text: Text, block: Block, clocks: dict[int, tuple[int, ...]], names: Sequence[str]
+    text: Text, block: Block, clocks: dict[int, tuple[int, ...]], names: Sequence[str], units: Sequence[str]
 ) -> tuple[list[np.ndarray], dict[int, np.ndarray], set[int], list[Note], dict[int, str]]:
     """Numbers of every column, text by position, positions of time stamps, notes, and stamps that cannot be read, by position.
 
@@ -194,7 +194,13 @@ def _columns(
             labels[position] = np.array([cells.clean(cell) for cell in block.cells[position]])
         elif np.nanmax(np.abs(column), initial=0.0) > 2.0**53 and block.cells:
             whole = cells.whole_from_first(block.cells[position])
-            if whole is not None:
+            unit = cells.unit_of_epoch(np.nanmin(column), np.nanmax(column))
+            if whole is not None and unit and not units[position]:
+                column = whole / cells.EPOCH_UNITS[unit]
+                stamps.add(position)
+                words = f"{names[position]!r}: {unit} since 1970 converted to seconds from the first one"
+                notes.append(Note(Code.FILE_FORMAT, words))
+            elif whole is not None:
                 column = whole
                 words = f"too large for a double, stored as differences to {block.cells[position][0]}"
                 notes.append(Note(Code.FILE_FORMAT, f"{names[position]!r}: {words}"))

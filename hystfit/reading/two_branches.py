@@ -59,10 +59,13 @@ def unfolded(table: Table) -> Table | None:
 
 
 def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
-    """The loop of branches in one or two pairs of columns; None where they are no branches."""
-    if len(pairs) == 2 and not set(pairs[0].columns) & set(pairs[1].columns):
-        return _of_own_inputs(table, pairs)
-    return _of_one_input(table, pairs[0]) if len(pairs) == 1 else None
+    """The loop of branches in one or two pairs of columns, or of several cycles over one input; None where they are no branches."""
+    apart = len({k for pair in pairs for k in pair.columns}) == 2 * len(pairs) > 0
+    if not apart or not all(pair.directed for pair in pairs[2:]):
+        return None
+    cycles = len({re.sub(r"\d", "", pair.base).strip() for pair in pairs}) == 1  # Load 1, Unload 1, Load 2, Unload 2
+    loop = _of_one_input(table, sorted(pairs, key=lambda pair: min(pair.columns))) if cycles else None
+    return _of_own_inputs(table, pairs) if loop is None and len(pairs) == 2 else loop
 
 
 def _pairs(table: Table) -> list[_Pair]:
@@ -162,28 +165,30 @@ def _apart(first: np.ndarray, second: np.ndarray, order: int) -> float:
     return float((ends / np.maximum(np.ptp(np.concatenate([first, second]), axis=0), np.finfo(float).tiny)).max())
 
 
-def _of_one_input(table: Table, pair: _Pair) -> Table | None:
-    """The loop of two outputs over one input, which runs once from end to end."""
-    drives = [k for k in range(len(table.names)) if k not in pair.columns and _runs_once(table, k)]
+def _of_one_input(table: Table, pairs: Sequence[_Pair]) -> Table | None:
+    """The loop of two outputs over one input, which runs once from end to end; several pairs are cycles, in their order."""
+    columns = [k for pair in pairs for k in pair.columns]
+    drives = [k for k in range(len(table.names)) if k not in columns and _runs_once(table, k)]
     if not drives:
         return None
     heated = lambda k: (
         column_quantity(table.names[k], table.units[k]) == "temperature"
     )  # drifts beside a field or a force
     drive = min(drives, key=lambda k: (heated(k), k))
-    u, outputs = table.columns[drive], [table.columns[k] for k in pair.columns]
-    if not pair.directed:
-        outputs = _numbered_branches(u, *outputs, over=_is_force_loop(table, drive, pair.columns[0]))
+    u, outputs = table.columns[drive], [table.columns[k] for k in columns]
+    if not pairs[0].directed:
+        outputs = _numbered_branches(u, *outputs, over=_is_force_loop(table, drive, columns[0]))
         if outputs is None:
             return None
     order = np.argsort(u, kind="stable")
-    rows = [order[np.isfinite(u + outputs[0])[order]], order[::-1][np.isfinite(u + outputs[1])[order[::-1]]]]
+    ways = itertools.cycle([order, order[::-1]])
+    rows = [way[np.isfinite(u + y)[way]] for way, y in zip(ways, outputs, strict=False)]
     if min(map(len, rows)) < _FEWEST:
         return None
     loop = np.column_stack(
-        [np.concatenate([u[rows[0]], u[rows[1]]]), np.concatenate([y[k] for y, k in zip(outputs, rows, strict=True)])]
+        [np.concatenate([u[k] for k in rows]), np.concatenate([y[k] for y, k in zip(outputs, rows, strict=True)])]
     )
-    joined = _table(table, [drive, pair.columns[0]], ["", pair.word], loop, rows)
+    joined = _table(table, [drive, columns[0]], ["", pairs[0].word], loop, rows)
     return dataclasses.replace(joined, pair=(0, 1))
 
 
@@ -225,12 +230,11 @@ def _table(
 
     Args:
         loop: input and output, shape (samples, 2).
-        rows: those of the two branches.
+        rows: those of each branch.
     """
     names = [_without(table.names[k], word) for k, word in zip(positions, words, strict=True)]
-    text = (
-        f"the two branches of a loop stand side by side: they are joined to one loop of {names[0]!r} and {names[1]!r}"
-    )
+    many = f"the {len(rows)} branches of {len(rows) // 2} cycles" if len(rows) > 2 else "the two branches of a loop"
+    text = f"{many} stand side by side: they are joined to one loop of {names[0]!r} and {names[1]!r}"
     zeros = np.zeros(len(loop), dtype=int)
     return dataclasses.replace(
         table.select(positions).take(np.concatenate(rows)),
@@ -247,4 +251,4 @@ def _without(name: str, word: str) -> str:
     if not word:
         return name
     rest = re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-")
-    return name if not rest or rest.startswith(("(", "[")) else rest
+    return name if not rest or rest.isdigit() or rest.startswith(("(", "[")) else rest

@@ -26,7 +26,15 @@ from hystfit.results.user_code import checksums
 _NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
 # Notes that may propose another fit: of a window, or with a robust loss.
-_REMEDIED = (Code.FAILURE, Code.LAST_HALF_CYCLE, Code.INITIAL_STATE, Code.MODEL_MISMATCH, Code.SPIKES, Code.HEAVY_TAILS)
+_REMEDIED = (
+    Code.FAILURE,
+    Code.LAST_HALF_CYCLE,
+    Code.INITIAL_STATE,
+    Code.CHATTER,
+    Code.MODEL_MISMATCH,
+    Code.SPIKES,
+    Code.HEAVY_TAILS,
+)
 _LAGS = 3.0  # standard errors from which a lag is reported
 
 

@@ -18,6 +18,7 @@ from . import (  # noqa: F401 - they register their kinds
     piezo,
     programs,
     reports,
+    robots,
     sensors,
     slow,
     sorption,

@@ -1,0 +1,307 @@
+"""Tables of robots, controllers, test benches, soil columns and simulators: clocks, rows in turn, branches and headers of their kind."""
+
+from __future__ import annotations
+
+import datetime
+import io
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+import scipy.io
+
+from hystfit.data import Dataset, Record
+from hystfit.errors import DataError
+from hystfit.reading import read
+from hystfit.reading.column_names import column_quantity
+
+N = 60
+U = np.round(40 + 8 * np.sin(np.linspace(0, 4 * np.pi, N)), 3)
+Y = np.round(30 + 7 * np.sin(np.linspace(-0.4, 4 * np.pi - 0.4, N)), 3)
+RISE = np.round(np.linspace(0, 90, 10), 1)
+
+
+def written(folder: Path, content: str | bytes, name: str) -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def one(folder: Path, content: str | bytes, name: str = "loop.csv") -> Record:
+    data = read(written(folder, content, name))
+    assert isinstance(data, Record), [record.name for record in data]
+    return data
+
+
+def is_pair(record: Record, u: np.ndarray = U, y: np.ndarray = Y) -> None:
+    np.testing.assert_allclose(record.u, u, rtol=1e-12)
+    np.testing.assert_allclose(record.y, y, rtol=1e-12)
+
+
+def rows(mark: str, *columns: np.ndarray) -> str:
+    return "".join(mark.join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+
+
+# Clocks --------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("factor", "digits"), [(10**9, 19), (10**6, 16)], ids=["ns", "us"])
+def test_whole_numbers_since_1970_without_a_unit_are_a_time(factor: int, digits: int, tmp_path: Path) -> None:
+    clock = [1_571_040_302 * factor + k * factor // 100 for k in range(N)]
+    assert len(str(clock[0])) == digits
+    record = one(tmp_path, "%time,position,effort\n" + rows(",", np.array(clock), U, Y))
+    is_pair(record)
+    assert record.t is not None
+    unit = {"s": 1.0, "us": 1e-6}[record.t_unit]
+    np.testing.assert_allclose((record.t - record.t[0]) * unit, 0.01 * np.arange(N), atol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["%d-%b-%Y %H:%M:%S", "%d*%m*%Y %I:%M:%S %p", "%d %b %y %H:%M:%S"])
+def test_dates_with_names_of_months_and_asterisks(form: str, tmp_path: Path) -> None:
+    start = datetime.datetime(2019, 5, 28, 11, 59, 30)
+    stamps = np.array([f"{start + datetime.timedelta(seconds=20 * k):{form}}" for k in range(N)])
+    record = one(tmp_path, "Timestamp,Voltage (V),Stroke (um)\n" + rows(",", stamps, U, Y))
+    is_pair(record)
+    np.testing.assert_array_equal(record.t, 20.0 * np.arange(N))
+
+
+# Rows in turn, and words that tell records or units -----------------------------------------------------------------------------
+
+
+def test_objects_that_take_turns_are_a_record_each(tmp_path: Path) -> None:
+    lines = [
+        f"{k / 100:.2f},{joint},{(1 + j) * U[k]},{(2 - j) * Y[k]}"
+        for k in range(N)
+        for j, joint in enumerate(("hip", "knee"))
+    ]
+    data = read(written(tmp_path, "\n".join(["time,joint,position,effort", *lines]), "joints.csv"))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["hip", "knee"]
+    for j, record in enumerate(data):
+        is_pair(record, (1 + j) * U, (2 - j) * Y)
+        np.testing.assert_allclose(record.t, np.arange(N) / 100)
+        assert not any("'joint' (such as" in note.text for note in record.notes)
+
+
+def test_a_column_states_the_unit_of_another(tmp_path: Path) -> None:
+    head = "run_id,pressure_units,loading_units,pressure,loading,uncertainty\n"
+    record = one(
+        tmp_path, head + "".join(f"1,kPa,mg,{u},{y},{k * 7 % 10}\n" for k, (u, y) in enumerate(zip(U, Y, strict=True)))
+    )
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("kPa", "mg")
+
+
+def test_numbers_of_runs_tell_curves_apart(tmp_path: Path) -> None:
+    lines = [f"{k},{a * u:.6g},{a * y:.6g}" for k, a in ((1, 1.0), (2, 3.0)) for u, y in zip(U, Y, strict=True)]
+    data = read(written(tmp_path, "\n".join(["run_id,pressure,loading", *lines]), "runs.csv"))
+    assert isinstance(data, Dataset)
+    assert [record.u.size for record in data] == [N, N]
+
+
+def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
+    is_pair(one(tmp_path, "FIC101.SP,FIC101.PV,FIC101.OP\n" + rows(",", np.full(N, 50), Y, U)))
+
+
+# Branches ------------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("Sorption", "Desorption"), ("theta_drying", "theta_wetting"), ("Load1", "Unload1")],
+    ids=lambda pair: pair[0],
+)
+def test_branches_over_one_input(words: tuple[str, str], tmp_path: Path) -> None:
+    up, down = np.round(RISE**1.3, 2), np.round(RISE**1.3 + 9 * np.sin(np.pi * RISE / 90), 2)
+    record = one(tmp_path, f"x,{','.join(words)}\n" + rows(",", RISE, up, down))
+    is_pair(record, np.r_[RISE, RISE[::-1]], np.r_[up, down[::-1]])
+
+
+def test_cycles_side_by_side_over_one_input(tmp_path: Path) -> None:
+    up = [np.round(421.5 * RISE + 3 * k, 1) for k in range(3)]
+    down = [np.round(one + 900 * np.sin(np.pi * RISE / 90), 1) for one in up]
+    names = ",".join(f"Load{k},Unload{k}" for k in (1, 2, 3))
+    columns = [column for pair in zip(up, down, strict=True) for column in pair]
+    record = one(tmp_path, f"Weight(g),{names}\n" + rows(",", RISE, *columns))
+    is_pair(
+        record,
+        np.tile(np.r_[RISE, RISE[::-1]], 3),
+        np.concatenate([np.r_[a, b[::-1]] for a, b in zip(up, down, strict=True)]),
+    )
+    two = one(tmp_path, "Weight(g),Load1,Unload1,Load2,Unload2\n" + rows(",", RISE, *columns[:4]), "two.csv")
+    is_pair(two, record.u[:40], record.y[:40])
+
+
+@pytest.mark.parametrize("way", [1, -1], ids=["upward", "downward"])
+def test_sheets_named_as_branches_are_one_loop(way: int, tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.title = "Info"
+    up, down = RISE**1.3, (RISE**1.3 + 9 * np.sin(np.pi * RISE / 90))[::-1]
+    for title, u, y in (("Adsorption", RISE, up), ("Desorption", RISE[::-1][::way], down[::way])):
+        sheet = book.create_sheet(title)
+        for row in [["p (kPa)", "Loading (mg)"], *np.column_stack([u, y]).tolist()]:
+            sheet.append(row)
+    stream = io.BytesIO()
+    book.save(stream)
+    is_pair(one(tmp_path, stream.getvalue(), "isotherm.xlsx"), np.r_[RISE, RISE[::-1]], np.r_[up, down])
+
+
+# Headers -------------------------------------------------------------------------------------------------------------------------
+
+
+def test_titles_of_channels_and_units_of_some(tmp_path: Path) -> None:
+    head = [
+        "Interval=\t0.010 s",
+        "TimeFormat=\tStartOfBlock",
+        "ChannelTitle=\tECG\tPressure\tVolume",
+        "Range=\t10.000 V\t200.0 mmHg\t200.0 mL",
+    ]
+    head += ["UnitName=\t*\tmmHg\tmL", "TopValue=\t*\t210\t220", "BottomValue=\t*\t-10\t-5"]
+    ecg = np.round(np.cos(9.0 * np.arange(N)), 4)
+    clock = [f"{432 + 0.01 * k:.2f}" for k in range(N)]
+    record = one(tmp_path, "\r\n".join(head) + "\r\n" + rows("\t", np.array(clock), ecg, U, Y), "heart.txt")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mmHg", "mL")
+    np.testing.assert_allclose(record.t, 432 + 0.01 * np.arange(N))
+
+
+def test_columns_numbered_in_words(tmp_path: Path) -> None:
+    names = [
+        "first column: time",
+        "2 column: 1th component of the strain (EXX)",
+        "3 column: 1th component of the stress (SXX)",
+    ]
+    names += ["4 column: EquivalentPlasticStrain (p)"]
+    plastic = np.round(np.cumsum(np.abs(np.gradient(U))), 4)
+    record = one(
+        tmp_path, "".join(f"# {name}\n" for name in names) + rows(" ", 0.5 * np.arange(N), U, Y, plastic), "test.res"
+    )
+    is_pair(record)
+    assert record.u_name == "1th component of the strain (EXX)"
+    np.testing.assert_allclose(record.t, 0.5 * np.arange(N))
+
+
+def test_formats_below_the_names_are_no_units(tmp_path: Path) -> None:
+    head = "# gauge\n#\nagency\tdischarge\tdischarge_cd\tstage\tstage_cd\n5s\t14n\t10s\t14n\t10s\n"
+    record = one(tmp_path, head + "".join(f"USGS\t{u}\tA\t{y}\tA\n" for u, y in zip(U, Y, strict=True)), "river.rdb")
+    is_pair(record)
+    assert (record.u_name, record.u_unit, record.y_unit) == ("discharge", "", "")
+
+
+def test_currents_of_elements_beside_resistances(tmp_path: Path) -> None:
+    head = "time\tV(pre)\tR1\tIx(U1:TE)\n"
+    record = one(tmp_path, head + rows("\t", 0.1 * np.arange(N), U, np.round(U / Y, 6), Y), "memristor.txt")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("V", "A")
+
+
+def test_symbols_in_brackets_are_no_units(tmp_path: Path) -> None:
+    head = "strain (EXX),strain (EYY),stress (SXX)\n"
+    record = one(tmp_path, head + rows(",", U, np.round(-0.3 * U, 4), Y))
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("", "")
+
+
+def test_names_behind_a_word_and_a_row_of_tabs_above_the_units(tmp_path: Path) -> None:
+    head = [
+        "Test:\tWave 1",
+        "",
+        "Interval data:\tPoint No.\tTime\tShear Strain\tShear Stress",
+        "\t\t\t\t",
+        "\t\t[s]\t[1]\t[Pa]",
+        "",
+    ]
+    body = "".join(f"\t{k + 1}\t{0.01 * k:.2f}\t{u}\t{y}\n" for k, (u, y) in enumerate(zip(U, Y, strict=True)))
+    record = one(tmp_path, "\n".join(head) + "\n" + body, "wave.txt")
+    is_pair(record)
+    assert (record.u_name, record.y_unit) == ("Shear Strain", "Pa")
+
+
+def test_a_row_that_has_only_the_time_at_which_a_report_begins(tmp_path: Path) -> None:
+    head = "Isotherm Tabular Report,,\nPressure (kPa),Quantity Adsorbed (mg),Elapsed Time (h:min)\n,,00:54\n"
+    record = one(
+        tmp_path, head + "".join(f"{u},{y},01:{k % 60:02d}\n" for k, (u, y) in enumerate(zip(U, Y, strict=True)))
+    )
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("kPa", "mg")
+
+
+def test_names_above_a_blank_line_and_the_abscissa_of_a_report(tmp_path: Path) -> None:
+    head = "\n            X              U2 PI: TOP N: 12     RF2 PI: TOP N: 12\n\n"
+    record = one(tmp_path, head + rows("   ", np.round(np.linspace(0, 1, N), 4), U, Y), "abaqus.rpt")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("U2 PI: TOP N: 12", "RF2 PI: TOP N: 12")
+    np.testing.assert_allclose(record.t, np.round(np.linspace(0, 1, N), 4))
+
+
+# Columns -------------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_way_in_is_no_inch(tmp_path: Path) -> None:
+    for name, unit in (("sw_in", ""), ("stroke_in", "in"), ("x_in", "in")):
+        assert one(tmp_path, f"{name},Force (kN)\n" + rows(",", U, Y)).u_unit == unit
+    assert one(tmp_path, "vpd_kPa,flow_cm3_cm2_h\n" + rows(",", U, Y)).y_unit == "cm3/cm2/h"
+
+
+def test_a_counter_without_a_name_drives_nothing(tmp_path: Path) -> None:
+    lines = "\t[s]\t[1]\t[Pa]\n" + "".join(
+        f"{k + 1}\t{0.1 * k:.1f}\t{u}\t{y}\n" for k, (u, y) in enumerate(zip(U, Y, strict=True))
+    )
+    is_pair(one(tmp_path, lines, "points.txt"))
+
+
+def test_angles_and_torques_of_the_joints_of_a_robot(tmp_path: Path) -> None:
+    still = np.round(0.3 + 1e-5 * np.cos(7.0 * np.arange(N)), 6)
+    clock = 0.008 * np.arange(N)
+    for torque in ("target_moment", "tau"):
+        head = f"timestamp actual_q_0 actual_q_1 {torque}_0 {torque}_1\n"
+        record = one(tmp_path, head + rows(" ", np.round(clock, 3), still, U, np.round(12 + still, 6), Y), "robot.csv")
+        is_pair(record)
+
+
+def test_a_column_that_follows_the_direction_is_no_condition(tmp_path: Path) -> None:
+    u = np.r_[np.linspace(0, 1.5, 120), np.linspace(1.5, 0, 120)].round(4)
+    current = np.where(np.arange(240) < 120, 0.15, -0.15)
+    record = one(tmp_path, "Ah[Ah],U[V],I[A]\n" + rows(",", u, np.round(3.2 + 0.4 * u + 0.3 * current, 4), current))
+    np.testing.assert_array_equal(record.u, u)
+    assert not any("levels" in note.text for note in record.notes)
+
+
+def test_texts_name_the_columns_of_a_matrix(tmp_path: Path) -> None:
+    names = np.array(["Time (s)", "LVDT (mm)", "Load (kN)"], dtype=object)
+    scipy.io.savemat(tmp_path / "wall.mat", {"data": np.column_stack([0.1 * np.arange(N), U, Y]), "channels": names})
+    record = read(tmp_path / "wall.mat")
+    assert isinstance(record, Record)
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")
+
+
+def test_a_pickle_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="a pickle of Python"):
+        read(written(tmp_path, pickle.dumps({"u": 1}, protocol=4), "loop.pkl"))
+
+
+def test_pressures_by_their_letter() -> None:
+    assert [column_quantity(name) for name in ("p (kPa)", "P [bar]", "p (kN)")] == ["pressure", "pressure", "force"]
+
+
+@pytest.mark.parametrize("names", ["y (mm),p (kN/m)", "y (mm),F (kN)", "Drift (mm),v (kN/m)"])
+def test_forces_per_length_resist_a_displacement(names: str, tmp_path: Path) -> None:
+    is_pair(one(tmp_path, f"{names}\n" + rows(",", U, Y)))
+
+
+def test_flows_and_years(tmp_path: Path) -> None:
+    record = one(tmp_path, "year,Q_m3s,SSC\n" + rows(",", 1960 + np.arange(N), U, Y))
+    is_pair(record)
+    assert (record.u_name, record.u_unit, record.t_unit) == ("Q_m3s", "m3/s", "year")
+
+
+def test_records_within_the_points_of_an_isotherm(tmp_path: Path) -> None:
+    points = [
+        {"pressure": u, "species_data": [{"gas": "N2", "adsorption": y}]}
+        for u, y in zip(U.tolist(), Y.tolist(), strict=True)
+    ]
+    is_pair(one(tmp_path, json.dumps({"adsorbent": {"name": "MIL-101"}, "isotherm_data": points}), "isotherm.json"))
