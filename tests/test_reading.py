@@ -19,7 +19,7 @@ from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading import read
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.read import table_of
 from hystfit.results.stored_records import load_records, save_records
 

@@ -8,7 +8,7 @@ import re
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
 _ADJUSTED = re.compile(r"\b(?:adjusted|adj|corrected|corr)\b\.?", re.IGNORECASE)

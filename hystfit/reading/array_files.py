@@ -12,7 +12,7 @@ import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.reading.file_bytes import allowed
-from hystfit.reading.header import is_unit, split_unit
+from hystfit.reading.names_with_units import is_unit, split_unit
 
 _CHUNK = 2**20
 DOUBLE = 8  # bytes that every number takes in the end

@@ -13,7 +13,7 @@ from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text_file import Opening
 

@@ -18,7 +18,7 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import quantity
 from hystfit.reading.branch_files import joined
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
 NAME = "Charge throughput"

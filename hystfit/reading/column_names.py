@@ -8,7 +8,7 @@ import tomllib
 from importlib.resources import files
 
 from hystfit.params.units import quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 
 _VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
 _WORDS, _ROLES = (

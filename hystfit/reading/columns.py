@@ -17,7 +17,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.column_names import column_quantity, column_role
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import computed, proportional

@@ -15,7 +15,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.unseparated_curves import curves_at_conditions
 

@@ -14,7 +14,7 @@ import numpy as np
 from hystfit.data.preparation import real_numbers
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table, plain_table
 
 

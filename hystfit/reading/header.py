@@ -1,64 +1,20 @@
-"""Column names and units: from header rows, unit rows and names that carry their unit."""
+"""Column names and units in the rows of a header, and settings and properties of the sample above them."""
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import parse_unit, quantity
+from hystfit.params.units import quantity
 from hystfit.reading import cells
-from hystfit.reading.scaled_units import factor_of
+from hystfit.reading.names_with_units import is_unit, split_unit
 
-_BASE = (
-    r"(?:[pnuµμm]?s|[pnuµμmckMG]?(?:Gs|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
-    r"|in|inch|ft|lb|lbs|kips?|kgf|ksi|min|h|hr|deg|degC|°C|°|%|rpm|counts|volts?|newtons?|meters?|seconds?|erg|cc|cm3|dB"
-)
-_POWER = r"(?:\^?[-⁻]?[1-4¹²³])?"
-_UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER})*")
-# Quotients whose slash is an underscore in a name: numerator_denominator.
-_JOINED = re.compile(
-    r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
-    r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
-    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
-)
-# Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
-_FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
-_FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
-_WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
-_CYRILLIC = dict(
-    zip(
-        "мм см м мкм нм Н кН Па кПа МПа с сек мс В кВ мВ А мА Тл мТл Э кЭ А/м кА/м Гц мин ч".split(),
-        "mm cm m um nm N kN Pa kPa MPa s s ms V kV mV A mA T mT Oe kOe A/m kA/m Hz min h".split(),
-        strict=True,
-    )
-)
-_LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
-_BARE_TIMES = frozenset(
-    {"day", "ms", "us", "µs", "μs", "ns"}
-)  # names of columns that are no more than the unit of time
-_ARBITRARY = frozenset(
-    {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
-)  # units that are no quantity
-_NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names of columns besides units
-_NOT_SUFFIX = frozenset(
-    {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
-)  # x_min is a minimum, not minutes
-_NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
-# Names before the "in" that is an inch: x_in, stroke_in; that of v_in, air_in and sw_in is the way in.
-_INCHES = re.compile(
-    r"x|y|z|d|l|(?:.*[_ ])?(?:\w*(?:pos|disp|dist|drift|defl|stroke|travel|slip|lift|gap|width|length|height|elong|ext|lvdt|pot)\w*)",
-    re.IGNORECASE,
-)
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
-_OF_CIRCUITS = re.compile(
-    r"(V)|I[a-z]?", re.IGNORECASE
-)  # voltage of a node, V(out), and current of an element, I(L1), Ic(Q1), in tables of SPICE
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
@@ -68,8 +24,6 @@ _SETTINGS = (
     ),
 )
 _MOST_METADATA = 40
-_WORD = 4  # letters from which a unit is written as a word
-_LONGEST_NAME = 200  # characters
 _LONGEST_SETTING = 1000  # characters of a line
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
@@ -95,105 +49,6 @@ _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at whic
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is a unit as laboratories write them, and not more likely a name."""
-    if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
-        return True
-    factor, scaled = factor_of(text)
-    if factor != 1.0:
-        return not scaled or is_unit(scaled)
-    return len(text) > 1 and text.lower() not in _NAMES_TOO and (parse_unit(text) is not None or quantity(text) != "")
-
-
-def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
-    """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
-    name = name.strip().translate(_WIDE)
-    if len(name) > _LONGEST_NAME:
-        return name, ""
-    return _split(name, siblings) if siblings else _split_alone(name)
-
-
-@functools.lru_cache(maxsize=4096)
-def _split_alone(name: str) -> tuple[str, str]:
-    return _split(name, ())
-
-
-def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
-    if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
-        name = match[1] + _CYRILLIC[match[2]] + match[3]
-    if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
-        return name, name  # Volts
-    if name.endswith(("]", ")", ">")) and (start := _opening(name)) > 0:
-        base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
-        closed = not re.search(r"[\])>]", unit) or is_unit(unit)
-        if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and is_unit(unit)):
-            return name, "V" if of_circuit[1] else "A"
-        inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
-        if base and closed and not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
-            return f"{base} {inner}", of_inner  # 1-1(位移/mm)
-        if base and closed and (is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12)):
-            return base, unit
-        if base and closed and re.match(r"\d+[.,]?\d*\s*[A-Za-z%°]", unit):  # M (300 K): a condition
-            return base, ""
-        if base and closed and unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
-            return base, ""
-    if match := re.fullmatch(r"(.+?)[_ ]([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name):
-        return match[1], f"{match[2]}/{match[3]}"
-    if match := _FLOW.fullmatch(name):
-        return match[1], f"{match[2]}/{match[3]}"
-    if match := _FLUX.fullmatch(name):
-        return match[1], f"{match[2]}/{match[3]}/{match[4]}"
-    if match := _JOINED.fullmatch(name):
-        over, under = filter(None, match.groups()[1:])
-        if not (match[1].lower() in _LENGTHS and over in ("A", "V", "C")):  # x_A_m is the position of A
-            return match[1], f"{over}/{under}"
-    # H_kA/m is H in kA/m; of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
-    if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
-        return match[1], match[2]
-    # Moment / A m2, Force, kN, Field in kA/m
-    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
-        return match[1].strip(), match[2]
-    # Force kN, Velocity m/s: a unit of one letter is more likely a part of the name, as in Channel A, unless all columns have one.
-    if (match := re.fullmatch(r"(.*\S) (\S+)", name)) and is_unit(match[2]):
-        spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
-        if (
-            (spelled or _all_have_units(siblings))
-            and match[2] not in _NOT_SUFFIX
-            and not _is_role(match[1], match[2], siblings)
-        ):
-            return match[1], match[2]
-    if (match := re.fullmatch(r"(.+)_([^_]+)", name)) and is_unit(match[2]) and match[2] not in _NOT_SUFFIX:
-        others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
-        labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
-        if labels or _NODE.fullmatch(match[2]):  # I_A, I_B, I_C are currents of three phases
-            return name, ""
-        return (name, "") if _is_role(match[1], match[2], siblings) else (match[1], match[2])
-    return name, ""
-
-
-def _all_have_units(names: Sequence[str]) -> bool:
-    """Whether each of several names, none of them twice, has a unit behind it: Time s, Vplus V, I1 A."""
-    pairs = [name.strip().rpartition(" ") for name in names]
-    bases = {base for base, _, _ in pairs}
-    return len(bases) == len(pairs) > 1 and all(base and is_unit(unit) for base, _, unit in pairs)
-
-
-def _opening(name: str) -> int:
-    """Place of the bracket that the last one of a name closes; -1 without one."""
-    marks, depth = {"]": "[", ")": "(", ">": "<"}, 0
-    for place in range(len(name) - 1, -1, -1):
-        depth += (name[place] == name[-1]) - (name[place] == marks[name[-1]])
-        if not depth:
-            return place
-    return -1
-
-
-def _is_role(base: str, unit: str, siblings: Sequence[str]) -> bool:
-    """Whether the "in" after a name is no inch: v_in is an input voltage, beside v_out."""
-    beside = any(f"{base}{mark}out".lower() == other.lower() for mark in "_ " for other in siblings)
-    return unit.lower() == "in" and (_INCHES.fullmatch(base) is None or beside)
 
 
 def setting_of(line: str) -> tuple[str, str] | None:

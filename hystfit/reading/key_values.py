@@ -8,7 +8,7 @@ import re
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.header import is_unit
+from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile

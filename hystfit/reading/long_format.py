@@ -8,7 +8,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
 _MOST = 12  # sensors

@@ -12,7 +12,8 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import is_listed, is_unit, listed_names, read_header, split_unit, stated_units, titled_names
+from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
+from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other

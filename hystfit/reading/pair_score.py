@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
     computed,

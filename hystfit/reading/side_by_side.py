@@ -13,7 +13,7 @@ from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import is_unit, split_unit
+from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix

@@ -12,7 +12,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _FEWEST = 8  # rows of a record, on average

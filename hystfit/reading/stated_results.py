@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 
 from hystfit.data.stated import Stated
 from hystfit.reading import cells
-from hystfit.reading.header import setting_of, split_unit
+from hystfit.reading.header import setting_of
+from hystfit.reading.names_with_units import split_unit
 
 # Names of results by the quantity of `hystfit.results.quantities` that they are.
 _NAMES = {

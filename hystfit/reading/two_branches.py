@@ -14,7 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
 _FEWEST = 4  # rows of a branch

@@ -10,7 +10,7 @@ from hystfit.errors import DataError
 from hystfit.params.units import conversion
 from hystfit.reading.cells import clean
 from hystfit.reading.dialect import split
-from hystfit.reading.header import is_unit
+from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile

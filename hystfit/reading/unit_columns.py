@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from hystfit.reading.header import is_unit, unit_key
+from hystfit.reading.header import unit_key
+from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
 
 

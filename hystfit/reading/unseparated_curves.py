@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.header import split_unit
+from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.text import plain_text
