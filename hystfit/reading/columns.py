@@ -7,7 +7,7 @@ import itertools
 import re
 import shlex
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -176,30 +176,10 @@ def _guess_pair(
 ) -> None:
     """Fill `given` with the input and output not named."""
     if len(free) + len(given) < 2:
-        beside = " beside the time" if clock is not None else ""
-        remedy = "name them with input= and output=, or check delimiter= and decimal="
-        if len(free) == 1 and not table.labels:
-            remedy = _half_of_pair(table)
-        raise DataError(
-            f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of "
-            f"changing numbers{beside}. "
-            f"The columns are {table.describe()}; {remedy}"
-        )
+        raise _too_few(table, free, given, clock)
     if not table.named:
         free = _without_copies(table, free, given, notes)
-    if any(kinds[k] == "displacement" for k in free):  # v beside x is a velocity
-        kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
-    if not {"field", "induction", "voltage", "electric field"} & {
-        kinds[k] for k in free
-    }:  # q beside a torque is an angle of a joint
-        kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
-        if "force" in (kinds[k] for k in free):
-            kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    if any(kinds[k] == "capacitance" for k in free):  # D beside C is a loss
-        kinds.update({k: "" for k in free if table.names[k] == "D"})
-    _find_velocities(table, free, kinds)
-    if table.named and len(free) + len(given) > 2:
-        kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+    _tell_by_others(table, free, kinds, many=len(free) + len(given) > 2)
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"
@@ -216,12 +196,55 @@ def _guess_pair(
     if nameless:  # nothing but signals and the order of the columns tells which drives the other
         swapped = f"if column {best.output} drives the device, set input='{best.output}' and output='{best.input}'"
         notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
-    if nameless and circulation(table.columns[best.input], table.columns[best.output]) < -OPEN:
-        notes.append(
-            warn(
-                Code.COLUMN_CHOICE, f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
-            )
+        if circulation(table.columns[best.input], table.columns[best.output]) < -OPEN:
+            text = f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
+            notes.append(warn(Code.COLUMN_CHOICE, text))
+    _check_matrix(table, kinds, given)
+    if others := [k for k in free if k not in given.values()]:
+        shown = ", ".join(repr(table.names[k]) for k in others[:8])
+        unsure = (
+            "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
+        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int | None) -> DataError:
+    """The error of a table with fewer than two changing columns."""
+    beside = " beside the time" if clock is not None else ""
+    remedy = "name them with input= and output=, or check delimiter= and decimal="
+    if len(free) == 1 and not table.labels:
+        remedy = _half_of_pair(table)
+    return DataError(
+        f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of changing numbers{beside}. "
+        f"The columns are {table.describe()}; {remedy}"
+    )
+
+
+def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, many: bool) -> None:
+    """Quantities of names that mean different things beside different columns.
+
+    Args:
+        table: of the columns.
+        free: columns that may be input or output.
+        kinds: quantities of the columns, which are changed.
+        many: whether there are more columns than a pair.
+    """
+    among = lambda *names: any(kinds[k] in names for k in free)
+    if among("displacement"):  # v beside x is a velocity
+        kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
+    if not among("field", "induction", "voltage", "electric field"):  # q beside a torque is an angle of a joint
+        kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
+        if among("force"):
+            kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
+    if among("capacitance"):  # D beside C is a loss
+        kinds.update({k: "" for k in free if table.names[k] == "D"})
+    _find_velocities(table, free, kinds)
+    if table.named and many:
+        kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+
+
+def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, int]) -> None:
+    """Refuse two columns of one matrix that is all of one quantity."""
     pair = [re.fullmatch(r"(.*)\[\d+\]", table.names[given[role]]) for role in ("input", "output")]
     if pair[0] and pair[1] and pair[0][1] == pair[1][1] and kinds[given["input"]] == kinds[given["output"]] != "":
         raise DataError(
@@ -229,13 +252,6 @@ def _guess_pair(
             f"guessed: name them with input= and output=, or give the file of the other quantity too (u.mat+y.mat). The columns are "
             f"{table.describe()}"
         )
-    others = [k for k in free if k not in given.values()]
-    if others:
-        shown = ", ".join(repr(table.names[k]) for k in others[:8])
-        unsure = (
-            "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
-        )
-        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
 
 
 def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
@@ -298,7 +314,7 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(moves.any() and max(np.mean(one[moves] == sign * other[moves]) for sign in (1, -1)) > 0.5)
 
 
-def _find_velocities(table: Table, free: list[int], kinds: dict[int, str]) -> None:
+def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
     """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F, and a V that is the rate of D."""
     first, *others = [k for k in free if kinds[k] == "" and not column_role(table.names[k])] or [-1]
     for k in others if len(others) > 1 else ():
