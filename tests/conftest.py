@@ -18,6 +18,7 @@ from hypothesis import settings
 from hystfit.config import enable_x64
 
 from . import FAST_TO_COMPILE
+from .sparing import Pictures, ShapeChecks
 
 enable_x64()
 # The same examples every time; `--hypothesis-profile=default` looks for new ones.
@@ -30,6 +31,7 @@ MAPS = Path("/proc/self/maps")
 # worker that reaches the limit ends with a segmentation fault.
 MOST_MAPS = 15_000
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
+PICTURES = Pictures()
 LONGEST = (
     "quality",
     "sampling",
@@ -56,9 +58,10 @@ LONGEST = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The flags are read at the first computation, after this."""
+    """The flags are read at the first computation, and the rooms that are checked are imported, after this."""
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
+        jaxtyping.jaxtyped = ShapeChecks(jaxtyping.jaxtyped)
 
 
 @functools.cache
@@ -80,8 +83,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what was imported out of every later garbage collection, and collect as seldom as the command does: 4 % of the time."""
+    PICTURES.draw_few()
     gc.freeze()
     gc.set_threshold(COLLECTION, *gc.get_threshold()[1:])
+
+
+def pytest_runtest_setup() -> None:
+    """Each test counts its calls anew."""
+    if isinstance(jaxtyping.jaxtyped, ShapeChecks):
+        jaxtyping.jaxtyped.test += 1
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -98,6 +108,14 @@ def _shapes_checked(request: pytest.FixtureRequest) -> None:
     """In the quick form only files that look inside a traced room check shapes: in all files it takes a ninth of the time."""
     checked = request.config.option.markexpr != "not slow" or looks_inside(request.path)
     jaxtyping.config.update("jaxtyping_disable", not checked)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _pictures_drawn(request: pytest.FixtureRequest) -> None:
+    """Each file draws its own pictures, and all of them where it looks into some or where all tests run."""
+    PICTURES.kept.clear()
+    looks = re.search(r"<svg|\.axes\b|imread|canvas", request.path.read_text(encoding="utf-8"))
+    PICTURES.all_drawn = bool(looks) or request.config.option.markexpr != "not slow"
 
 
 @pytest.fixture

@@ -383,8 +383,8 @@ def _first_rows(running: subprocess.Popen, out: Path) -> Path:
 
 
 def _plain(home: Path) -> dict[str, str]:
-    """The environment without settings of this session, with its cache of compiled programs."""
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_ENABLE", "XLA_", "HYSTFIT_"))}
+    """The environment without settings of this session, with its compiler flags and cache of compiled programs."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_ENABLE", "HYSTFIT_"))}
     return kept | {"HOME": str(home), "MPLCONFIGDIR": str(home)}
 
 

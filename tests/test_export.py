@@ -76,11 +76,6 @@ CASES = {
     "hardening": (HARDENING, 0.0, 1.0),
     "lag_plays_creep_rate": (PLAYS, 0.0, 1.0),
     "preisach_demagnetized": (weighted(hf.Preisach.of(6, depth=16, spacing="uniform"), center=0.23), -1.0, 1.0),
-    "preisach_negative": (
-        weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="negative"), offset=0.4),
-        -1.0,
-        1.0,
-    ),
     "everett_table": (hf.TabulatedPreisach.of(5), -1.0, 1.0),
     "preisach_positive": (
         weighted(hf.Preisach.of(6, depth=16, spacing="uniform", initial="positive"), offset=-0.2),
@@ -249,7 +244,7 @@ def test_c_flags_an_output_that_does_not_rise(tmp_path: Path) -> None:
 
 
 def test_exported_file_is_self_contained(tmp_path: Path) -> None:
-    files = export_c(CASES["preisach_negative"][0], tmp_path, name="thunder")
+    files = export_c(CELLS, tmp_path, name="thunder")
     assert [file.name for file in files] == ["thunder.h", "thunder.c", "thunder_main.c"]
     code = files[1].read_text()
     assert {line for line in code.splitlines() if line.startswith("#include")} == {

@@ -101,26 +101,27 @@ both = pytest.mark.parametrize("fault", [Killed, OSError])
 @both
 def test_a_fault_while_a_fit_is_replaced_leaves_the_old_one_or_the_new_one(old, new, tmp_path, fault):
     folder, seen = tmp_path / "fit", set()
+    before, after = old.to_dict(), new.to_dict()
     old.save(folder, report=False)
     for _ in moments(fault, folder, lambda: new.save(folder, report=False)):
         opened = hf.load_fit(folder).to_dict()
-        assert opened in (old.to_dict(), new.to_dict())
-        seen.add(opened == new.to_dict())
-        if fault is OSError and opened == old.to_dict():
+        assert opened in (before, after)
+        seen.add(opened == after)
+        if fault is OSError and opened == before:
             assert {path.name for path in folder.iterdir()} == FILES  # no litter
         old.save(folder, report=False)  # the next run succeeds, and leaves nothing of the run before
-        assert hf.load_fit(folder).to_dict() == old.to_dict()
+        assert hf.load_fit(folder).to_dict() == before
         assert {path.name for path in folder.iterdir()} == FILES
     assert seen == {False, True}
-    assert hf.load_fit(folder).to_dict() == new.to_dict()
+    assert hf.load_fit(folder).to_dict() == after
 
 
 @both
 def test_a_fault_while_a_first_fit_is_saved_leaves_it_or_none(new, tmp_path, fault):
-    folder = tmp_path / "fit"
+    folder, whole = tmp_path / "fit", new.to_dict()
     for _ in moments(fault, folder, lambda: new.save(folder, report=False)):
         if (folder / "result.json").exists() or (folder / ".hystfit-commit").exists():
-            assert hf.load_fit(folder).to_dict() == new.to_dict()
+            assert hf.load_fit(folder).to_dict() == whole
         else:
             with pytest.raises(DataError, match="holds no fit"):
                 hf.load_fit(folder)
@@ -132,13 +133,13 @@ def test_a_fault_while_a_first_fit_is_saved_leaves_it_or_none(new, tmp_path, fau
 def test_a_fault_while_a_posterior_is_replaced_mixes_nothing(old, new, tmp_path, fault, monkeypatch):
     monkeypatch.setattr(files, "write_into", lambda *_, **__: None)  # pictures take long
     before, after, folder = posterior_of(old), posterior_of(new), tmp_path / "draws"
+    pair = lambda posterior: (posterior.to_dict(), posterior.result.to_dict())
+    pairs, fits = (pair(before), pair(after)), (old.to_dict(), new.to_dict())
     before.save(folder)
     for _ in moments(fault, folder, lambda: after.save(folder)):
-        opened = hf.load_posterior(folder)
-        pairs = [(p.to_dict(), p.result.to_dict()) for p in (opened, before, after)]
-        assert pairs[0] in pairs[1:]
+        assert pair(hf.load_posterior(folder)) in pairs
         with contextlib.suppress(DataError):  # the fit of a posterior opens alone
-            assert hf.load_fit(folder / "fit").to_dict() in (old.to_dict(), new.to_dict())
+            assert hf.load_fit(folder / "fit").to_dict() in fits
         before.save(folder)
 
 

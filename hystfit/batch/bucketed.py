@@ -74,8 +74,15 @@ def solve_stack(
         steps=steps,
     )
     costs = rough.cost.reshape(count, several)
-    best = np.asarray(rough.normal.z).reshape(count, several, p)[records, np.argmin(costs, axis=1)]
-    ends = descend_lanes(full, records, best, gain=gain_within(EXACT, full.samples), steps=_MORE)
+    best = several * records + np.argmin(costs, axis=1)
+    ends = descend_lanes(
+        full,
+        records,
+        np.asarray(rough.normal.z)[best],
+        gain=gain_within(EXACT, full.samples),
+        steps=_MORE,
+        damping=np.asarray(rough.damping)[best],
+    )
     return ends, costs, ends.steps + rough.steps.reshape(count, several).sum(axis=1)
 
 

@@ -87,6 +87,7 @@ class Ends(NamedTuple):
         cost: half the sum of squared misfits, shape (L,). Of a lane that was given up: what its linear model promises, which is above the
             least cost of the lanes of its record that converged.
         beaten: which were given up, because they approached no lower cost than another lane of their record.
+        damping: of the step that would be next, shape (L,).
     """
 
     normal: Normal
@@ -94,10 +95,18 @@ class Ends(NamedTuple):
     steps: np.ndarray
     cost: np.ndarray
     beaten: np.ndarray
+    damping: np.ndarray
 
 
 def descend_lanes(
-    stack: Stack, records: np.ndarray, z: Float[np.ndarray, "L p"], *, gain: float, steps: int, device: Any = None
+    stack: Stack,
+    records: np.ndarray,
+    z: Float[np.ndarray, "L p"],
+    *,
+    gain: float,
+    steps: int,
+    damping: Float[np.ndarray, " L"] | None = None,
+    device: Any = None,
 ) -> Ends:
     """Minimize half the sum of squared misfits from every lane.
 
@@ -107,10 +116,11 @@ def descend_lanes(
         z: starts, unconstrained.
         gain: decrease of the cost that the linear model promises, relative to the cost, below which a lane has converged.
         steps: linearizations of a lane at most.
+        damping: of the first steps; that of other descents which the lanes continue.
         device: where; by default a GPU for many lanes where there is one, else the CPU.
     """
     device = device_for(len(z)) if device is None else device
-    lane, numbers = Lane.at(np.array(z, float)), np.asarray(records)
+    lane, numbers = Lane.at(np.array(z, float), damping), np.asarray(records)
     tolerance, left = np.float64(gain), np.arange(len(z))
     if device.platform != "cpu":
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
@@ -124,7 +134,7 @@ def descend_lanes(
         ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps)
         lane.put(part, ended)
     cost = np.where(given_up, approached(lane, numbers), lane.best.cost)
-    return Ends(lane.best, lane.converged, lane.steps, cost, given_up)
+    return Ends(lane.best, lane.converged, lane.steps, cost, given_up, lane.damping)
 
 
 def device_for(lanes: int) -> Any:

@@ -58,12 +58,18 @@ class Lane(NamedTuple):
     steps: Array
 
     @classmethod
-    def at(cls, z: Float[np.ndarray, "L p"]) -> Lane:
-        """Lanes before their first step."""
+    def at(cls, z: Float[np.ndarray, "L p"], damping: Float[np.ndarray, " L"] | None = None) -> Lane:
+        """Lanes before their first step.
+
+        Args:
+            z: where they start.
+            damping: of their first step, that of descents which they continue.
+        """
         count, p = z.shape
         none, no = np.zeros(count), np.zeros(count, bool)
         best = Normal(z.copy(), none + np.inf, np.zeros((count, p)), np.zeros((count, p, p)))
-        return cls(best, z.copy(), none + _FIRST, none + np.inf, no, no.copy(), none.astype(int))
+        damping = none + _FIRST if damping is None else damping.copy()
+        return cls(best, z.copy(), damping, none + np.inf, no, no.copy(), none.astype(int))
 
     def rows(self, at: Any) -> Lane:
         """Some of the lanes."""
