@@ -32,8 +32,8 @@ class SizeSearch:
     """Search over the choices of one model, one after another; the weights are solved for at the starting values of all others.
 
     It takes those with the smallest cross-validation error of all samples, to which samples that are in every fit, such as the largest of
-    several loops, add their error of the fit: of 105 simulated devices 7 change, five to 1.1 to 5 times smaller errors on unseen loops
-    of the same size and two to 1.3 and 1.5 times larger ones.
+    several loops, add their error of the fit. Of 105 simulated devices (experiments/choice) this changes one, whose error on unseen loops
+    falls from 0.61 to 0.37 %.
 
     Args:
         data: records; of long ones every k-th sample and the reversals count.
