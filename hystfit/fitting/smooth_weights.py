@@ -14,7 +14,7 @@ from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import SMOOTHNESS, SmoothFit, fit_smooth, left_out_error
+from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOutErrors, SmoothFit, fit_smooth, left_out_errors
 from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -117,10 +117,10 @@ class SmoothWeights(AbstractEstimator):
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
-def left_out_score(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> float:
-    """Root mean square error on the held-out groups that choose the smoothness, output units.
+def left_out_scores(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> LeftOutErrors:
+    """Errors with the smoothness that the held-out groups choose, output units.
 
     The weights in x are solved for; `smoothness` has two or more strengths.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
-    return left_out_error(now.system, smoothness, now.fixed) * now.system.size
+    return LeftOutErrors(*(now.system.size * e for e in left_out_errors(now.system, smoothness, now.fixed)))
