@@ -371,3 +371,26 @@ def test_plain_rows_below_a_header_of_many_words_are_recognized_at_once(monkeypa
     found = dialect.sniff(lines, "file", None, None)
     assert (found.delimiter, found.decimal, found.kinds) == (",", ".", "NNN")
     assert tried == [(",", ".")]
+
+
+def test_rows_in_which_the_input_alone_reads_zero_are_left_out(tmp_path) -> None:
+    """A field meter that failed for two samples; what passes zero, and pulses that the output follows, stay."""
+    h = np.round(np.concatenate([np.linspace(50, -50, 81), np.linspace(-48.75, 50, 80)]), 2)
+    way = np.where(np.arange(h.size) < 81, 1.0, -1.0)
+    m = np.tanh((h + 10 * way) / 20)
+    failed = h.copy()
+    failed[[12, 60]] = 0.0
+    save = lambda name, u, y: np.savetxt(
+        tmp_path / name, np.c_[u, y], "%.8g", ",", header="H (Oe),M (emu)", comments=""
+    )
+    save("failed.csv", failed, m)
+    record = read(tmp_path / "failed.csv")
+    assert np.array_equal(record.u, np.delete(h, [12, 60]))
+    assert np.allclose(record.y, np.delete(m, [12, 60]), atol=1e-7)
+    assert any(
+        "2 rows in which the input alone reads 0" in note.text and "14, 62" in note.text for note in record.notes
+    )
+    pulsed = np.where(np.arange(h.size) % 20 == 10, 0.0, 60.0 + h / 10)
+    save("pulsed.csv", pulsed, 0.01 * pulsed + 1e-4 * np.arange(h.size))
+    save("loop.csv", h, m)
+    assert len(read(tmp_path / "pulsed.csv")) == len(read(tmp_path / "loop.csv")) == h.size

@@ -23,7 +23,7 @@ from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
-from hystfit.reading.sentinels import replaced_notes, without_codes, without_infinite
+from hystfit.reading.sentinels import failed_inputs, replaced_notes, without_codes, without_infinite
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int
@@ -189,6 +189,11 @@ def _records_of(
     for role in ("input", "output"):
         data[role], coded = without_codes(data[role], role)
         notes += coded
+    if (failed := failed_inputs(data["input"], data["output"])).size:
+        text = f"left out: {failed.size} rows in which the input alone reads 0, as that of a sensor that failed"
+        notes.append(warn(Code.MISSING_VALUES, f"{text}; lines {', '.join(map(str, table.line[failed[:5]]))}"))
+        kept = np.delete(np.arange(table.rows), failed)
+        table, data = table.take(kept), {role: values[kept] for role, values in data.items()}
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))

@@ -15,6 +15,7 @@ _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 
 _SHARE = 0.5  # of the values that may be a code
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
 _JUMP = 3.0  # distance of a code from the values before and after it, as a multiple of the largest step of the others
+_MOST_ZEROS = 0.05  # share of the rows in which a sensor may have failed; more zeros are rests of the input
 
 
 def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, float]]]:
@@ -72,3 +73,20 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
     text = f"{first}, far from all others, are treated as missing: {int(missing.sum())}"
     note = warn(Code.MISSING_VALUES, f"{text}; if they are measurements, scale the column")
     return np.where(missing, np.nan, values), [note]
+
+
+def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Rows in which the input alone reads 0: single zeros, farther from the values around them than these from each other, while the
+    output goes on between those of its neighbors.
+
+    Args:
+        u, y: input and output, shape (rows,).
+    """
+    zero, others = u == 0.0, u[(u != 0.0) & np.isfinite(u)]
+    rows = np.arange(u.size)
+    inner = zero[1:-1] & ~zero[:-2] & ~zero[2:]
+    if not inner.any() or zero.sum() > max(_MOST_ZEROS * u.size, 1) or others.size < 2:
+        return rows[:0]
+    around = np.interp(rows, rows[(u != 0.0) & np.isfinite(u)], others)
+    goes_on = (y[1:-1] - y[:-2]) * (y[2:] - y[1:-1]) > 0
+    return rows[1:-1][inner & goes_on & (np.abs(around[1:-1]) > np.abs(np.diff(others)).max())]
