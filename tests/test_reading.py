@@ -271,7 +271,12 @@ BAD: dict[str, tuple[str | bytes, dict[str, Any], str]] = {
         {"output": "y"},
         "2 columns.*numbers 2, 3.*by number",
     ),
-    "text column as input": ("t,k,y\n0,a,2\n1,b,3\n", {"input": "k"}, "'k' for input is text"),
+    "text column as input": ("t,k,y\n0,a,2\n1,b,3\n", {"input": "k"}, "'k' for input is text \\('a'\\)"),
+    "header without measurements": (
+        "MicroMag 2900/3900 Data File (Series 0016.002)\n\nSETTINGS\nHb1   -60.0E-03\nHb2   +60.0E-03\nHNcr   +8.0E-03\nHSat   +1.7E+00\n",
+        {},
+        "for input is text \\('Hb1'\\)",
+    ),
     "same column twice": ("t,u,y\n0,1,2\n1,2,3\n", {"input": "u", "output": "u"}, "same column"),
     "time is also input": (
         "t,u,y\n0,1,2\n1,2,3\n",

@@ -80,7 +80,7 @@ def _numeric(table: Table, position: int, role: str) -> int:
     if position in table.labels:
         value = table.labels[position][0]
         raise DataError(
-            f"{table.source}: column {table.names[position]!r} for {role} is text ({value!r}); the columns are {table.describe()}"
+            f"{table.source}: column {table.names[position]!r} for {role} is text ({str(value)!r}); the columns are {table.describe()}"
         )
     if not np.isfinite(table.columns[position]).any():
         raise DataError(f"{table.source}: column {table.names[position]!r} for {role} is empty; choose another")

@@ -89,7 +89,7 @@ def _system(above: Sequence[str]) -> dict[str, str]:
 
 def _with_units(table: Table) -> Table:
     """The table with units of field and moment; where the file states none they follow from the size of the fields."""
-    if any(table.units[:2]):
+    if any(table.units[:2]) or not np.isfinite(table.columns[0]).any():
         return table
     field = np.abs(table.columns[0])
     units = _SYSTEMS["hybrid si" if np.nanmax(field) < _TESLA else "cgs"]
