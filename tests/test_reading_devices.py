@@ -305,3 +305,25 @@ def test_records_within_the_points_of_an_isotherm(tmp_path: Path) -> None:
         for u, y in zip(U.tolist(), Y.tolist(), strict=True)
     ]
     is_pair(one(tmp_path, json.dumps({"adsorbent": {"name": "MIL-101"}, "isotherm_data": points}), "isotherm.json"))
+
+
+# Factors of units ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("zeros", "units", "scales"), [("0.0", ("mm", "mN"), (0.5, 500.0)), ("1.5", ("V", "V"), (1.0, 1.0))]
+)
+def test_channels_in_volts_have_the_scales_that_the_header_states(zeros, units, scales, tmp_path: Path) -> None:
+    """Where it states zeros of the sensors too, the volts stay."""
+    header = f"DMC Data File\nChannel\tAI0\tAI1\nUnits\tmm\tmN\nScale (units/V)\t0.5\t500.0\nOffset (volts)\t0.0\t{zeros}\n\n"
+    record = one(
+        tmp_path, header + "Test Data in Volts:\nSample\tAI0\tAI1\n" + rows("\t", np.arange(N), U, Y), "loop.ddf"
+    )
+    assert (record.u_unit, record.y_unit) == units
+    is_pair(record, scales[0] * U, scales[1] * Y)
+
+
+def test_a_number_before_a_unit_multiplies_the_column(tmp_path: Path) -> None:
+    record = one(tmp_path, "Displacement (mm),Force (x100 N)\n" + rows(",", U, Y))
+    assert record.y_unit == "N"
+    is_pair(record, U, 100 * Y)

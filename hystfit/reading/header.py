@@ -44,6 +44,7 @@ _UNIT_CELL = re.compile(
     r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
 )
 _UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
+_PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:olt)?s?\b")
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -171,8 +172,23 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             if all(quantity(unit) == "time" for unit in units):
                 continue
-            return ["", *units, *[""] * (width - 1 - len(units))]
+            return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
     return [""] * width
+
+
+def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> list[str]:
+    """Units of channels with the scale of each, where the header states one per volt; "V" where zeros of sensors are stated too."""
+    rows = [[cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] for line in above]
+    numbers = {
+        row[0].lower(): [cells.number(cell, ".") for cell in row[1:]] for row in rows if len(row) == len(units) + 1
+    }
+    scales = next((values for title, values in numbers.items() if _PER_VOLT.match(title)), None)
+    if scales is None or None in scales:
+        return units
+    zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
+    if any(zeros):
+        return ["V"] * len(units)
+    return [unit if scale == 1.0 else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)]
 
 
 def _bare(parts: Sequence[str]) -> list[str]:

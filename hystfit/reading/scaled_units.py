@@ -1,4 +1,4 @@
-"""Units with a power of ten before them, as in "M (10^-3 emu)" and "Field (×10⁴ A/m)": the numbers are multiplied by it."""
+"""Units with a factor before them, as in "M (10^-3 emu)", "Field (×10⁴ A/m)" and "Force (500 × mN)": the numbers are multiplied by it."""
 
 from __future__ import annotations
 
@@ -13,19 +13,22 @@ _FACTOR = re.compile(
     r"(?:[x×*·]\s*)?(?:10\s*(?:(?:\^|\*\*)\s*\{?(?P<power>[+−-]?\d{1,2})\}?|(?P<raised>[⁻⁺]?[⁰¹²³⁴-⁹]{1,2})|(?P<flat>[+−-]\d))"
     r"|1[eE](?P<exponent>[+-]?\d{1,2}))\s*[x×*·]?\s*(?=[^\d\s]|$)"
 )
+_NUMBER = r"\d{1,9}(?:\.\d{1,9})?(?:[eE][+-]?\d{1,2})?"
+_TIMES = re.compile(rf"(?:(?P<number>{_NUMBER})\s*[x×*·]|[x×*·]\s*(?P<after>{_NUMBER}))\s*(?=[^\W\d])")
 
 
 def factor_of(unit: str) -> tuple[float, str]:
-    """The power of ten before a unit, and the unit without it; 1 where there is none. "10-3" has lost its superscript."""
-    match = _FACTOR.match(unit)
-    if match is None:
-        return 1.0, unit
-    power = next(filter(None, match.groups())).translate(_SUPERSCRIPTS)
-    return float(f"1e{power}"), unit[match.end() :].strip()
+    """The factor before a unit, and the unit without it; 1 where there is none. "10-3" has lost its superscript."""
+    if match := _FACTOR.match(unit):
+        power = next(filter(None, match.groups())).translate(_SUPERSCRIPTS)
+        return float(f"1e{power}"), unit[match.end() :].strip()
+    if match := _TIMES.match(unit):
+        return float(match["number"] or match["after"]), unit[match.end() :].strip()
+    return 1.0, unit
 
 
 def unscaled(table: Table) -> Table | None:
-    """The columns in their units without the powers of ten that these are written with; None where there is none."""
+    """The columns in their units without the factors that these are written with; None where there is none."""
     found = {k: factor_of(unit) for k, unit in enumerate(table.units)}
     scaled = {k: (factor, unit) for k, (factor, unit) in found.items() if factor != 1.0 and k not in table.labels}
     if not scaled:
@@ -37,4 +40,4 @@ def unscaled(table: Table) -> Table | None:
         names=replaced(table.names, lambda k: table.names[k].replace(table.units[k], scaled[k][1])),
         units=replaced(table.units, lambda k: scaled[k][1]),
         columns=replaced(table.columns, lambda k: scaled[k][0] * table.columns[k]),
-    ).noted(Note(Code.UNITS, f"the unit has a power of ten, by which the numbers are multiplied: {listed}"))
+    ).noted(Note(Code.UNITS, f"the unit has a factor, by which the numbers are multiplied: {listed}"))
