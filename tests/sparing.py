@@ -71,7 +71,7 @@ class Pictures:
     def _sparing(self, draw: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(draw)
         def drawn(canvas: Any, target: Any, **options: Any) -> None:
-            if self.all_drawn:
+            if self.all_drawn or "draw" in vars(canvas.figure):  # matplotlib asks for its renderer by such a call
                 draw(canvas, target, **options)
                 return
             words = [
