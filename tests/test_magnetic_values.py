@@ -122,10 +122,13 @@ def test_the_error_of_the_loss_counts_noise_that_is_correlated():
     assert 0.5 < np.median([one.stderr for one in found]) / np.std([one.value for one in found]) < 2
 
 
-def test_loops_of_several_temperatures_or_modes_in_one_record_are_named(tmp_path):
+def test_several_temperatures_or_modes_in_one_record_are_named(tmp_path):
     h, j = loop(turn=2e4, count=101)
-    rows = [f"{a:.6g},{(T / 300) * b:.6g},{T}" for T in (300, 100) for a, b in zip(h, j, strict=True)]
-    (tmp_path / "steps.csv").write_text("\n".join(["H (Oe),M (emu),T (K)", *rows, ""]))
+    head, row = "H (Oe),M (emu),T (K)", lambda a, b, T: f"{a:.6g},{(T / 300) * b:.6g},{T}"
+    rows = [row(a, b, 300 if k < 50 else 100) for k, (a, b) in enumerate(zip(h, j, strict=True))]  # within a branch
+    (tmp_path / "steps.csv").write_text("\n".join([head, *rows, ""]))
+    rows = [row(a, b, T) for T in (300, 100) for a, b in zip(h, j, strict=True)]
+    (tmp_path / "loops.csv").write_text("\n".join([head, *rows, ""]))
     (tmp_path / "modes.csv").write_text(
         "\n".join(["H (Oe),M (emu),M fixed (emu)", *(f"{a:.6g},{b:.6g}," for a, b in zip(h, j, strict=True))])
         + "\n"
@@ -134,6 +137,7 @@ def test_loops_of_several_temperatures_or_modes_in_one_record_are_named(tmp_path
     for name, words in (("steps", "from 100 to 300 K"), ("modes", "another mode")):
         notes = quantities(hf.read(tmp_path / f"{name}.csv")).notes[name]
         assert [words in str(note) for note in notes if note.code is Code.CONDITIONS] == [True]
+    assert [len(record) for record in hf.read(tmp_path / "loops.csv")] == [h.size] * 2
 
 
 def test_an_open_loop_has_no_loss():
