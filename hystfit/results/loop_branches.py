@@ -183,14 +183,15 @@ def crossing(
 
 
 def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:
-    """Half the squared distance of two neighboring samples times the larger second derivative about them.
+    """Half the squared distance of two neighboring samples times the smaller second derivative on both sides of it.
 
-    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance.
+    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance. One sample that is off makes the
+    other derivative large; between samples on both sides of a steep part both are.
     """
     triples = [slice(first, first + 3) for first in (k - 1, k) if first >= 0 and first + 3 <= x.size]
     slopes = [np.diff(y[three]) / np.diff(x[three]) for three in triples if np.all(np.diff(x[three]))]
     widths = [abs(x[three][2] - x[three][0]) for three in triples if np.all(np.diff(x[three]))]
-    second = max((2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width), default=0.0)
+    second = min((2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width), default=0.0)
     return 0.5 * float((x[k + 1] - x[k]) ** 2 * second)
 
 
