@@ -1,6 +1,7 @@
 """Errors that a user can act on: every message names what was found and the remedy."""
 
 import importlib
+import warnings
 from typing import Any
 
 
@@ -32,7 +33,7 @@ class MissingExtraError(HystfitError):
 
 
 def optional(package: str, extra: str, purpose: str) -> Any:
-    """An optional package, imported now.
+    """An optional package, imported now, without its warnings: ArviZ announces changes once a day.
 
     Args:
         package: its name, or that of a module in it.
@@ -43,6 +44,8 @@ def optional(package: str, extra: str, purpose: str) -> Any:
         MissingExtraError: it is not installed.
     """
     try:
-        return importlib.import_module(package)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return importlib.import_module(package)
     except ImportError as error:
         raise MissingExtraError(package.partition(".")[0], extra, purpose) from error

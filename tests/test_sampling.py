@@ -22,7 +22,7 @@ import scipy.stats
 import hystfit as hf
 import hystfit.models
 from hystfit import priors
-from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError
+from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError, optional
 from hystfit.models import LogCreep
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
@@ -840,3 +840,12 @@ def test_a_missing_package_is_named_before_the_posterior_is_prepared(kind, fitte
     monkeypatch.setattr("hystfit.sampling.base.prepare", lambda *_, **__: 1 / 0)
     with pytest.raises(MissingExtraError, match=r"hystfit-jax\[bayes\]"):
         sample(fitted, kind)
+
+
+def test_a_package_that_warns_when_it_is_imported_says_nothing(tmp_path, monkeypatch):
+    """As ArviZ does once a day; the tests make warnings errors."""
+    (tmp_path / "announcing.py").write_text(
+        "import warnings\nwarnings.warn('we change', FutureWarning)\nready = True\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    assert optional("announcing", "bayes", "a test").ready
