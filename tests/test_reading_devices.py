@@ -88,9 +88,8 @@ def test_objects_that_take_turns_are_a_record_each(tmp_path: Path) -> None:
 
 def test_a_column_states_the_unit_of_another(tmp_path: Path) -> None:
     head = "run_id,pressure_units,loading_units,pressure,loading,uncertainty\n"
-    record = one(
-        tmp_path, head + "".join(f"1,kPa,mg,{u},{y},{k * 7 % 10}\n" for k, (u, y) in enumerate(zip(U, Y, strict=True)))
-    )
+    run, pressure, loading = (np.full(N, word) for word in ("1", "kPa", "mg"))
+    record = one(tmp_path, head + rows(",", run, pressure, loading, U, Y, np.arange(N) * 7 % 10))
     is_pair(record)
     assert (record.u_unit, record.y_unit) == ("kPa", "mg")
 

@@ -108,8 +108,9 @@ def _chattering(fitted: Fitted) -> Note | None:
     """A warning where noise reverses the input, which a model follows and the device does not."""
     if fitted.percent < VISIBLE or is_noise(fitted.train.rmse, fitted.baselines):
         return None
-    back = lambda u: 100 * np.count_nonzero(np.diff(np.sign(np.diff(u)))) / u.size
-    if not any(back(record.u) > MOST for record in fitted.parts):
+    # Each run of false steps turns the input twice: turns are counted first, as chatter needs the branches of the record.
+    turning = lambda u: 100 * np.count_nonzero(np.diff(np.sign(np.diff(u)))) / u.size
+    if not any(turning(record.u) > MOST for record in fitted.parts):
         return None
     motions = [quality.motion for quality in fitted.qualities if quality.motion.chatter_percent > MOST]
     if not motions:

@@ -149,30 +149,31 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
     below = lambda side: np.concatenate(
         [table.columns[group[side]][rows] for group, rows in zip(groups, kept, strict=True)]
     )
+    joined = dataclasses.replace(
+        table.select(first).take(np.concatenate(kept)), columns=tuple(below(side) for side in range(width)), over=()
+    )
     number = np.repeat(np.arange(len(groups)), [rows.size for rows in kept])
     base = table.parts[0] if table.parts else Part()
     titles = titles or [table.over[group[0]] if table.over else "" for group in groups]
     named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
-    if "time" in kinds and not named and width > 2:
-        clocks = [table.columns[group[kinds.index("time")]][rows] for group, rows in zip(groups, kept, strict=True)]
-        if all(one[-1] < other[0] for one, other in itertools.pairwise(clocks)):
-            joined = table.select(first).take(np.concatenate(kept))
-            pulses = tuple(dataclasses.replace(part, stated=()) for part in table.parts)  # what was stated is of pulses
-            joined = dataclasses.replace(
-                joined, columns=tuple(below(side) for side in range(width)), parts=pulses, over=()
-            )
-            text = f"{len(groups)} groups of {width} columns side by side, whose times follow each other, are read as one record"
-            return joined.noted(Note(Code.CURVES, text))
+    if "time" in kinds and not named and width > 2 and _goes_on(joined.columns[kinds.index("time")], number):
+        text = f"{len(groups)} groups of {width} columns side by side, whose times follow each other, are read as one record"
+        pulses = tuple(dataclasses.replace(part, stated=()) for part in table.parts)  # what was stated is of pulses
+        return dataclasses.replace(joined, parts=pulses).noted(Note(Code.CURVES, text))
     text = f"{len(groups)} loops side by side, each of {width} columns named alike, are read as curves"
     return dataclasses.replace(
-        table.select(first).take(np.concatenate(kept)),
-        columns=tuple(below(side) for side in range(width)),
+        joined,
         curve=number,  # where these follow each other they are the branches of one loop
         section=np.zeros_like(number),
         part=number if named else None,
         parts=tuple(dataclasses.replace(base, name=title) for title in titles) if named else table.parts,
-        over=(),
     ).noted(Note(Code.CURVES, text))
+
+
+def _goes_on(clock: np.ndarray, number: np.ndarray) -> bool:
+    """Whether each group begins later than the one before it ends."""
+    begins = np.flatnonzero(np.diff(number)) + 1
+    return bool((clock[begins] > clock[begins - 1]).all())
 
 
 def _base(name: str) -> str:
