@@ -124,7 +124,7 @@ def test_the_readme_is_a_front_page():
 
 
 def test_tables_of_accuracy_agree_with_the_experiments():
-    """Numbers of the README are those of the results, rounded; rows of the paper are rows of the results."""
+    """Numbers of the README are those of the results, rounded; rows of the paper are those of the results, times left out."""
     results = (ROOT / "experiments" / "measured" / "RESULTS.md").read_text(encoding="utf-8")
     measured = [float(cell) for cell in re.findall(r"\| (\d+(?:\.\d+)?) (?=\|)", results)]
     readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Accuracy")[2].partition("\n## ")[0]
@@ -137,7 +137,7 @@ def test_tables_of_accuracy_agree_with_the_experiments():
     known = {line for path in (ROOT / "experiments").glob("*/RESULTS.md") for line in path.read_text().splitlines()}
     quoted = [line for line in paper.splitlines() if line.startswith("| ") and re.search(r"\d\.\d", line)]
     assert quoted
-    assert [line for line in quoted if line not in known] == []
+    assert [line for line in quoted if not any(row.startswith(line) for row in known)] == []
 
 
 @pytest.mark.parametrize("name", ["control", "creep", "papers"])
