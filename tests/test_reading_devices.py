@@ -101,6 +101,22 @@ def test_numbers_of_runs_tell_curves_apart(tmp_path: Path) -> None:
     assert [record.u.size for record in data] == [N, N]
 
 
+@pytest.mark.parametrize(
+    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Current", "Torque")]
+)
+def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp_path: Path) -> None:
+    """What the controller computes ahead follows from the position without hysteresis; the position that was reached drives."""
+    noise = np.random.default_rng(3).standard_normal((3, N))
+    q, force = np.round(0.02 * U, 6), np.round(Y + np.sign(np.gradient(U)), 3)
+    columns = [0.008 * np.arange(N), q, np.round(q + 1e-4 * noise[0], 6), Y, force, np.round(2 * Y, 3)]
+    mark = "_" if names[0].islower() else ""
+    part, other, ahead = names
+    header = ["timestamp", f"target{mark}{part}", f"actual{mark}{part}"]
+    header += [f"target{mark}{other}", f"actual{mark}{other}", f"target{mark}{ahead}"]
+    record = one(tmp_path, ",".join(header) + "\n" + rows(",", *columns))
+    assert (record.u_name, record.y_name) == (header[2], header[4])
+
+
 def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
     is_pair(one(tmp_path, "FIC101.SP,FIC101.PV,FIC101.OP\n" + rows(",", np.full(N, 50), Y, U)))
 

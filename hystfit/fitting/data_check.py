@@ -20,7 +20,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
 from hystfit.quality.determination import Verdict, count
-from hystfit.quality.held_out import held_out
+from hystfit.quality.held_out import equal_errors, held_out
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
 from hystfit.runs.threads import one_blas_thread
@@ -54,7 +54,7 @@ def _checked(records: Dataset) -> QualityReport:
     shown = _traits(records, every) if every else ()
     screened = () if damaged else every
     advice = _advice(records, screened) if screened else None
-    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING)
+    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
@@ -99,9 +99,10 @@ def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]
 def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
     baselines = Baselines.of(records)
-    best = best_screened(screened, sum(int(record.used.sum()) for record in records), baselines.span)
+    samples = sum(int(record.used.sum()) for record in records)
+    best = best_screened(screened, samples, baselines.span)
     percent = 100 * best.error / baselines.span
-    if is_noise(baselines.curve, baselines) or best.error >= baselines.curve:  # a single-valued curve describes them
+    if best.error * equal_errors(samples) >= baselines.curve:  # a single-valued curve describes them
         return None
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
     return Advice(best.name, reason)

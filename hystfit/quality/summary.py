@@ -19,6 +19,7 @@ from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
 from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
 from hystfit.quality.lag import estimate_lag
+from hystfit.quality.load_control import controls_output
 from hystfit.quality.record_quality import (
     SOFTER,
     SPEEDS_APART,
@@ -161,6 +162,7 @@ def _summarize(record: Record) -> RecordQuality:
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
         slow_lag=slow_lag,
+        output_controlled=controls_output(u, y, turns),
     )
 
 

@@ -17,6 +17,7 @@ _WORDS, _ROLES = (
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _DRIVERS = frozenset(_VOCABULARY["drivers"].split())
+_MEASURED = frozenset(_VOCABULARY["measured"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
@@ -26,6 +27,8 @@ _TERMINAL = re.compile(
     r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?|([VI])_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate)\d?"
 )
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+# Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
+_ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -89,6 +92,8 @@ def column_unit(name: str, unit: str) -> str:
 @_of_names
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
+    if entity := _ENTITY.fullmatch(name):
+        return "input" if entity[1] else "output"
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
@@ -102,6 +107,13 @@ def column_role(name: str) -> str:
 def is_bare_role(name: str) -> bool:
     """Whether the name of a column says which role it has and nothing of its quantity ("Sensor output")."""
     return column_role(name) != "" and not _named_quantities(split_unit(name)[0].strip())
+
+
+@_of_names
+def without_role(name: str) -> str:
+    """A name without the words that say whether it is commanded or measured: q_1 of target_q_1 and of actual_q_1."""
+    words = re.split(r"[\W_]+|(?<=[a-z])(?=[A-Z])", _field(split_unit(name)[0].strip()))
+    return " ".join(word.lower() for word in words if word.lower() not in _ROLES and word.lower() not in _MEASURED)
 
 
 @_of_names

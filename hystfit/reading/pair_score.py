@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary
+from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
@@ -46,8 +46,8 @@ _STATED, _CONTRARY = 3.2, -1.0
 _BARE = (
     -1.0
 )  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
-# Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
-# differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
+# Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output
+# there. The two are of one unit, or named alike, and differ by less than that part of the range: following errors are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
 # a part; the component of a field across its direction, or its size, which has no sign. Points of components along one axis (Bx, mx).
@@ -177,14 +177,13 @@ class _Evidence:
         points = (
             self._of_quantity(i, _DRIVE, told=self._stated[i] == "input" or self._stated[o] == "output")
             + self._of_quantity(o, _RESPONSE, told=self._stated[o] == "output")
-            + _PAIRS.get((kinds[i], kinds[o]), 0.0)
+            + self._of_pair(i, o)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
         points += _ALONG * (self._axis[i] == self._axis[o] != "")
-        if kinds[i] != kinds[o] and self._is_measured[i]:
-            points += _OVERTAKEN
+        points += _OVERTAKEN * self._set_values(i, o)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
@@ -291,20 +290,40 @@ class _Evidence:
         return _ByColumn(partial)
 
     @functools.cached_property
-    def _is_measured(self) -> _ByColumn:
-        """Whether another column is the measurement of a commanded one, by column."""
-        table = self.table
+    def _measured(self) -> dict[int, int]:
+        """The measurement of each commanded column that has one."""
+        commands = [k for k in self.ranks if self._stated[k] == "input"]
+        others = [
+            k for k in self.ranks if commands and self._stated[k] != "input" and not _is_raw_signal(self.table, k)
+        ]
+        return {k: j for k, j in itertools.product(commands, others) if self._follows(j, k)}
 
-        def measured(k: int) -> bool:
-            command = table.columns[k]
-            others = [
-                j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""
-            ]
-            others = [j for j in others if j != k and self._stated[j] != "input" and not _is_raw_signal(table, j)]
-            near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * extent(command)
-            return self._stated[k] == "input" and any(map(near, others))
+    def _follows(self, j: int, k: int) -> bool:
+        """Whether column j measures what column k commands."""
+        names, units, columns = self.table.names, self.table.units, self.table.columns
+        alike = units[j] == units[k] != "" or without_role(names[j]) == without_role(names[k]) != ""
+        if self.kinds[j] != self.kinds[k] or not alike:
+            return False
+        return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
 
-        return _ByColumn(measured)
+    def _set_values(self, i: int, o: int) -> int:
+        """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
+
+        Beside a position that is followed, forces and currents are computed from its command.
+        """
+        ahead = self.kinds[i] in ("force", "current") and any(
+            self.kinds[k] in ("displacement", "") for k in self._measured
+        )
+        instead = self._stated[i] == "input" and (ahead or (i in self._measured and self.kinds[i] != self.kinds[o]))
+        return instead + (bool(self._measured) and self._stated[o] == "input")
+
+    def _of_pair(self, i: int, o: int) -> float:
+        """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
+        kinds = self.kinds[i], self.kinds[o]
+        beside = o if kinds[0] == "current" else i
+        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in self._measured.values():
+            return _PAIRS["current", "displacement"] * (beside == i)
+        return _PAIRS.get(kinds, 0.0)
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:

@@ -173,6 +173,8 @@ def crossing(
             )
             error = float(np.hypot(error, (level[k] / step) * (1 + level[k] / step) * curved))
         return float(values[k] - level[k] * run / step), error
+    if not np.ptp(values[near]):  # an input that is switched between levels
+        return None
     # Noise crosses zero several times: a straight line through the samples about it.
     slope, offset = np.polyfit(values[near], level[near], 1)
     at = -offset / slope
