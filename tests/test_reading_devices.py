@@ -102,7 +102,7 @@ def test_numbers_of_runs_tell_curves_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Current", "Torque")]
+    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Iq", "Torque")]
 )
 def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp_path: Path) -> None:
     """What the controller computes ahead follows from the position without hysteresis; the position that was reached drives."""
@@ -301,6 +301,64 @@ def test_a_pickle_is_named(tmp_path: Path) -> None:
 
 def test_pressures_by_their_letter() -> None:
     assert [column_quantity(name) for name in ("p (kPa)", "P [bar]", "p (kN)")] == ["pressure", "pressure", "force"]
+
+
+@pytest.mark.parametrize(
+    ("header", "pair"),
+    [
+        ("Shear Rate [1/s],Shear Stress [Pa],Viscosity [Pa·s],Torque [µNm]", (0, 1)),  # thixotropy
+        ("lambda_11,lambda_22,P11_kPa,Temp_C", (0, 2)),  # stretches of tissue
+        ("slip_ratio,sinkage_mm,drawbar_pull_N,torque_Nm", (0, 2)),
+    ],
+)
+def test_columns_beside_each_other_in_tables_of_devices(header: str, pair: tuple[int, int], tmp_path: Path) -> None:
+    names = header.split(",")
+    others = {k: np.round(5 + 0.1 * U**0.5 + 0.01 * (k + 1) * Y, 4) for k in range(len(names))}
+    table = rows(",", *({**others, pair[0]: U, pair[1]: Y}[k] for k in range(len(names))))
+    record = one(tmp_path, f"{header}\n{table}")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == (names[pair[0]], names[pair[1]])
+
+
+def test_a_flow_is_the_rate_of_a_volume(tmp_path: Path) -> None:
+    record = one(tmp_path, "Paw_cmH2O,Flow_L_s,Volume_L\n" + rows(",", U, np.round(np.gradient(Y), 4), Y))
+    is_pair(record)
+
+
+def test_a_monitor_counts_less_only_beside_the_quantity_itself(tmp_path: Path) -> None:
+    rate = np.round(np.gradient(U), 3)
+    is_pair(one(tmp_path, "HV monitor [kV],Current [uA],Laser [um]\n" + rows(",", U, rate, Y)))
+    is_pair(one(tmp_path, "HV monitor [kV],HV [kV],Laser [um]\n" + rows(",", U + 0.3 * rate, U, Y)))
+
+
+def test_what_a_controller_reached_has_words_of_its_own(tmp_path: Path) -> None:
+    noisy = np.round(U + 0.01 * np.random.default_rng(4).standard_normal(N), 3)
+    is_pair(one(tmp_path, "P_des_bar,P_meas_bar,Length_mm\n" + rows(",", U, noisy, Y)), u=noisy)
+
+
+def test_names_of_units_in_columns(tmp_path: Path) -> None:
+    record = one(tmp_path, "millis,angle_deg,moment_Nm_kg\n" + rows(",", 7 * np.arange(N), U, Y))
+    is_pair(record)
+    assert (record.t_unit, record.y_unit) == ("ms", "Nm/kg")
+    force = one(tmp_path, "Force,Distance,Time\ng,mm,sec\n" + rows(",", Y, U, 0.1 * np.arange(N)))
+    is_pair(force)
+    flow = one(tmp_path, "SSC_mgL,Q_cms\n" + rows(",", Y, U))
+    assert flow.y_unit == "m3/s"
+    assert column_quantity("P_11") == column_quantity("P")
+
+
+def test_a_header_with_rows_of_settings_is_no_table(tmp_path: Path) -> None:
+    """The calibration of channels and the protocol above the data of a muscle lever."""
+    head = (
+        "Sample Frequency (Hz): 100\nCalibration Data:\nChannel\tAI0\tAI1\nUnits\tmm\tmN\nScale (units/V)\t0.5\t50.0\n"
+    )
+    head += "Offset (volts)\t0.0\t0.0\nTADs\t0\t0\n\n*** Protocol ***\nTime (ms)\tControl Function\tOptions\n0.0\tSine\t1 Hz\n\n"
+    record = one(
+        tmp_path, f"{head}Test Data in Volts:\nSample\tAI0\tAI1\n" + rows("\t", np.arange(N), U, Y), "work.ddf"
+    )
+    is_pair(record, u=0.5 * U, y=50 * Y)
+    assert record.t is not None
+    np.testing.assert_allclose(record.t, 0.01 * np.arange(N))
 
 
 @pytest.mark.parametrize("names", ["y (mm),p (kN/m)", "y (mm),F (kN)", "Drift (mm),v (kN/m)"])

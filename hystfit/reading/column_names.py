@@ -63,13 +63,13 @@ def column_quantity(name: str, unit: str = "") -> str:
     for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
-    named = kinds[-1] if kinds else ""
+    named = _WORDS.get(_joined(base)) or (kinds[-1] if kinds else "")
     if named == "charge" and (unit or unit_of_name) and not by_unit:
         return ""  # Q in m3/s is a flow
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
-    if named == "wavelength" and base.lower() in ("λ", "lambda"):
-        return "strain"  # of a magnetostrictive material
+    if named == "wavelength" and base.lower().startswith(("λ", "lambda")):
+        return "strain"  # of a magnetostrictive material, or a stretch
     return by_unit or named or ("velocity" if base == "v" else "")
 
 
@@ -97,8 +97,11 @@ def column_role(name: str) -> str:
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
-    roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
-    if roles == {"output"} and _DRIVERS.intersection(_words(base)):
+    words = _words(base)
+    roles = {_ROLES[word] for word in words if word in _ROLES}
+    if roles == {"input"} and _MEASURED.intersection(words):
+        return ""  # what supplies a controller that reports its input voltage
+    if roles == {"output"} and _DRIVERS.intersection(words):
         return "input"
     return roles.pop() if len(roles) == 1 else ""
 
@@ -143,4 +146,9 @@ def _words(base: str) -> list[str]:
     """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
     tokens = [token.strip() for token in base.lower().split("_")]
     camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
-    return [base.lower(), *tokens, *camel]
+    return [base.lower(), _joined(base), *tokens, *camel]
+
+
+def _joined(base: str) -> str:
+    """A whole name as one word: shear_rate of "Shear Rate"."""
+    return base.lower().replace(" ", "_")

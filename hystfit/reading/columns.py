@@ -28,6 +28,7 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
+_FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -315,11 +316,12 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F, and a V that is the rate of D."""
-    first, *others = [k for k in free if kinds[k] == "" and not column_role(table.names[k])] or [-1]
-    for k in others if len(others) > 1 else ():
-        if _is_rate(table.columns[k], table.columns[first]):
-            kinds[k] = "velocity"
+    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
+    unknown = [k for k in free if kinds[k] == "" and not column_role(table.names[k])][:_FEW_UNKNOWN]
+    if len(unknown) > 2 or len(free) > len(unknown) > 1:
+        for k, of in itertools.permutations(unknown, 2):
+            if kinds[of] == "" and _is_rate(table.columns[k], table.columns[of]):
+                kinds[k] = "velocity"
     bare = {table.names[k]: k for k in free if not table.units[k]}
     if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
         kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}

@@ -31,7 +31,7 @@ from hystfit.reading.signal_evidence import (
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "mass": 0.8,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "": 0.8, "mass": 0.8,
     "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
@@ -59,7 +59,8 @@ _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "c
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
-    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0, ("strain", "stress"): 4.0}
+    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0}
+    | {("strain", "stress"): 4.0, ("shear rate", "stress"): 4.0}
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
@@ -245,13 +246,18 @@ class _Evidence:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
             return (
-                _SECONDARY * secondary(table.names[k])
+                _SECONDARY * self._is_secondary(k)
                 + _RAW_VOLTS * _is_raw_signal(table, k)
                 + _IS_SET * few
                 + _HELD * self._is_held[k]
             )
 
         return _ByColumn(points)
+
+    def _is_secondary(self, k: int) -> int:
+        """By how many words of its name a column comes after another one of its quantity."""
+        alike = [secondary(self.table.names[j]) for j in self.ranks if self.kinds[j] == self.kinds[k]]
+        return secondary(self.table.names[k]) - min(alike, default=0)
 
     @functools.cached_property
     def _is_held(self) -> _ByColumn:

@@ -13,7 +13,10 @@ from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _SETTING = re.compile(r"\s*\*?\s*(Time|Data)\s*=\s*(\S.*?)\s*", re.IGNORECASE)
-_DATA = re.compile(r"^[ \t]*\*?[ \t]*data[ \t]*=", re.IGNORECASE | re.MULTILINE)
+# The line above the rows of nodes or elements: "displacements (vx,vy,vz) for set TOP and time 0.1".
+_CAPTION = re.compile(r"[ \t]*(?P<kind>[a-z][a-z ]*) \((?P<words>[\w ,.]+)\).*\btime +(?P<time>[\d.eE+-]+)[ \t]*")
+_ITEMS = ("elem", "integ.pnt.")
+_BEGIN = re.compile(rf"^[ \t]*\*?[ \t]*data[ \t]*=|^{_CAPTION.pattern}$", re.IGNORECASE | re.MULTILINE)
 _ROW = re.compile(r"\s*\d+(?:[\s,;]+[+-]?[\d.][\d.eE+-]*)+\s*")
 _FEWEST = 4  # blocks
 # What the letters of finite-element programs stand for beside each other: displacements and reactions along the axes.
@@ -22,7 +25,7 @@ _MEANINGS = {"u": "displacement", "R": "reaction force"}
 
 def read_snapshots(text: TextFile) -> Table | None:
     """Logs of finite-element programs, a block for each time with a row for each node or element; None for other text."""
-    if _DATA.search(text.content) is None:
+    if _BEGIN.search(text.content) is None:
         return None
     values: dict[str, dict[str, str]] = collections.defaultdict(dict)
     for time, name, value in _values(text):
@@ -59,15 +62,22 @@ def _values(text: TextFile) -> Iterator[tuple[str, str, str]]:
     """Time, name with its item ("x displacement of 5") and number of every value."""
     time, titles = "", []
     for line in text.lines:
-        if setting := _SETTING.fullmatch(line):
+        if caption := _CAPTION.fullmatch(line):
+            time, kind = caption["time"], re.sub(r"(?<=ss)es$|s$", "", caption["kind"])
+            titles = [f"{word.strip()} {kind}" for word in caption["words"].split(",") if word.strip() not in _ITEMS]
+        elif setting := _SETTING.fullmatch(line):
             if setting[1].lower() == "time":
                 time = setting[2]
             else:
                 titles = [_title(word.strip()) for word in setting[2].split(";")]
         elif titles and _ROW.fullmatch(line):
-            item, *numbers = re.split(r"[\s,;]+", line.strip())
-            if len(numbers) == len(titles):
-                yield from ((time, f"{title} of {item}", number) for title, number in zip(titles, numbers, strict=True))
+            cells = re.split(r"[\s,;]+", line.strip())
+            item = " ".join(cells[: -len(titles)])
+            if item:
+                yield from (
+                    (time, f"{title} of {item}", cell)
+                    for title, cell in zip(titles, cells[-len(titles) :], strict=True)
+                )
         elif line.strip():
             titles = titles if "=" in line else []
 
