@@ -102,7 +102,7 @@ def test_numbers_of_runs_tell_curves_apart(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Iq", "Torque")]
+    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Current", "Torque")]
 )
 def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp_path: Path) -> None:
     """What the controller computes ahead follows from the position without hysteresis; the position that was reached drives."""
