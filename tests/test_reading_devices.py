@@ -308,6 +308,10 @@ def test_pressures_by_their_letter() -> None:
     [
         ("Shear Rate [1/s],Shear Stress [Pa],Viscosity [Pa·s],Torque [µNm]", (0, 1)),  # thixotropy
         ("lambda_11,lambda_22,P11_kPa,Temp_C", (0, 2)),  # stretches of tissue
+        ("ShearStress(kPa),ShearStrain(%),NormalStress(kPa),VertStrain(%)", (1, 0)),
+        ("Vert_Force_kN,Hor_Force_X_kN,Hor_Force_Y_kN,Disp_X_mm,Disp_Y_mm", (3, 1)),
+        ("input_shaft_deg,output_shaft_deg,input_torque_Nm", (0, 1)),
+        ("Axial Strain (%),Mean Stress (kPa),Deviator Stress (kPa),Eff. Axial Stress (kPa)", (0, 2)),
         ("slip_ratio,sinkage_mm,drawbar_pull_N,torque_Nm", (0, 2)),
     ],
 )
@@ -345,6 +349,15 @@ def test_names_of_units_in_columns(tmp_path: Path) -> None:
     flow = one(tmp_path, "SSC_mgL,Q_cms\n" + rows(",", Y, U))
     assert flow.y_unit == "m3/s"
     assert column_quantity("P_11") == column_quantity("P")
+    assert column_quantity("Ta_C") == "temperature"
+
+
+def test_a_table_of_a_dynamometer(tmp_path: Path) -> None:
+    """Names of which one has a bracket, and units under all but the first."""
+    head = "Side: Right\nmSec  TORQUE  POSITION  POS (ANAT)  VELOCITY\n       N-M     DEGREES   DEGREES   DEG/SEC\n"
+    record = one(tmp_path, head + rows("  ", 10 * np.arange(N), Y, U, U + 90, np.round(np.gradient(U), 2)), "test.txt")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit, record.t_unit) == ("DEGREES", "", "mSec")
 
 
 def test_a_header_with_rows_of_settings_is_no_table(tmp_path: Path) -> None:

@@ -40,8 +40,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if base == "T" and by_unit in ("charge", "capacitance"):
-        return "temperature"  # degrees Celsius without their sign
+    if re.fullmatch(r"T[a-z0-9]*", base) and by_unit in ("charge", "capacitance"):
+        return "temperature"  # T or Ta in degrees Celsius without their sign
     if base in ("p", "P") and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress
     base = _field(base)
@@ -98,6 +98,8 @@ def column_role(name: str) -> str:
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     words = _words(base)
+    if len(base) > 1 and _named_quantities(base):  # Force_Y is along an axis
+        words = [word for word in words if len(word) > 1]
     roles = {_ROLES[word] for word in words if word in _ROLES}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage
@@ -117,6 +119,16 @@ def without_role(name: str) -> str:
     """A name without the words that say whether it is commanded or measured: q_1 of target_q_1 and of actual_q_1."""
     words = re.split(r"[\W_]+|(?<=[a-z])(?=[A-Z])", _field(split_unit(name)[0].strip()))
     return " ".join(word.lower() for word in words if word.lower() not in _ROLES and word.lower() not in _MEASURED)
+
+
+@_of_names
+def parts_of(name: str) -> frozenset[str]:
+    """Words, letters and numbers in a name that tell which part of a device or axis it is of: x of Disp_X_mm, joint and 1 of joint_1."""
+    return frozenset(
+        re.findall(
+            r"[a-z]{2,}|(?<![a-z])[a-z](?![a-z])|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", split_unit(name)[0]).lower()
+        )
+    )
 
 
 @_of_names

@@ -231,6 +231,8 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         many: whether there are more columns than a pair.
     """
     among = lambda *names: any(kinds[k] in names for k in free)
+    if among("strain"):
+        kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
     if among("displacement"):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     if not among("field", "induction", "voltage", "electric field"):  # q beside a torque is an angle of a joint

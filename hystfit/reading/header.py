@@ -163,7 +163,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     width = len(names)
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
     known = {unit_key(key): unit for key, unit in settings}
-    if any(named := [unit if is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
+    if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
         return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]

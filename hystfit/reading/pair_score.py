@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary, without_role
+from hystfit.reading.column_names import column_role, is_bare_role, is_channel, parts_of, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
@@ -52,6 +52,8 @@ _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
 # a part; the component of a field across its direction, or its size, which has no sign. Points of components along one axis (Bx, mx).
 _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+# Points of two columns of one part or axis by their names: more than those of two places.
+_SAME_PART = 0.5
 _OF_PARTS = ("displacement", "field", "induction")
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
@@ -183,7 +185,7 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
-        points += _ALONG * (self._axis[i] == self._axis[o] != "")
+        points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
@@ -225,6 +227,11 @@ class _Evidence:
         named = {k: name for k, name in enumerate(self.table.names) if self.table.named}
         bare = {k for k, name in named.items() if k in of_length and split_unit(name)[0].strip().lower() == "y"}
         return {k: column_role(named[k]) if k in named and k not in bare else "" for k in range(len(self.table.names))}
+
+    def _of_one_part(self, i: int, o: int) -> bool:
+        """Whether two columns have a word in their names that tells them from others: Disp_X and Force_X, ShearStrain and ShearStress."""
+        shared = parts_of(without_role(self.table.names[i])) & parts_of(without_role(self.table.names[o]))
+        return any(not all(word in parts_of(self.table.names[k]) for k in self.ranks) for word in shared)
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
@@ -290,7 +297,10 @@ class _Evidence:
 
         def partial(k: int) -> bool:
             whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
-            of_part = bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            of_part = (
+                bool(self.table.units[k] or self.kinds[k] == "strain")
+                and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            )
             return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
