@@ -312,6 +312,10 @@ def test_pressures_by_their_letter() -> None:
         ("Vert_Force_kN,Hor_Force_X_kN,Hor_Force_Y_kN,Disp_X_mm,Disp_Y_mm", (3, 1)),
         ("input_shaft_deg,output_shaft_deg,input_torque_Nm", (0, 1)),
         ("Axial Strain (%),Mean Stress (kPa),Deviator Stress (kPa),Eff. Axial Stress (kPa)", (0, 2)),
+        ("Valve Position (%),Flow Rate (GPM),Ambient Temp (C)", (0, 1)),
+        ("Stage (m),Discharge (m3/s)", (0, 1)),
+        ("vwc_m3m3,matric_potential_kPa,soil_temp_C", (1, 0)),
+        ("J1_pos,J2_pos,J1_trq,J2_trq", (0, 2)),
         ("slip_ratio,sinkage_mm,drawbar_pull_N,torque_Nm", (0, 2)),
     ],
 )
@@ -322,6 +326,20 @@ def test_columns_beside_each_other_in_tables_of_devices(header: str, pair: tuple
     record = one(tmp_path, f"{header}\n{table}")
     is_pair(record)
     assert (record.u_name, record.y_name) == (names[pair[0]], names[pair[1]])
+
+
+@pytest.mark.parametrize("names", [["q1_mm", "tip_x_mm", "tip_y_mm"], ["Fx (N)", "Fy (N)", "Fz (N)", "Mx (Nm)"]])
+def test_of_columns_of_one_quantity_the_user_chooses(names: list[str], tmp_path: Path) -> None:
+    columns = (np.round(U + k * Y**0.5, 3) for k in range(len(names)))
+    with pytest.raises(DataError, match="nothing in the file tells"):
+        one(tmp_path, ",".join(names) + "\n" + rows(",", *columns))
+
+
+def test_variables_of_a_plot_file(tmp_path: Path) -> None:
+    head = 'variables = "time" "alpha" "CL" "CM"\nzone t="run 12"\n'
+    record = one(tmp_path, head + rows(" ", 0.1 * np.arange(N), U, Y, np.round(0.2 * U**0.5, 4)), "stall.dat")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("alpha", "CL")
 
 
 def test_a_flow_is_the_rate_of_a_volume(tmp_path: Path) -> None:

@@ -57,6 +57,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
+    if by_unit == "stress" and "potential" in _words(base):
+        return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
             return strong
@@ -97,9 +99,8 @@ def column_role(name: str) -> str:
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
-    words = _words(base)
-    if len(base) > 1 and _named_quantities(base):  # Force_Y is along an axis
-        words = [word for word in words if len(word) > 1]
+    first = base.lower().partition("_")[0]
+    words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
     roles = {_ROLES[word] for word in words if word in _ROLES}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage

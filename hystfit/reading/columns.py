@@ -186,7 +186,12 @@ def _guess_pair(
             kinds[k] = "time"
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
-    near = [reading for reading in ordered[1:] if best.points - reading.points < TIE]
+    alike = _one_quantity(table, free, kinds, best) if not given else set()
+    near = [
+        reading
+        for reading in ordered[1:]
+        if best.points - reading.points < TIE or {reading.input, reading.output} <= alike
+    ]
     if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
         raise _undecided(table, best, other)
     nameless = not (table.named or given)
@@ -207,6 +212,17 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _one_quantity(table: Table, free: Sequence[int], kinds: Mapping[int, str], best: Reading) -> set[int]:
+    """Three or more columns of the quantity of both columns of a reading, such as coordinates of a tip; none where names tell them apart.
+
+    Which of them drives another is open, unless they are the columns of a matrix, which are samples of loops.
+    """
+    roles = any(column_role(table.names[k]) for k in (best.input, best.output))
+    alike = {k for k in free if kinds[k] == kinds[best.input] == kinds[best.output] != ""}
+    matrix = table.names[best.input].endswith("]")
+    return alike if len(alike) > 2 and not roles and not matrix else set()
 
 
 def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int | None) -> DataError:
@@ -319,10 +335,10 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
     """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
-    unknown = [k for k in free if kinds[k] == "" and not column_role(table.names[k])][:_FEW_UNKNOWN]
+    unknown = [k for k in free if kinds[k] in ("", "flow") and not column_role(table.names[k])][:_FEW_UNKNOWN]
     if len(unknown) > 2 or len(free) > len(unknown) > 1:
         for k, of in itertools.permutations(unknown, 2):
-            if kinds[of] == "" and _is_rate(table.columns[k], table.columns[of]):
+            if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
     bare = {table.names[k]: k for k in free if not table.units[k]}
     if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):

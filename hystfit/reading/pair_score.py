@@ -31,14 +31,14 @@ from hystfit.reading.signal_evidence import (
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "": 0.8, "mass": 0.8,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8,
     "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
-    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3,
+    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
 }  # fmt: skip
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
@@ -79,7 +79,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     | dict.fromkeys(  # sensors, and converters of a current to a pressure
         [
             *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),
-            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"),
+            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"), ("displacement", "flow"),
         ],
         3.0,
     )
