@@ -185,7 +185,7 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
-        points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
+        points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * bool(self._parts[i] & self._parts[o])
         points += _OVERTAKEN * self._set_values(i, o)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
@@ -228,10 +228,15 @@ class _Evidence:
         bare = {k for k, name in named.items() if k in of_length and split_unit(name)[0].strip().lower() == "y"}
         return {k: column_role(named[k]) if k in named and k not in bare else "" for k in range(len(self.table.names))}
 
-    def _of_one_part(self, i: int, o: int) -> bool:
-        """Whether two columns have a word in their names that tells them from others: Disp_X and Force_X, ShearStrain and ShearStress."""
-        shared = parts_of(without_role(self.table.names[i])) & parts_of(without_role(self.table.names[o]))
-        return any(not all(word in parts_of(self.table.names[k]) for k in self.ranks) for word in shared)
+    @functools.cached_property
+    def _parts(self) -> dict[int, frozenset[str]]:
+        """Words in the name of each column that tell it from others: x of Disp_X beside Disp_Y, shear of ShearStrain."""
+        words = {
+            k: parts_of(without_role(name)) if self.table.named else frozenset()
+            for k, name in enumerate(self.table.names)
+        }
+        common = frozenset.intersection(*(words[k] for k in self.ranks)) if self.ranks else frozenset()
+        return {k: own - common for k, own in words.items()}
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
