@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.signal
 import scipy.special
 import scipy.stats
@@ -37,6 +38,7 @@ from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import checked, prepare
 from hystfit.sampling.shear import Shear
+from hystfit.sampling.split import Split
 from hystfit.sampling.target import Target
 
 
@@ -182,6 +184,54 @@ def test_nuts_follows_a_ridge_into_a_bound(fitted):
         inside, share = (x > place).astype(float), truth.sf(place)
         assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
     assert effective_size(x) > 0.15 * steps
+
+
+def test_amounts_of_a_whole_and_its_part_have_a_map_with_determinant_one():
+    z = jnp.asarray(np.random.default_rng(0).normal(size=(20, 5)) * 3)
+    off, on = Split.all_of(((0, 2), (3, 4)))
+    assert off is not None and on is not None
+    np.testing.assert_array_equal(off.z_of(z), z)
+    w = on.of_z(z)
+    np.testing.assert_allclose(on.z_of(w), z, atol=1e-9)
+    whole, part = np.exp(z[:, [0, 3]]), scipy.special.expit(z[:, [2, 4]])
+    np.testing.assert_allclose(np.exp(w[:, [0, 3]]), whole * (1 - part), rtol=1e-9)
+    np.testing.assert_allclose(np.exp(w[:, [2, 4]]), whole * part, rtol=1e-9)
+    determinants = jnp.linalg.det(jax.vmap(jax.jacfwd(on.z_of))(w))
+    np.testing.assert_allclose(jnp.abs(determinants), 1.0, rtol=1e-9)
+
+
+def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():
+    """Little saturation shows a = c (1 - mu) and b = mu c tau; over mu c, least squares and priors give the posterior on a grid."""
+    phase = np.linspace(0, 4 * np.pi, 200)
+    u = np.linspace(0.3, 1, 200) * np.sin(phase)
+    truth = hf.BoucWen(c=50.0, mu=0.3, tau=0.01, rho=0.2, scheme="exact")
+    y = np.asarray(hf.simulate(truth, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=u.size)
+    fit = hf.fit(truth, hf.Record(u=u, y=y), noise="iid", fix=["rho"])
+    wide = dict.fromkeys(["c", "tau"], priors.LogNormal(1.0, 3.0))
+    made = sample(fit, "nuts", noise="iid", priors=wide, draws=200, warmup=200)
+    assert made.status is Status.OK
+
+    def residual(logs, amount):
+        a, b = np.exp(logs)
+        model = dataclasses.replace(truth, c=a + amount, mu=amount / (a + amount), tau=b / amount)
+        r = y - np.asarray(hf.simulate(model, u)[0])
+        return (r - r.mean()) / 0.01
+
+    logs, rows = np.log([35.0, 0.15]), []
+    for log_amount in np.linspace(8.0, -2.0, 41):
+        found = scipy.optimize.least_squares(residual, logs, args=(np.exp(log_amount),), x_scale=[1e-4, 0.1])
+        logs, c = found.x, np.exp(found.x[0]) + np.exp(log_amount)
+        mu, log_tau = np.exp(log_amount) / c, found.x[1] - log_amount
+        prior = -0.5 * (np.log(c) ** 2 + log_tau**2) / 9 + np.log(mu * (1 - mu))
+        rows.append((mu, prior - found.cost - 0.5 * np.linalg.slogdet(found.jac.T @ found.jac)[1]))
+    mu, log_weight = np.array(rows[::-1]).T
+    weight = np.exp(log_weight - log_weight.max())
+    below = np.cumsum(weight) - 0.5 * weight
+    draws = made.draws[:, :, made.names.index("mu")]
+    for share in (0.25, 0.5, 0.75):
+        place = np.interp(share, below / weight.sum(), mu)
+        inside = (draws < place).astype(float)
+        assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
 
 
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
