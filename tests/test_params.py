@@ -68,18 +68,6 @@ def test_nested_models_are_named_after_their_class() -> None:
     assert twice.vector(twice.template).tolist() == [1.0, 2.0]
 
 
-def test_a_part_is_found_beside_its_whole_where_both_are_free() -> None:
-    two = Sum(BoucWen(), Series(BoucWen(), LogCreep()))
-    space = ParameterSpace.of(two)
-    assert [(space.names[j], space.names[k]) for j, k in space.parts] == [
-        ("parts.bouc_wen.c", "parts.bouc_wen.mu"),
-        ("series.parts.bouc_wen.c", "series.parts.bouc_wen.mu"),
-    ]
-    assert ParameterSpace.of(BoucWen(), fix=["c"]).parts == ()
-    assert ParameterSpace.of(BoucWen(), fix=["mu"]).parts == ()
-    assert ParameterSpace.of(Viscous()).parts == ()
-
-
 @pytest.mark.parametrize("pack", [tuple, list, lambda p: Pair(*p), lambda p: dict(zip("mn", p, strict=True))])
 def test_a_model_with_its_noise_is_one_space(pack: Any) -> None:
     space = ParameterSpace.of(pack([BoucWen(c=2.0), Noise()]), fix={"sigma": 0.2})

@@ -24,7 +24,9 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError, optional
-from hystfit.models import LogCreep
+from hystfit.inference.noise import White
+from hystfit.inference.problem import Problem
+from hystfit.models import LogCreep, Series, Sum
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.base import AbstractSampler, Raw
@@ -38,7 +40,7 @@ from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import checked, prepare
 from hystfit.sampling.shear import Shear
-from hystfit.sampling.split import Split
+from hystfit.sampling.slope_coordinates import SlopeCoordinates
 from hystfit.sampling.target import Target
 
 
@@ -186,18 +188,26 @@ def test_nuts_follows_a_ridge_into_a_bound(fitted):
     assert effective_size(x) > 0.15 * steps
 
 
-def test_amounts_of_a_whole_and_its_part_have_a_map_with_determinant_one():
-    z = jnp.asarray(np.random.default_rng(0).normal(size=(20, 5)) * 3)
-    off, on = Split.all_of(((0, 2), (3, 4)))
-    assert off is not None and on is not None
-    np.testing.assert_array_equal(off.z_of(z), z)
-    w = on.of_z(z)
-    np.testing.assert_allclose(on.z_of(w), z, atol=1e-9)
-    whole, part = np.exp(z[:, [0, 3]]), scipy.special.expit(z[:, [2, 4]])
-    np.testing.assert_allclose(np.exp(w[:, [0, 3]]), whole * (1 - part), rtol=1e-9)
-    np.testing.assert_allclose(np.exp(w[:, [2, 4]]), whole * part, rtol=1e-9)
-    determinants = jnp.linalg.det(jax.vmap(jax.jacfwd(on.z_of))(w))
-    np.testing.assert_allclose(jnp.abs(determinants), 1.0, rtol=1e-9)
+def test_slope_coordinates_hold_the_slope_between_the_tips_and_have_determinant_one():
+    """Of two Bouc-Wen parts, one of which has its c fixed; the slope is that of a simulated steady loop."""
+    record = dataclasses.replace(loop()[0], t=0.01 * np.arange(500))
+    model = Sum(Series(LogCreep(), hf.BoucWen(c=2.0, mu=0.3, tau=1.5, rho=0.0)), hf.BoucWen())
+    problem = Problem(model, [record], fix=["parts.bouc_wen.c"]).with_noise(White())
+    density, names = problem.density, problem.space.names
+    slopes = SlopeCoordinates.of(density)
+    assert slopes is not None
+    assert [names[k] for k in (*slopes.c, *slopes.mu)] == ["series.parts.bouc_wen.c", "series.parts.bouc_wen.mu"]
+    z = jnp.asarray(np.random.default_rng(0).normal(size=(20, len(names) + 1)))
+    w = slopes.of_z(density, z)
+    np.testing.assert_allclose(slopes.z_of(density, w), z, atol=1e-12)
+    to_z = lambda w: slopes.z_of(density, w)
+    np.testing.assert_allclose(jnp.linalg.det(jax.vmap(jax.jacfwd(to_z))(w)), 1.0, rtol=1e-12)
+    for tau in (1e-5, 0.01, 0.3, 2.0, 50.0):
+        one = hf.BoucWen(c=2.0, mu=0.9, tau=tau, rho=0.0, scheme="exact")
+        u = 0.7 * np.sin(np.linspace(0, 2 * np.pi * 40, 40 * 400 + 1))
+        y = np.asarray(hf.simulate(one, u)[0])
+        tips = (y[-301] - y[-101]) / 1.4
+        assert 2.0 * np.exp(float(one.log_secant(jnp.asarray(0.7)))) == pytest.approx(tips, rel=0.02)
 
 
 def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():

@@ -27,6 +27,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
+from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
@@ -38,7 +39,7 @@ from hystfit.quality.needs import Needs
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
-class BoucWen(AbstractHysteresis):
+class BoucWen(AbstractHysteresis, AbstractSecant):
     """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
     Here delta = rho tau. With |rho| < 1 the loop is dissipative, and |h| <= mu c / (tau + delta). The classic form with A, beta, gamma
@@ -63,9 +64,7 @@ class BoucWen(AbstractHysteresis):
     )
 
     c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(
-        0.4, bounds=(0.0, 1.0), part_of="c", doc="part of the slope that the hysteresis takes at a reversal"
-    )
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
     tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
     rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     h0: Scalar = param(

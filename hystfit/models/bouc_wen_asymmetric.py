@@ -27,13 +27,14 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import legendre_series
+from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 
-class AsymmetricBoucWen(AbstractHysteresis):
+class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
     """Generalized Bouc-Wen for asymmetric loops and any exponent n:
 
         dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1),    H = mu c / (tau + delta),
@@ -58,9 +59,7 @@ class AsymmetricBoucWen(AbstractHysteresis):
     )
 
     c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(
-        0.4, bounds=(0.0, 1.0), part_of="c", doc="part of the slope that the hysteresis takes at a reversal"
-    )
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
     tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
     rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     n: Scalar = param(1.0, bounds=(0.5, 12.0), doc="sharpness of the knee")

@@ -32,7 +32,6 @@ class ParamInfo:
         per_record: each record of a fit has its own value.
         linear: the output of the model is linear in it.
         common: one value serves all records of this model, although each record of others has its own.
-        part_of: name of the parameter beside it, not negative, of which this one is a part between 0 and 1.
     """
 
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -43,7 +42,6 @@ class ParamInfo:
     per_record: bool = False
     linear: bool = False
     common: bool = False
-    part_of: str = ""
 
     def __post_init__(self) -> None:
         exponents(self.unit)
@@ -115,13 +113,12 @@ def param(
     effect: Callable[[Any], Any] | None = None,
     vector: bool = False,
     declared: Callable[[Any], tuple[str, ParamInfo]] | None = None,
-    part_of: str = "",
 ) -> Any:
     """A field of a model that is a parameter.
 
     Args:
         default: value, a number or an array.
-        bounds, unit, scale, doc, fixed, per_record, linear, part_of: see `ParamInfo`.
+        bounds, unit, scale, doc, fixed, per_record, linear: see `ParamInfo`.
         common: whether one value serves all records of a given model, where `per_record`.
         effect: of a given model, the largest output of each element for a value of one, of the shape of the parameter (or one that
             broadcasts to it): 0.01 for a weighted stop that yields at a hundredth of the range. It widens the default prior; 1 by default.
@@ -131,7 +128,7 @@ def param(
     Raises:
         ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is not an expression.
     """
-    info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear, part_of=part_of)
+    info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
     extra = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(
         converter=_as_vector if vector else as_array,

@@ -286,20 +286,6 @@ class ParameterSpace:
         return np.array([info.linear for info in self.infos], dtype=bool) & ~self.sources_of_ties
 
     @property
-    def parts(self) -> tuple[tuple[int, int], ...]:
-        """Places of two free elements of which the second is a part of the first (`ParamInfo.part_of`), for each such pair."""
-        pairs = []
-        for k, (info, (number, element, record)) in enumerate(zip(self.infos, self.sources, strict=True)):
-            beside = (*self.leaves[number].path[:-1], info.part_of)
-            whole = [
-                j
-                for j, (other, *rest) in enumerate(self.sources)
-                if self.leaves[other].path == beside and rest == [element, record] and self.kinds[j] == LOWER
-            ]
-            pairs += [(j, k) for j in whole if info.part_of and self.kinds[k] == BOTH]
-        return tuple(pairs)
-
-    @property
     def sources_of_ties(self) -> np.ndarray:
         """To which free elements others are tied, shape (p,), bool."""
         sources = {tie.source for tie in self.ties}

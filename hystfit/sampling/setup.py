@@ -28,7 +28,6 @@ from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
-from hystfit.sampling.split import Split
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
@@ -38,7 +37,6 @@ _WIDENED = "The intervals are widened for this error"
 _OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
 _ROUNDS = 10  # of that correction, each by at most a factor of ten
-_LOOKS = 8  # times 2 d + 1 draws by which coordinates are compared
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
@@ -154,37 +152,13 @@ def prepare(
     widths = to_device(_widths(problem, refined.root))
     inside = _within_priors(problem, x)
     starts = [z] if np.array_equal(inside, x) else [z, problem.unconstrained(inside)]
-    about = [
-        Target.about(problem.density, to_device(start), widths, split)
-        for start in starts
-        for split in Split.all_of(problem.space.parts)
-    ]
-    targets = [target for one in about if (target := _at_mode(one)) is not None]
-    if not targets:
+    targets = [Target.about(problem.density, to_device(start), widths) for start in starts]
+    modes = [(target, *whiten_by_curvature(Optimum(*_mode(target)))) for target in targets]
+    target, center, factor, value = max(modes, key=lambda mode: np.nan_to_num(mode[-1], nan=-np.inf))
+    if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
-    target = targets[0] if len(targets) == 1 else max(targets, key=_nearness)
+    target = checked(target.whitened(to_device(center), to_device(factor)))
     return Setup(problem, NOISES.label(choice), target, tuple(notes))
-
-
-def _at_mode(target: Target) -> Target | None:
-    """The target centered on its mode and whitened there; None where the posterior is not finite."""
-    center, factor, value = whiten_by_curvature(Optimum(*_mode(target)))
-    return checked(target.whitened(to_device(center), to_device(factor))) if np.isfinite(value) else None
-
-
-def _nearness(target: Target) -> float:
-    """How near the posterior in q is to N(0, I): the median log ratio of both densities where the latter is, with an unknown constant.
-
-    The median is a bound of the posterior's evidence that few draws show, and that a tail outside does not spoil.
-    """
-    d, rng = target.center.shape[0], np.random.default_rng(0)
-    sheared = target.sheared(np.asarray(target.factor))
-    ratios = []
-    for _ in range(_LOOKS):
-        q = rng.normal(size=(2 * d + 1, d))
-        ratios.append(np.asarray(_log_densities(target, sheared.v_of(q, np))) + 0.5 * np.sum(q**2, axis=1))
-    size = np.linalg.slogdet(np.asarray(target.factor))[1]
-    return float(size + np.median(np.nan_to_num(np.concatenate(ratios), nan=-np.inf)))
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
@@ -231,7 +205,7 @@ def checked(target: Target) -> Target:
     Curvature at a kink, or on a plateau that ends, does not give this distance: its mass matrix may be wrong by orders of magnitude.
     """
     for _ in range(_ROUNDS):
-        fall = np.nan_to_num(_fall(target), nan=np.inf)
+        fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)
         times = np.clip(np.sqrt(0.5 / np.maximum(fall, 1e-12)), 0.1, 10.0)
         times = np.where(np.maximum(times, 1 / times) > _OFF, times, 1.0)
         factor = np.asarray(target.factor)
@@ -242,14 +216,10 @@ def checked(target: Target) -> Target:
     return target
 
 
-def _fall(target: Target) -> np.ndarray:
-    """Fall of the log posterior from the center to the ends of each axis, mean of either side, shape (d,)."""
-    center, axes = np.asarray(target.center), np.asarray(target.factor).T
-    at = np.asarray(_log_densities(target, center + np.concatenate([0 * axes[:1], axes, -axes])))
-    return at[0] - at[1:].reshape(2, -1).mean(axis=0)
-
-
 @compiled
-def _log_densities(target: Target, v: Array) -> Array:
-    """Log posterior at rows of v, in one loop, so that the density is compiled once; of one shape, (2 d + 1, d)."""
-    return jax.lax.map(target.log_density, v)
+def _fall(target: Target) -> Array:
+    """Fall of the log posterior from the center to the ends of each axis, mean of either side, shape (d,)."""
+    # One loop over the center and the ends, so that the density is compiled once.
+    steps = jnp.concatenate([jnp.zeros_like(target.center)[None], target.factor.T, -target.factor.T])
+    at = jax.lax.map(target.log_density, target.center + steps)
+    return at[0] - at[1:].reshape(2, -1).mean(axis=0)
