@@ -378,6 +378,16 @@ def test_a_table_of_a_dynamometer(tmp_path: Path) -> None:
     assert (record.u_unit, record.y_unit, record.t_unit) == ("DEGREES", "", "mSec")
 
 
+def test_points_of_a_calibration_with_their_durations(tmp_path: Path) -> None:
+    """A duration in seconds goes up and down, and is no clock; deviations of counts are no answer."""
+    names = "index,reference_force_n,raw_adc_mean,raw_adc_stddev,sample_count,duration_s,residual_force_n"
+    noise = np.round(np.random.default_rng(5).uniform(1, 2, (3, N)), 4)
+    columns = (np.arange(1, N + 1), U, Y, noise[0], 120 + 0 * U, 12 + noise[1], noise[2])
+    record = one(tmp_path, f"{names}\n{rows(',', *columns)}\n\nconstexpr float Slope = 0.00226f;\n")
+    is_pair(record)
+    assert record.t is None
+
+
 def test_a_header_with_rows_of_settings_is_no_table(tmp_path: Path) -> None:
     """The calibration of channels and the protocol above the data of a muscle lever."""
     head = (

@@ -136,6 +136,8 @@ def choose(
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
+    # A duration that goes up and down is no clock, unless its name is that of a time.
+    named = [k for k in named if k in table.stamps or _is_clock(table, k)]
     if not named and len(free) + given > 2:
         # The abscissa of a report of Abaqus is its X.
         named = [k for k in free[:2] if table.names[k] in ("s", "X") and (np.diff(table.columns[k]) > 0).all()]
@@ -172,6 +174,12 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     return None
 
 
+def _is_clock(table: Table, k: int) -> bool:
+    """Whether a column of times has the name of a time, or never decreases, or always."""
+    ways = np.sign(np.diff(table.columns[k]))
+    return column_quantity(split_unit(table.names[k])[0]) == "time" or not {1.0, -1.0} <= {*ways.tolist()}
+
+
 def _guess_pair(
     table: Table, free: list[int], kinds: dict[int, str], given: dict[str, int], clock: int | None, notes: list[Note]
 ) -> None:
@@ -193,7 +201,9 @@ def _guess_pair(
         if best.points - reading.points < TIE or {reading.input, reading.output} <= alike
     ]
     if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
-        raise _undecided(table, best, other)
+        equal = [best, other, *(one for one in near if one is not other)]
+        apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
+        raise _undecided(table, *(apart if len(apart) > 1 else equal)[:2])
     nameless = not (table.named or given)
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:

@@ -241,7 +241,7 @@ class _Evidence:
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
         points = usual.get(self.kinds[position], _SELDOM)
-        return max(points, usual[""]) if told and self.kinds[position] != "index" else points
+        return max(points, usual[""]) if told and self.kinds[position] not in ("index", "error") else points
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""
