@@ -261,9 +261,11 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
     if among("displacement"):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
-    if not among("field", "induction", "voltage", "electric field"):  # q beside a torque is an angle of a joint
+    if not among(
+        "field", "induction", "voltage", "electric field"
+    ):  # q beside a torque or current is an angle of a joint
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
-        if among("force"):
+        if among("force", "current"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
     if among("capacitance"):  # D beside C is a loss
         kinds.update({k: "" for k in free if table.names[k] == "D"})
