@@ -18,8 +18,8 @@ from hystfit.outcome import Status
 from hystfit.quality.reversal_corrections import corrected_curves
 from hystfit.quality.reversal_curves import reversal_curves
 from hystfit.results.forc_loop import forc_loop
+from hystfit.sampling.derived import sampled_density
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.forc_density import sampled_density
 from hystfit.sampling.posterior import Posterior
 
 COERCIVITY, SPREAD = 0.35, 0.1

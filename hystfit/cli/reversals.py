@@ -115,7 +115,7 @@ def _density(
     if density == "regression":
         return local, Status.OK, ()
     from hystfit.fitting.fit import fit
-    from hystfit.sampling.forc_density import sampled_density
+    from hystfit.sampling.derived import sampled_density
     from hystfit.sampling.sample import sample
 
     posterior = sample(fit(f"preisach-forc:n={_CELLS}", data))

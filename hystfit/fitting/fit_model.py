@@ -15,18 +15,17 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty
-from hystfit.fitting.disturbance import ROBUST_LOSS
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
+from hystfit.fitting.fit_warnings import ROBUST_LOSS
 from hystfit.fitting.fitted import Fitted
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure_search import search_structure
 from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import verdict_of
-from hystfit.identify.identification import as_fit
-from hystfit.identify.sequential import identify
+from hystfit.identify.identification import as_fit, identify
 from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES

@@ -2,7 +2,7 @@
 
 They include the uncertainty of the parameters; for a record that was not fitted, the spread of per-record parameters (the offset) over
 the fitted records; and the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
-records (`hystfit.inference.noise.innovations`), and a recurring error as the residuals determine it. Where a fit held out groups of
+records (`hystfit.inference.noise.base`), and a recurring error as the residuals determine it. Where a fit held out groups of
 samples to choose its regularization, the noise over a record that was not fitted is widened by the part of their error that it does not
 explain: many weights absorb part of the model's error at the fitted loops. Beyond that, no error of the model at amplitudes,
 frequencies or levels that were not fitted is included.
