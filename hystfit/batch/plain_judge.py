@@ -13,16 +13,15 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.batch.alike import Common, Loops
-from hystfit.batch.row_accuracy import accuracy
+from hystfit.batch.row_accuracy import MARGIN, accuracy
 from hystfit.batch.slow_rows import slow_information
+from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.lanes import Ends, Stack
 from hystfit.params.coordinates import BOTH
-from hystfit.params.relative_size import relative_size
+from hystfit.params.relative_size import OPEN, relative_size
 
 _LEAST_EIGENVALUE = 1e-10  # of the scaled normal matrix, relative to the largest
-_OPEN = 0.9  # largest standard error of a direction, beside the parameters' own size
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
-SLOW = 0.95  # percent of the range: largest rms error of a loop under slow noise, whose device may change where it is larger
 _AT_BOUND = 2e-4  # relative distance to a bound
 
 
@@ -67,7 +66,7 @@ def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack, noise: F
         variance = 2 * ends.normal.cost / np.maximum(samples - x.shape[1], 1)
         stderr, inside, regular = _errors(common, x, scale, gram, variance)
         good = ends.converged & described & regular
-        slow = good & ~white & (sizes[1] < SLOW)
+        slow = good & ~white & (sizes[1] < MARGIN * VISIBLE)  # the device may change where the error is larger
         if (at := np.flatnonzero(slow)).size:
             information, slow[at] = slow_information(loops.take(at), stack.take(at), z[at])
             stderr[at], _, regular = _errors(common, x[at], scale[at], information, np.ones(at.size))
@@ -106,8 +105,8 @@ def _errors(
     relative = relative_size(space, x, scale)
     part = np.linalg.inv(np.where(regular[:, None, None], centered, np.eye(int(others.sum()))))
     part = variance[:, None, None] * part / relative[:, others][:, :, None] / relative[:, others][:, None, :]
-    regular &= np.linalg.eigvalsh(np.where(np.isfinite(part), part, 1e9))[:, -1] < _OPEN**2
-    regular &= (stderr[:, space.offsets] < _OPEN * relative[:, space.offsets]).all(axis=1)
+    regular &= np.linalg.eigvalsh(np.where(np.isfinite(part), part, 1e9))[:, -1] < (MARGIN * OPEN) ** 2
+    regular &= (stderr[:, space.offsets] < MARGIN * OPEN * relative[:, space.offsets]).all(axis=1)
     room = np.minimum(x - space.lower, space.upper - x)
     width = np.where(space.kinds == BOTH, space.upper - space.lower, scale)
     inside = np.all(room > _AT_BOUND * width, axis=1)

@@ -17,13 +17,17 @@ from jaxtyping import Array, Float
 from hystfit.batch.alike import Group, Loops
 from hystfit.batch.simulated_rows import chunks, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
+from hystfit.fitting.fit_warnings import BEGINS, SHORT
+from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.lanes import Stack, device_for, placed
 from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
+from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
+from hystfit.quality.baselines import DEGREE
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
-from hystfit.results.accuracy import persistent_error
+from hystfit.results.accuracy import NOISY, USABLE, persistent_error
 
 _ON_CURVE = 2**12  # samples on which a curve is fitted: its error is known to a percent
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four
@@ -80,15 +84,9 @@ def _stride(samples: int) -> int:
     return -(-samples // _ON_CURVE)
 
 
-# Limits stricter than those of a fit that is judged alone, so that the verdict is the same.
-_OF_NOISE = 1.9  # times the noise: largest rms error
+# Part of a limit of a fit that is judged alone, up to which the same verdict is beyond doubt.
+MARGIN = 0.93
 _OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
-_PERCENT = 2.9  # of the range: largest rms error
-_DEGREE = 7  # of that curve
-# Percent of the range, and times the rms error elsewhere: of a half cycle unlike the others.
-_LASTING, _STANDS_OUT = 0.95, 2.8
-_SHORT = 0.035  # of the samples, which must not carry half of the squared error
-_TAILS = 2.8  # largest excess kurtosis of the differences of residuals
 _FEWEST = 64  # samples
 _VARIES = 1e-12  # of the largest output: least range
 
@@ -137,7 +135,7 @@ class _Frame(NamedTuple):
         record = group.record
         at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
         ends = np.stack([at <= turns[0], at >= turns[-1]]) if turns.size else np.zeros((2, at.size))
-        return cls(at, polynomials(record.u[at], _DEGREE), ends.astype(float))
+        return cls(at, polynomials(record.u[at], DEGREE), ends.astype(float))
 
 
 def soundness(loops: Loops) -> Soundness:
@@ -231,8 +229,8 @@ def _accuracy(frame: _Frame, y: Any, predicted: Any, noise: Any, xp: Any = np) -
     residual = predicted - y
     span, rmse = y.max(axis=1) - y.min(axis=1), xp.sqrt(xp.mean(residual**2, axis=1))
     percent, largest = 100 * rmse / span, 100 * xp.abs(residual).max(axis=1) / span
-    close = xp.isfinite(rmse) & (percent < _PERCENT) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
-    good = close & (rmse < _OF_NOISE * noise)
+    close = xp.isfinite(rmse) & (percent < MARGIN * USABLE) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
+    good = close & (rmse < MARGIN * NOISY * noise)
     residual = xp.where(good[:, None], residual, 0.0)
     good &= _is_even(frame, residual, span, xp)
     return Accuracy(good, ~correlated_rows(residual, xp), close, rmse, percent, largest)
@@ -245,12 +243,12 @@ def _is_even(frame: _Frame, residual: Float[Any, "N m"], span: Float[Any, " N"],
     total = squares.sum(axis=1)
     change = xp.diff(residual, axis=1)
     change = (change - change.mean(axis=1, keepdims=True)) ** 2
-    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < _TAILS) & (samples >= _FEWEST)
-    sums, width = xp.cumsum(squares, axis=1), int(_SHORT * samples) + 1
+    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < MARGIN * TAILS) & (samples >= _FEWEST)
+    sums, width = xp.cumsum(squares, axis=1), int(SHORT / MARGIN * samples) + 1
     plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
     size = persistent_error(residual, xp)
     largest, place = size.max(axis=1), xp.argmax(size, axis=1)
     for end in frame.ends:
         rest = xp.sqrt((total - squares @ end) / xp.maximum((1 - end).sum(), 1))
-        plain &= ~((end[place] > 0) & (100 * largest > _LASTING * span) & (largest > _STANDS_OUT * rest))
+        plain &= ~((end[place] > 0) & (100 * largest > MARGIN * VISIBLE * span) & (largest > MARGIN * BEGINS * rest))
     return plain

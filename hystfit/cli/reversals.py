@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from hystfit.quality.reversal_curves import ReversalFamily
     from hystfit.results.forc_loop import ForcLoop
 
-_SHOWN = 40  # curves in the picture at most
 # Along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes.
 _CELLS = 24
 _HOW = {
@@ -29,7 +28,6 @@ _HOW = {
     "fitted": "fitted Preisach density",
     "sampled": "posterior of a Preisach density",
 }
-_REPEATS = 24  # draws of the noise: their standard deviation has an error of 15 %
 
 
 def forc(
@@ -111,7 +109,8 @@ def _density(
 
     if density == "fitted":
         return {_HOW[density]: density_of(fit_forc(data, nonnegative=False).model, rising=rising)}, Status.OK, ()
-    local = {_HOW["regression"]: forc_diagram(data, smoothing, repeats=_REPEATS)}
+    # 24 draws of the noise: their standard deviation has an error of 15 %.
+    local = {_HOW["regression"]: forc_diagram(data, smoothing, repeats=24)}
     if density == "regression":
         return local, Status.OK, ()
     from hystfit.fitting.fit import fit
@@ -155,7 +154,7 @@ def _figures(
     sheets = {"forc": sheet(5.6, 4.4), "profiles": sheet(5.6, 7.2), "curves": sheet(5.6, 4.4)}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)
     plot_profiles(numbers, sheets["profiles"].subplots(3), units=units)
-    ax = plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // _SHOWN))
+    ax = plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // 40))
     ax.plot(loop.loop.u, loop.loop.y, color="black", lw=0.9, label="major loop")
     ax.legend(frameon=False)
     return sheets

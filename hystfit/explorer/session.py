@@ -24,8 +24,6 @@ from hystfit.params.param import leaves_of
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
-_WIDEST = 8000  # pixels of a canvas
-
 
 @dataclasses.dataclass(frozen=True)
 class Source:
@@ -199,7 +197,7 @@ class Session:
         axis, (low, high) = self._axis, (request["from"], request["to"])
         first = 0 if low is None else min(int(np.searchsorted(axis, float(low))), axis.size - 2)
         stop = axis.size if high is None else max(int(np.searchsorted(axis, float(high), "right")), first + 2)
-        return slice(first, stop), chunks(stop - first, min(max(int(request["columns"]), 2), _WIDEST))
+        return slice(first, stop), chunks(stop - first, min(max(int(request["columns"]), 2), 8000))
 
     def _run(self, model: AbstractHysteresis) -> Float[np.ndarray, " T"]:
         return type(model).free_run(model, self.record.u, self._dt)

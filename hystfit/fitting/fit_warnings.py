@@ -21,7 +21,7 @@ from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
-_BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
+BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _EXPLAINED = 0.5  # least share of a squared error that a drift explains
 _TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
@@ -162,7 +162,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     before, after = samples <= turns[0], samples >= turns[-1]
     code, inside = (Code.INITIAL_STATE, before) if before[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, after)
     rest = fitted.rows[worst][~inside]
-    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
+    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
     last = code is Code.LAST_HALF_CYCLE
     place, number = _place(record, int(turns[-1 if last else 0]))
@@ -189,7 +189,7 @@ def _place(record: Record, sample: int) -> tuple[str, str]:
 
 ROBUST_LOSS = ("loss", "huber")  # option of a fit in which few large errors count less
 
-_SHORT = 0.03  # of the samples of a record
+SHORT = 0.03  # of the samples of a record
 _LARGER = 5.0  # times the rms error of the other samples
 # Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
 _OUTSIDE, _GAP = 4.0, 4
@@ -207,7 +207,7 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         if not (row.any() and np.isfinite(row).all()):
             continue
         first, last = shortest_half(row**2)
-        if first == 0 or last - first + 1 > _SHORT * row.size:
+        if first == 0 or last - first + 1 > SHORT * row.size:
             continue
         others = float(np.sqrt(np.mean(np.delete(row, slice(first, last + 1)) ** 2)))
         ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)

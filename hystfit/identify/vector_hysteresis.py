@@ -21,7 +21,6 @@ from hystfit.params.units import MU0
 
 _FIRST, _LAST = 0.3, 2.5  # of the mean pinning field that a loop shows: those of the cells from which a fit starts
 _FEWEST = 20  # samples of a record
-_SATURATED = 1.15  # ratio of the saturation to the largest polarization, from which a fit starts
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,7 +134,7 @@ class VectorHysteresis:
         )
         pinning = _mean_pinning(records)
         spread = np.geomspace(_FIRST, _LAST, cells) if cells > 1 else np.ones(1)
-        begin = np.concatenate([np.log([_SATURATED * top, pinning]), np.log(pinning * spread), np.zeros(cells - 1)])
+        begin = np.concatenate([np.log([1.15 * top, pinning]), np.log(pinning * spread), np.zeros(cells - 1)])
         found = least_squares(
             lambda z: (predict(z) - flux) / top, begin, lambda z: slopes(z) / top, x_scale="jac", method="lm"
         )

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.quality.loops import APART, SLACK
+from hystfit.quality.loops import APART
 
 _LEAST = 5  # number of curves from which records are recognized as a family
 _APART = 0.3  # least spread of the reversal points of a recognized family, as a fraction of the input's range

@@ -14,7 +14,6 @@ from hystfit.params.units import axis_label
 from hystfit.results.colors import MODEL, SECOND
 from hystfit.results.preisach_plots import axes_or_new, contours, per_area
 
-_PIXELS = 241  # along each axis of the picture
 _EDGE = 0.05  # of the largest density: the picture ends where nothing is above it
 _SHARE = 0.99  # of the points above it that the picture holds: isolated ones at the edge are noise
 
@@ -33,7 +32,7 @@ def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[st
     u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
     far, half = _extent(diagram, top)
-    h, m = np.linspace(0, far, _PIXELS), np.linspace(-half, half, _PIXELS)
+    h, m = np.linspace(0, far, 241), np.linspace(-half, half, 241)
     x, y = np.meshgrid(h, m)
     density = diagram.at(x, y)
     mesh = ax.pcolormesh(h, m, density, cmap="RdBu_r", vmin=-top, vmax=top, shading="nearest", rasterized=True)

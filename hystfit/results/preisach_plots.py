@@ -14,8 +14,6 @@ from hystfit.models.preisach.model import Preisach
 from hystfit.params.units import axis_label
 from hystfit.results.labels import column_label
 
-_CONTOURS = 5
-
 
 def plot_density(
     model: Preisach, ax: Any = None, reach: np.ndarray | None = None, *, units: Mapping[str, str] | None = None
@@ -69,9 +67,7 @@ def contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: fl
     share = gaussian_filter(known.astype(float), 1.0)
     smooth = np.ma.masked_where(~known, blurred / np.maximum(share, 1e-9))
     if smooth.max() > 0.2 * top:
-        ax.contour(
-            x, y, smooth, levels=top * np.arange(1, _CONTOURS + 1) / (_CONTOURS + 1), colors="0.35", linewidths=0.5
-        )
+        ax.contour(x, y, smooth, levels=np.linspace(0, top, 7)[1:-1], colors="0.35", linewidths=0.5)
 
 
 def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:

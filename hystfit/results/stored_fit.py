@@ -14,6 +14,7 @@ from hystfit.inference.problem import LOSSES, Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
+from hystfit.outcome.table import ROUNDING
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
@@ -24,7 +25,6 @@ from hystfit.results.user_code import allow, noise_file
 
 SCHEMA = "hystfit.fit/3"
 COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
-_CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
 
 
 def content_of(result: FitResult) -> dict[str, Any]:
@@ -198,7 +198,7 @@ def _refuse_mixture(stored: Stored, parameters: tuple[ParameterEstimate, ...], v
     if set(values) != {p.name for p in parameters}:
         raise DataError(f"{stored.place}: the parameters are not those of the model; restore the folder, or fit again")
     for p in parameters:
-        if not np.isclose(p.value, values[p.name], rtol=_CLOSE, atol=0.0):
+        if not np.isclose(p.value, values[p.name], rtol=ROUNDING, atol=0.0):
             raise DataError(
                 f"{stored.place}: {p.name} is {p.value!r}, and {float(values[p.name])!r} in the model: the files belong to different "
                 "fits; restore the folder, or fit again"

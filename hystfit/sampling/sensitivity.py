@@ -29,7 +29,6 @@ from hystfit.sampling.predictive import predictive_draws
 from hystfit.sampling.record_densities import record_densities
 
 _COUNT = 1000  # draws used
-_REPLICATES = 100  # of the data
 _LARGE = 0.3  # shift in posterior standard deviations from which it is named
 _UNRELIABLE = 0.7  # Pareto shape beyond which importance sampling does not converge (Vehtari et al. 2024)
 _RARE = 0.025  # share of replicated data on either side of the measured value below which the model misses it
@@ -200,7 +199,7 @@ def _checks(posterior: Posterior) -> dict[str, Check]:
     measured = measured_quantities(data)
     if not measured:
         return {}
-    rows = [predictive_draws(posterior, record, _REPLICATES, 1) for record in data]
+    rows = [predictive_draws(posterior, record, 100, 1) for record in data]
     replicated = [
         measured_quantities(Dataset(tuple(record.replace(y=y[k]) for record, y in zip(data, rows, strict=True))))
         for k in range(len(rows[0]))

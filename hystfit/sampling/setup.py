@@ -36,7 +36,6 @@ _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
 _OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
-_ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
@@ -204,7 +203,7 @@ def checked(target: Target) -> Target:
 
     Curvature at a kink, or on a plateau that ends, does not give this distance: its mass matrix may be wrong by orders of magnitude.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(10):  # each by at most a factor of ten
         fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)
         times = np.clip(np.sqrt(0.5 / np.maximum(fall, 1e-12)), 0.1, 10.0)
         times = np.where(np.maximum(times, 1 / times) > _OFF, times, 1.0)

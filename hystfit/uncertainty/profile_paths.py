@@ -12,7 +12,6 @@ from hystfit.inference.bounded_newton import BoundedNewton, Point
 
 # Deviation of the root statistic from that of the curvature, relative, up to which one descent is enough.
 _ORDINARY = 0.2
-_SPREAD = 8  # further starts of a refit that ends a path
 _STEPS = 24  # points on each side at most
 _STRIDE = 0.6  # target rise of the root statistic from point to point
 _JUMP = 1.5  # rise of the root statistic above which a step is shortened
@@ -147,7 +146,7 @@ class Walk:
             return [self.optimum.v]
         space = newton.problem.space
         center = space.unconstrained(newton.physical(self.optimum.v))
-        return [newton.coordinates(space.physical(z)) for z in spread_starts(newton.problem, center, _SPREAD, 0)]
+        return [newton.coordinates(space.physical(z)) for z in spread_starts(newton.problem, center, 8, 0)]
 
     def _refit(self, value: float, *others: np.ndarray, steps: int = 8) -> Point:
         """The best refit with the parameter at a value, from several starts of the other parameters."""

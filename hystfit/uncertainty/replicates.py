@@ -35,7 +35,6 @@ CHUNK = 10  # replicates in one compiled call and one file
 RANKS = 79  # posterior draws among which the truth is ranked: eighty places, of which intervals of 90 and 95 % hold whole numbers
 REASONS = {1: "the mode was not found", 2: "the posterior is not finite", 3: "its chunk broke"}
 _THIN, _WARM, _DEPTH = 3, 60, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
-_STEPS = 300  # of emcee, after which the last place of each walker is a draw
 _AWAY = 3.0  # standard deviations of the places where its walkers begin: they must find the posterior by themselves
 
 
@@ -195,7 +194,8 @@ def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key
     first_state = start(whitened, RANKS + 1, seed, _AWAY)
     if not np.isfinite(first_state.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
-    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, _STEPS, skip_initial_state_check=True)
+    # The last place of each walker after 300 steps is a draw.
+    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, 300, skip_initial_state_check=True)
     return *_rank(x, whitened, jnp.asarray(last.coords[:RANKS])), reason
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import ClassVar
 
@@ -22,7 +23,7 @@ from hystfit.inference.priors import AbstractPrior
 from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
-LOG_2PI = 1.8378770664093453
+LOG_2PI = math.log(2 * math.pi)
 _LEAST = 1e-12  # standard deviation of residuals that are all zero
 
 

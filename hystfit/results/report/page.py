@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     Data = Record | Dataset | Sequence[Record]
 
-_DPI = 150
 _CAPTIONS = {
     "loop": "Measured loop and model",
     "cycle-errors": "Residuals (measured minus model) of these cycles over the input",
@@ -111,7 +110,7 @@ def _write_png(figure: Figure, path: Path) -> None:
     """A figure as PNG: the canvas draws it once, `savefig` twice."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    figure.dpi = _DPI
+    figure.dpi = 150
     FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
 
