@@ -11,10 +11,9 @@ import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
 from hystfit.batch.bucketed import STEPS
-from hystfit.batch.plain_judge import Judged, judge_plain
+from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
-from hystfit.batch.row_notes import RowNotes, row_notes
 from hystfit.batch.simulated_rows import simulated
 from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket

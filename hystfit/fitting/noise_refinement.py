@@ -189,9 +189,7 @@ def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> tuple[A
     return tuple(maximize(value, z))
 
 
-@compiled
-def _rows(whitened: Whitened, r: Array, J: Array) -> Array:
-    return whitened.rows(r, J)
+_rows = compiled(Whitened.rows)
 
 
 def _information_root(whitened: Whitened, r: np.ndarray, J: np.ndarray) -> np.ndarray:

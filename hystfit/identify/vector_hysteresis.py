@@ -184,13 +184,9 @@ def _length(x: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-@compiled
-def _flux(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, Array]:
-    """Flux density, shape (T, d), and dissipated energy, shape (T,)."""
-    return _run(js, a, kappa, w, h)
-
-
 def _run(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, Array]:
+    """Flux density, shape (T, d), and dissipated energy, shape (T,)."""
+
     def polarization(dragged: Array) -> Array:
         size = _length(dragged)
         return js * langevin(size / a) * dragged / jnp.where(size > 0, size, 1.0)
@@ -206,6 +202,9 @@ def _run(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, 
     return jax.lax.scan(step, jnp.zeros((kappa.size, h.shape[1])), h)[1]
 
 
+_flux = compiled(_run)
+
+
 def _parameters(z: Array, cells: int) -> tuple[Array, Array, Array, Array]:
     """Js, a, kappa and w of a vector: logarithms, and of the weights those of their ratios to the last."""
     share = jax.nn.softmax(jnp.concatenate([z[2 + cells :], jnp.zeros(1)]))
@@ -216,9 +215,5 @@ def _stacked(z: Array, cells: int) -> Array:
     return jnp.concatenate([jnp.atleast_1d(part) for part in _parameters(z, cells)])
 
 
-def _of_vector(z: Array, h: Array, cells: int) -> Array:
-    return _jitted(z, h, cells)
-
-
-_jitted = jax.jit(lambda z, h, cells: _run(*_parameters(z, cells), h)[0], static_argnums=2)
+_of_vector = jax.jit(lambda z, h, cells: _run(*_parameters(z, cells), h)[0], static_argnums=2)
 _slopes = jax.jit(lambda z, h, cells: jax.jacfwd(lambda v: _run(*_parameters(v, cells), h)[0])(z), static_argnums=2)
