@@ -47,14 +47,12 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None, translate: Ca
 
 
 def _picture(fits: Fits, name: str) -> str:
-    """Histogram of a parameter or quantity with its heading."""
     values, unit = fits.values(name), fits.unit(name)
     heading = with_unit(name, unit)
     return f"<figure><figcaption>{html.escape(heading)}</figcaption>{histogram(values, heading)}</figure>"
 
 
 def _table(rows: Sequence[Row], reports: Mapping[str, str], translate: Callable[[str], str]) -> str:
-    """The list of loops, each with the address of its report where it has one."""
     columns = [
         Column("loop"),
         Column("status", left=True),

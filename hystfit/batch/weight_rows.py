@@ -77,7 +77,6 @@ def solve_weights(common: Common, loops: Loops) -> Weights:
 
 
 def _ridges(common: Common, group: Group) -> Weights:
-    """With a ridge for each loop."""
     setup, estimator, sizes = common.setup, Convex(), group.sizes[:, 1]
     candidates = setup.candidates or (setup.problem,)
     systems = [LinearSystem.of(problem, problem.space.vector(problem.model)) for problem in candidates]
@@ -95,7 +94,6 @@ def _ridges(common: Common, group: Group) -> Weights:
 
 
 def _smooth(common: Common, group: Group) -> Weights:
-    """With smooth weights."""
     problem, estimator = common.setup.problem, SmoothWeights()
     (record,), held, x = problem.data, problem.held_out, problem.space.vector(problem.model)
     split = Split.of(problem.space, [record], x, held=held)

@@ -196,7 +196,6 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 
 def _convert(work: Work, loop: _Loop) -> None:
-    """To the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
 
 

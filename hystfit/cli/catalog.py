@@ -51,7 +51,6 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
 
 
 def _group(place: str) -> str:
-    """The models of one place below its heading."""
     from hystfit.models.entries import MODELS
 
     width = max(map(len, MODELS))

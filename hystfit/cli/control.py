@@ -110,7 +110,6 @@ def _content(
     bands: InverseBands | None,
     given: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """The contents of result.json."""
     from hystfit.data.dataset import Dataset
     from hystfit.results.provenance import provenance
 
@@ -138,13 +137,11 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
 
 
 def _rest_line(rest: float, unit: str | None) -> str:
-    """Where the device was before the reference."""
     level = f"{rest:g} {unit or ''}".rstrip()
     return f"in equilibrium at an input of {level} before the reference begins"
 
 
 def _target(path: str, reading: Reading, fitted: Record) -> Record:
-    """The one record of a file with a reference."""
     data = load_one_sided([path], reading, "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
@@ -170,7 +167,6 @@ def _bands(
 
 
 def _summary(bands: InverseBands) -> dict[str, Any]:
-    """Bands in result.json."""
     import numpy as np
 
     low, _, high = bands.band("u")

@@ -90,7 +90,6 @@ def population(
 
 
 def _ranked(result: PopulationFit, update: Any) -> PopulationDesign:
-    """What to measure next."""
     from hystfit.population.next_measurement import design_population
 
     update("ranking the next measurement", 0.0)
@@ -118,7 +117,6 @@ def _named_by(pattern: str) -> Any:
 
 
 def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None) -> Page:
-    """The page of `hystfit population`."""
     from hystfit.cli.pages import notes_of, page_of
     from hystfit.outcome import Column, Table
     from hystfit.population.next_measurement import COLUMNS

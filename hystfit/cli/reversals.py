@@ -122,7 +122,6 @@ def _density(
 
 
 def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
-    """Densities found in different ways on one picture."""
     from hystfit.cli.figures import sheet
     from hystfit.results.forc_plots import plot_compared
 
@@ -146,7 +145,6 @@ def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:
 def _figures(
     diagram: ForcDiagram, numbers: ForcNumbers, loop: ForcLoop, family: ReversalFamily, units: dict[str, str]
 ) -> dict[str, Figure]:
-    """Diagram, profiles, and curves with the major loop that they contain."""
     from hystfit.cli.figures import sheet
     from hystfit.results.forc_plots import plot_forc_diagram, plot_profiles
     from hystfit.results.preisach_plots import plot_curves

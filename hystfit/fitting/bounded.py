@@ -114,7 +114,6 @@ def _cost_and_slope(v: Array, objective: Objective, size: Array, first: Array) -
 def _descend_by_scipy(
     settings: BoundedDescent, objective: Objective, v0: Array, size: Array
 ) -> tuple[np.ndarray, float, float, int]:
-    """As `_descend`, by scipy."""
     c, first = objective.coordinates, _squares(v0, objective, size)
     lower, upper = np.asarray(c.lower / size), np.asarray(c.upper / size)
 

@@ -204,7 +204,6 @@ def _make_result(
     notes: Sequence[Note] = (),
     thorough: bool = True,
 ) -> FitResult:
-    """The `FitResult` of an estimate, with its verdict."""
     problem, method = setup.problem, ESTIMATORS.label(setup.method)
     data, x = problem.data, estimate.x
     train, rows = _errors(problem, x)

@@ -45,7 +45,6 @@ def warnings_of(fitted: Fitted) -> list[Note]:
 
 
 def _failed(fitted: Fitted) -> Note | None:
-    """A warning where the fit is of a device that fails, and of what is left of it."""
     if not fitted.may_change:
         return None
     for record, quality in zip(fitted.parts, fitted.qualities, strict=True):
@@ -89,7 +88,6 @@ def _outliers(data: Dataset) -> Note | None:
 
 
 def _delayed(fitted: Fitted) -> Note | None:
-    """A warning where the output has a delay that the model has not."""
     if fitted.percent < VISIBLE or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
         return None
     found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]

@@ -193,7 +193,6 @@ def _damage(fitted: Fitted) -> str:
 
 
 def _shows_damage(fitted: Fitted) -> bool:
-    """Whether the records show damage."""
     return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
 
 

@@ -152,7 +152,6 @@ def _fitted(
 
 
 def _device(loop: str, by: Any) -> str:
-    """The device of a loop."""
     if by is None:
         return loop
     if isinstance(by, Mapping):
@@ -242,7 +241,6 @@ def _pools(
 
 
 def _flat(draws: np.ndarray) -> np.ndarray:
-    """Chains end to end."""
     return draws.reshape(-1, *draws.shape[2:])
 
 

@@ -238,7 +238,6 @@ def _signals(
     samples: int,
     seed: int,
 ) -> dict[str, np.ndarray]:
-    """Inputs to be compared."""
     if given is not None:
         signals = {name: np.asarray(u, dtype=float) for name, u in given.items()}
         if bad := [name for name, u in signals.items() if u.ndim != 1 or u.size < 2 or not np.isfinite(u).all()]:

@@ -203,7 +203,6 @@ def _threshold(column: Column) -> float:
 
 
 def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndarray, list[geometry.Loop]]:
-    """Motion of the input, its turning points, cycles and closed loops."""
     u, y = record.u, record.y
     threshold = _threshold(column)
     turns = geometry.reversals(u, threshold)

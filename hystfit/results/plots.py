@@ -111,7 +111,6 @@ def draw_density(result: FitResult, ax: Axes) -> Axes:
 
 
 def _missing_error_reason(family: Sequence[ParameterEstimate]) -> str:
-    """The reason why parameters have no standard error."""
     if all(p.at_bound for p in family):
         return f"at its {family[0].at_bound} bound" if len(family) == 1 else "all at a bound"
     if any(p.identifiable is False for p in family):
