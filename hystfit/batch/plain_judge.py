@@ -27,7 +27,6 @@ from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.coverage import coverage_notes
 
-_LEAST_EIGENVALUE = 1e-10  # of the scaled normal matrix, relative to the largest
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _AT_BOUND = 2e-4  # relative distance to a bound
 
@@ -108,7 +107,7 @@ def _errors(
     length = np.sqrt(np.maximum(np.einsum("npp->np", centered), 1e-300))
     unit = centered / length[:, :, None] / length[:, None, :]
     values = np.linalg.eigvalsh(np.where(np.isfinite(unit), unit, 0.0))
-    regular = sound & (values[:, 0] > _LEAST_EIGENVALUE * values[:, -1])
+    regular = sound & (values[:, 0] > 1e-10 * values[:, -1])  # less is rounding
     relative = relative_size(space, x, scale)
     part = np.linalg.inv(np.where(regular[:, None, None], centered, np.eye(int(others.sum()))))
     part = variance[:, None, None] * part / relative[:, others][:, :, None] / relative[:, others][:, None, :]

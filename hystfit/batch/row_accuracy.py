@@ -88,7 +88,6 @@ def _stride(samples: int) -> int:
 MARGIN = 0.93
 _OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
 _FEWEST = 64  # samples
-_VARIES = 1e-12  # of the largest output: least range
 
 
 class Soundness(NamedTuple):
@@ -162,7 +161,7 @@ def _on_gpu(loops: Loops) -> Any:
 def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
     finite = xp.isfinite(y).all(axis=1)
     rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
-    varies = rows.max(axis=1) - rows.min(axis=1) > _VARIES * xp.abs(rows).max(axis=1)
+    varies = rows.max(axis=1) - rows.min(axis=1) > 1e-12 * xp.abs(rows).max(axis=1)
     noise = row_noise(rows, xp)
     return finite & varies & sound_rows(rows, noise, xp), noise
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from hystfit.quality.reversal_curves import ReversalFamily
     from hystfit.results.forc_loop import ForcLoop
 
-# Along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes.
-_CELLS = 24
 _HOW = {
     "regression": "local regression",
     "fitted": "fitted Preisach density",
@@ -117,7 +115,8 @@ def _density(
     from hystfit.sampling.derived import sampled_density
     from hystfit.sampling.sample import sample
 
-    posterior = sample(fit(f"preisach-forc:n={_CELLS}", data))
+    # The time grows with the third power of the number of cells along an axis, and 40 took minutes.
+    posterior = sample(fit("preisach-forc:n=24", data))
     return local | {_HOW[density]: sampled_density(posterior, rising=rising)}, posterior.status, posterior.notes
 
 

@@ -20,7 +20,7 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.units import MU0
 
 _FIRST, _LAST = 0.3, 2.5  # of the mean pinning field that a loop shows: those of the cells from which a fit starts
-_FEWEST = 20  # samples of a record
+FEWEST = 20  # samples of a record
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class VectorRecord:
     def __post_init__(self) -> None:
         if self.h.shape != self.b.shape or self.h.ndim != 2 or self.h.shape[1] not in (2, 3):
             raise DataError(f"H and B must have one shape (T, 2) or (T, 3), got {self.h.shape} and {self.b.shape}")
-        if len(self.h) < _FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
-            raise DataError(f"a record needs at least {_FEWEST} samples, all finite")
+        if len(self.h) < FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
+            raise DataError(f"a record needs at least {FEWEST} samples, all finite")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -14,7 +14,6 @@ from hystfit.params.units import axis_label
 from hystfit.results.colors import MODEL, SECOND
 from hystfit.results.preisach_plots import axes_or_new, contours, per_area
 
-_EDGE = 0.05  # of the largest density: the picture ends where nothing is above it
 _SHARE = 0.99  # of the points above it that the picture holds: isolated ones at the edge are noise
 
 
@@ -48,7 +47,7 @@ def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[st
 
 def _extent(diagram: ForcDiagram, top: float) -> tuple[float, float]:
     """Largest coercivity and interaction of the picture [u]."""
-    shown = np.abs(np.nan_to_num(diagram.density)) > _EDGE * top
+    shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
     x, y = (axis[shown] if shown.any() else axis.ravel() for axis in (diagram.coercivity, np.abs(diagram.interaction)))
     return 1.2 * float(np.quantile(x, _SHARE)), 1.2 * float(np.quantile(y, _SHARE))
 

@@ -14,9 +14,8 @@ from hystfit.quality.loops import SAME_LEVEL, reversals
 
 TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
-_LARGE = 0.9  # of the input's range that a branch of the largest loops covers
-_GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
-_WITHIN = 0.9  # of the largest input that both branches reach, within which they are compared
+_LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
+GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
 _GRID = 400  # inputs of that comparison
 
 
@@ -46,7 +45,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     if (
         len(parts) > 2
         and first.rises == last.rises
-        and abs(u[-1] - u[0]) <= _GAP * span
+        and abs(u[-1] - u[0]) <= GAP * span
         and first not in large
         and last not in large
     ):
@@ -63,7 +62,7 @@ def turns_of(u: np.ndarray) -> np.ndarray:
 
 def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
     """Whether the output of two branches ends where it began."""
-    return bool(abs(other.y[-1] - one.y[0]) <= _GAP * float(np.ptp(y)))
+    return bool(abs(other.y[-1] - one.y[0]) <= GAP * float(np.ptp(y)))
 
 
 def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pair]:
@@ -222,7 +221,7 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
-    most = _WITHIN * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    most = _LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None
     grid = np.linspace(-most, most, _GRID)

@@ -31,8 +31,6 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
 
-_LEAST = 1e-12  # variance of noise, over that of the error on held-out groups, below which it is rounding
-
 
 @eqx.filter_jit
 def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
@@ -121,7 +119,7 @@ def _widening(left_out: float, groups: int, y: np.ndarray, noise: np.ndarray, se
     explained = float(np.mean(noise**2))
     missing = max(left_out**2 - float(np.mean(np.var(y, axis=0))) - explained, 0.0)
     scale = groups / np.random.default_rng(seed).chisquare(groups, size=len(noise))
-    return np.sqrt(1 + missing / max(explained, _LEAST * left_out**2) * scale)
+    return np.sqrt(1 + missing / max(explained, 1e-12 * left_out**2) * scale)  # 1e-12: rounding
 
 
 @eqx.filter_jit

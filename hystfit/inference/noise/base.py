@@ -24,7 +24,6 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.outcome import Code
 
 LOG_2PI = math.log(2 * math.pi)
-_LEAST = 1e-12  # standard deviation of residuals that are all zero
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +58,7 @@ class ResidualScales:
         The rows are the residuals that count, one array per record [y]; `time` is their integrated autocorrelation time in samples.
         """
         together, differences = np.concatenate(rows), np.concatenate([np.diff(row) for row in rows])
-        total = max(float(np.std(together)), _LEAST)
+        total = max(float(np.std(together)), 1e-12)  # residuals may all be zero
         rough = float(np.std(differences)) / np.sqrt(2) if differences.size else 0.5 * total
         white = float(np.clip(rough, 0.05 * total, 0.95 * total)) if differences.size else rough
         center = float(np.median(together))
