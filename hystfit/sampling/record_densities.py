@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.predictive import residual_at
 
 
 def record_densities(posterior: Posterior, draws: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -27,13 +28,10 @@ def record_densities(posterior: Posterior, draws: np.ndarray) -> tuple[np.ndarra
     own, center, sd = _offsets(posterior)
     prior = (jnp.asarray(own), jnp.asarray(center), jnp.asarray(sd))
     if problem.closed_form:
-        residual, jacobian = problem.linearize(posterior.result.x)
-        columns = jnp.asarray(jacobian @ own.any(axis=0).astype(float))[..., None]
-        start = jnp.asarray(posterior.result.x)
-        linear = (jnp.asarray(residual), jnp.asarray(jacobian), columns, start)
-        rows = _densities_about(problem.density, linear, jnp.asarray(draws), prior)
+        density, about = problem.density, (*problem.linearize(posterior.result.x), posterior.result.x)
     else:
-        rows = _densities(problem.trimmed().density, jnp.asarray(draws), prior)
+        density, about = problem.trimmed().density, None
+    rows = _densities(density, jnp.asarray(draws), prior, about)
     return np.asarray(rows[0]), np.asarray(rows[1])
 
 
@@ -51,21 +49,18 @@ def _offsets(posterior: Posterior) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @eqx.filter_jit
-def _densities(density: Density, draws: Array, prior: Any) -> tuple[Array, Array]:
-    direction = prior[0].any(axis=0).astype(draws.dtype)[None]
+def _densities(density: Density, draws: Array, prior: Any, about: Any) -> tuple[Array, Array]:
+    """Of every record at each draw; `about` as for `residual_at`."""
+    direction = prior[0].any(axis=0).astype(draws.dtype)
 
     def one(x: Array) -> tuple[Array, Array]:
-        residual, column = density.objective.linearize(x[: density.p], direction)
+        if about is None:
+            residual, column = density.objective.linearize(x[: density.p], direction[None])
+        else:
+            residual, column = residual_at(density, x, about), (about[1] @ direction)[..., None]
         return _of_records(density, x, residual, column, *prior)
 
     return jax.lax.map(one, draws)
-
-
-@eqx.filter_jit
-def _densities_about(density: Density, linear: Any, draws: Array, prior: Any) -> tuple[Array, Array]:
-    residual, jacobian, column, start = linear
-    moved = lambda x: residual + jacobian @ (x[: density.p] - start)
-    return jax.lax.map(lambda x: _of_records(density, x, moved(x), column, *prior), draws)
 
 
 def _of_records(

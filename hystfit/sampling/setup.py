@@ -40,19 +40,17 @@ _WIDEST = 3.0  # standard deviation in v given at first to a direction without c
 
 
 @dataclasses.dataclass(frozen=True)
-class Setup:
-    """A posterior prepared for sampling.
+class Prepared:
+    """A posterior prepared for a sampler.
 
     Attributes:
         problem: model and data as they were fitted, with noise model and priors.
         noise: the choice of the noise model, as users write it.
-        target: centered on the posterior's mode and whitened by the curvature there.
         notes: what was chosen, and why.
     """
 
     problem: Problem
     noise: str
-    target: Target
     notes: tuple[Note, ...]
 
     @property
@@ -73,6 +71,13 @@ class Setup:
     def physical(self, z: np.ndarray) -> np.ndarray:
         """x of draws z, shape (chains, draws, d)."""
         return np.asarray(_physical(self.problem.density, to_device(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup(Prepared):
+    """A posterior over the coordinates of `target`, which is centered on the mode and whitened by the curvature there."""
+
+    target: Target
 
 
 @compiled
@@ -157,7 +162,7 @@ def prepare(
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
-    return Setup(problem, NOISES.label(choice), target, tuple(notes))
+    return Setup(problem, NOISES.label(choice), tuple(notes), target)
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:

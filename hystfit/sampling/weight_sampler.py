@@ -24,7 +24,6 @@ from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
-from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import analyze, diagnose
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
@@ -34,6 +33,7 @@ from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.setup import Prepared
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
@@ -188,23 +188,17 @@ _KNOWN = ("iid", "ou")
 
 
 @dataclasses.dataclass(frozen=True)
-class WeightSetup:
-    """See `hystfit.sampling.base.Prepared`.
+class WeightSetup(Prepared):
+    """The posterior of linear weights; the noise model of its problem is for predictions.
 
     Attributes:
-        problem: model and data, with a noise model for predictions.
-        noise: its name.
-        notes: what was chosen, and why.
-        priors: of the weights without a penalty, and the user's own.
+        chosen: priors of the weights without a penalty, and the user's own.
         equations: of the weights.
         grid: of the noises.
         size: of the output in the equations.
     """
 
-    problem: Problem
-    noise: str
-    notes: tuple[Note, ...]
-    priors: dict[str, AbstractPrior]
+    chosen: dict[str, AbstractPrior]
     equations: WeightEquations
     grid: NoiseGrid
     size: float
@@ -236,14 +230,9 @@ class WeightSetup:
         return cls(problem.with_noise(NOISES.make(label)), label, tuple(notes), chosen, equations, grid, size)
 
     @property
-    def dependence(self) -> None:
-        """The priors of weights are independent."""
-        return None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
-        return self.problem.names
+    def priors(self) -> dict[str, AbstractPrior]:
+        """Those of single weights."""
+        return self.chosen
 
     def parameters(self, draws: Mapping[str, np.ndarray]) -> np.ndarray:
         """Physical parameters of model and noise from draws of the chains, shape (chains, draws, d)."""
