@@ -268,7 +268,7 @@ class Fits(WithStatus):
             "loops": len(self.rows),
             "counts": self.counts,
             "units": dict(self.units),
-            "settings": {name: repr(value) for name, value in vars(self.work.options).items()},
+            "settings": self.work.settings,
             "summary": self.summary().to_list(),
             "rows": [row.to_dict() for row in self.rows],
             "provenance": provenance((), self.work.options.seed),

@@ -240,7 +240,7 @@ class LoopMap(WithStatus):
             "counts": self.counts,
             "fitted_alone": int(self.alone.sum()),
             "units": dict(self.units),
-            "settings": {name: repr(value) for name, value in vars(self.work.options).items()},
+            "settings": self.work.settings,
             "summary": self.summary().to_list(),
             "not_usable": bad[:100],
             "provenance": provenance((), self.work.options.seed),

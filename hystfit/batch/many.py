@@ -21,8 +21,6 @@ from hystfit.config import verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import model_name
-from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
@@ -86,7 +84,7 @@ def fit_many(
             done = sum(source.key in rows for source in sources)
             progress(f"{done} of {len(sources)} loops", done / len(sources))
     pairs = [(row, source) for source in sources for row in rows[source.key]]
-    return Fits(tuple(row for row, _ in pairs), _name(work), work.units, work, tuple(source for _, source in pairs))
+    return Fits(tuple(row for row, _ in pairs), work.name, work.units, work, tuple(source for _, source in pairs))
 
 
 def _chunks(sources: Sequence[Source], workers: int, few: int) -> list[Sequence[Source]]:
@@ -97,20 +95,10 @@ def _chunks(sources: Sequence[Source], workers: int, few: int) -> list[Sequence[
     return [sources[a:b] for a, b in itertools.pairwise(edges) if b > a]
 
 
-def _name(work: Work) -> str:
-    return str(work.model) if isinstance(work.model, str) else model_name(work.model)
-
-
 def _described(work: Work) -> dict[str, Any]:
     """The settings that identify a batch: model, options and reading, not its loops."""
-    model = work.model if isinstance(work.model, str) else to_json(work.model)
-    plain = lambda options: {name: repr(value) for name, value in sorted(options.items())}
-    return {
-        "model": model,
-        "options": plain(vars(work.options)),
-        "reading": plain(work.reading),
-        "units": dict(work.units),
-    }
+    reading = {name: repr(value) for name, value in sorted(work.reading.items())}
+    return work.described | {"reading": reading, "units": dict(work.units)}
 
 
 def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:
