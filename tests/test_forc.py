@@ -15,8 +15,7 @@ from hystfit.models.preisach.forc import density_of, fit_forc
 from hystfit.models.preisach.forc_diagram import ForcDiagram, forc_diagram
 from hystfit.models.preisach.forc_numbers import forc_numbers
 from hystfit.outcome import Status
-from hystfit.quality.reversal_corrections import corrected_curves
-from hystfit.quality.reversal_curves import reversal_curves
+from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
 from hystfit.results.forc_loop import forc_loop
 from hystfit.sampling.derived import sampled_density
 from hystfit.sampling.diagnostics import Convergence

@@ -28,9 +28,9 @@ from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
+from hystfit.results.provenance import Stopwatch
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
-from hystfit.results.timing import Stopwatch
 
 FEWEST = 8  # loops from which the programs of many pay
 _SAME = 1e-3  # relative difference of two standard errors that is none

@@ -123,7 +123,7 @@ def _errors(
 
 @dataclasses.dataclass(frozen=True)
 class RowNotes:
-    """Notes on N loops besides their accuracy.
+    """Notes on N loops besides their accuracy: most loops share their codes, and a text is made when it is asked for.
 
     Attributes:
         sets: the different sets of codes, each with that of the accuracy.

@@ -32,8 +32,8 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.reading.read import read
+from hystfit.results.provenance import Stopwatch
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program

@@ -48,8 +48,7 @@ def forc(
             shows it beside the regression.
     """
     from hystfit.models.preisach.forc_numbers import forc_numbers
-    from hystfit.quality.reversal_corrections import corrected_curves
-    from hystfit.quality.reversal_curves import reversal_curves
+    from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
     from hystfit.results.forc_loop import forc_loop
     from hystfit.results.provenance import provenance
 
@@ -122,7 +121,7 @@ def _density(
 
 def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
     from hystfit.cli.figures import sheet
-    from hystfit.results.forc_plots import plot_compared
+    from hystfit.results.preisach_plots import plot_compared
 
     figure = sheet(5.6 * len(diagrams), 8.4)
     plot_compared(diagrams, figure, units=units)
@@ -145,8 +144,7 @@ def _figures(
     diagram: ForcDiagram, numbers: ForcNumbers, loop: ForcLoop, family: ReversalFamily, units: dict[str, str]
 ) -> dict[str, Figure]:
     from hystfit.cli.figures import sheet
-    from hystfit.results.forc_plots import plot_forc_diagram, plot_profiles
-    from hystfit.results.preisach_plots import plot_curves
+    from hystfit.results.preisach_plots import plot_curves, plot_forc_diagram, plot_profiles
 
     sheets = {"forc": sheet(5.6, 4.4), "profiles": sheet(5.6, 7.2), "curves": sheet(5.6, 4.4)}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)

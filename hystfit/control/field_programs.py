@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hystfit.control.magnetic_law import Law
-from hystfit.control.magnetic_material import Material
+from hystfit.control.magnetic_material import Law, Material
 from hystfit.errors import ModelError
 from hystfit.params.units import MU0
 

@@ -80,7 +80,7 @@ def uncertainty(
     estimate is the one under slow and independent noise with their statistics (`inference.noise.slow_likelihood`). For hundreds of
     weights, or where such noise would have to be far larger than the residuals, it grows by their integrated autocorrelation time.
     Parameters on a bound and directions that the data do not determine have no finite error. Those of the others treat the
-    bounds as prior information where up to 60 parameters are near theirs (`active_bounds`); for more, those at bounds are held there.
+    bounds as prior information where up to 60 parameters are near theirs (`near_bounds`); for more, those at bounds are held there.
 
     Args:
         problem: what was fitted.

@@ -39,9 +39,8 @@ from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
-from hystfit.results.provenance import provenance
+from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 from hystfit.runs.threads import one_blas_thread
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors

@@ -13,9 +13,8 @@ from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK
-from hystfit.quality.chatter import MOST
 from hystfit.quality.damage import fails_at
-from hystfit.quality.faults import clipped_samples, saturated_samples
+from hystfit.quality.faults import MOST, clipped_samples, saturated_samples
 from hystfit.quality.findings import AFTER_FAILURE, chatter_note, place_of
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
@@ -194,7 +193,7 @@ _OUTSIDE, _GAP = 4.0, 4
 
 
 def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
-    """A warning that names the first such stretch; None where there is none.
+    """A warning of a short stretch of samples that carries half of the squared error of a record, such as a disturbance of the sensor.
 
     Args:
         rows: residuals of the samples that count, for each record.

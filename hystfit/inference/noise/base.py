@@ -200,6 +200,10 @@ def resample(
 ) -> Float[Array, "*shape"]:
     """Independent values with the distribution of the innovations, of mean zero and unit variance: a smoothed bootstrap.
 
+    Innovations of Gaussian noise are normal. Those of noise with spikes have a narrow middle and heavy tails: normal ones give bands of
+    90 % that cover 92 to 97 %, and resampled ones keep the form of the noise, its size and its correlation (Stoffer and Wall 1991; Davison
+    and Hinkley 1997, chapter 6). A normal kernel (Silverman 1986, sections 3.4 and 6.4) gives few residuals their tails.
+
     Args:
         e: innovations, shape (n,).
         on: which count, shape (n,).
