@@ -101,8 +101,8 @@ def _density(
     data: Dataset, density: str, smoothing: int, *, rising: bool
 ) -> tuple[dict[str, ForcDiagram], Status, tuple[Note, ...]]:
     """Diagrams by how they were found, the status of a posterior and its notes."""
-    from hystfit.models.preisach.forc import density_of, fit_forc
     from hystfit.models.preisach.forc_diagram import forc_diagram
+    from hystfit.models.preisach.solve import density_of, fit_forc
 
     if density == "fitted":
         return {_HOW[density]: density_of(fit_forc(data, nonnegative=False).model, rising=rising)}, Status.OK, ()

@@ -26,9 +26,8 @@ from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import accuracy_note, exceeded_limits
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
-from hystfit.results.provenance import provenance
+from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 
 
 @dataclasses.dataclass(frozen=True)

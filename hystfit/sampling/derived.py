@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.models.preisach.forc import density_of
 from hystfit.models.preisach.forc_diagram import ForcDiagram
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.solve import density_of
 from hystfit.results.quantities import CREEP, QUANTITIES, applicable
 from hystfit.results.steady_loops import Excitation, creeps
 from hystfit.sampling.posterior import Posterior
