@@ -73,11 +73,11 @@ def invert(
     content |= {"notes": [note.to_dict() for note in missed], "rest": rest}
     title, units = f"{result.name} inverted for {target.name}", content["units"]
     notes = [*missed, *(note for note in target.notes if note.code in _ABOUT_READING)]
-    remarks = [
-        _limits_line(result, span),
-        *([] if rest is None else [_rest_line(rest, units["input"])]),
-        *map(str, notes),
-    ]
+    remarks = [_limits_line(result, span)]
+    if rest is not None:
+        level = f"{rest:g} {units['input'] or ''}".rstrip()
+        remarks.append(f"in equilibrium at an input of {level} before the reference begins")
+    remarks += map(str, notes)
     remarks += [] if bands is None else [_band_words(content)]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
@@ -134,11 +134,6 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     low, high = given or result.input_range
     source = "--limits" if given else "range of the fitted input; --limits sets others"
     return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
-
-
-def _rest_line(rest: float, unit: str | None) -> str:
-    level = f"{rest:g} {unit or ''}".rstrip()
-    return f"in equilibrium at an input of {level} before the reference begins"
 
 
 def _target(path: str, reading: Reading, fitted: Record) -> Record:

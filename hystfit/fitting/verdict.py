@@ -164,7 +164,7 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
     elif percent > USABLE and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
         text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
-    elif percent > USABLE and _degrading(fitted):
+    elif percent > USABLE and not fitted.model.degrades and _shows_damage(fitted):
         code = Code.MODEL_MISMATCH
         text = f"{_damage(fitted)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
@@ -194,11 +194,6 @@ def _damage(fitted: Fitted) -> str:
 
 def _shows_damage(fitted: Fitted) -> bool:
     return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
-
-
-def _degrading(fitted: Fitted) -> bool:
-    """Whether the records show damage that the model has no term for."""
-    return not fitted.model.degrades and _shows_damage(fitted)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:

@@ -47,7 +47,8 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     sizes, differences = [], np.diff(values)
     for order in range(2, 7):
         differences = np.diff(differences)
-        sizes.append(MAD_TO_RMS * _median_size(differences) / math.sqrt(math.comb(2 * order, order)))
+        size = float(np.median(np.abs(differences), overwrite_input=True))
+        sizes.append(MAD_TO_RMS * size / math.sqrt(math.comb(2 * order, order)))
     step, least = resolution(values) or 0.0, min(sizes)
     precision = float(np.finfo(float).eps * np.max(np.abs(values)))
     floor = max(precision, _PRINTED * step)
@@ -90,10 +91,6 @@ def _finite(values: np.ndarray) -> np.ndarray:
     values = np.asarray(values, dtype=float)
     finite = np.isfinite(values)
     return values if finite.all() else values[finite]
-
-
-def _median_size(values: np.ndarray) -> float:
-    return float(np.median(np.abs(values), overwrite_input=True))
 
 
 def runs(mask: np.ndarray) -> np.ndarray:

@@ -54,11 +54,8 @@ def headline(result: FitResult) -> str:
 
 def verdict(result: FitResult) -> list[Note]:
     """The notes on which the status rests, and those that limit it: also quantities in which model and measured loop differ."""
-    return [*(note for note in result.notes if note.code in _VERDICT), *map(_difference, _differing(result))]
-
-
-def _differing(result: FitResult) -> list[QuantityEstimate]:
-    return [one for one in result.quantities if one.differs]
+    notes = [note for note in result.notes if note.code in _VERDICT]
+    return notes + [_difference(one) for one in result.quantities if one.differs]
 
 
 def _difference(one: QuantityEstimate) -> Note:
