@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.loops import SAME_LEVEL, SLACK
+from hystfit.data.circulation import SLACK
+from hystfit.quality.loops import SAME_LEVEL
 
 _FEWEST = 5  # turns at each end
 _BEFORE = 0.1  # part of a branch, at its end, that shows the slope there
