@@ -32,6 +32,7 @@ _CYRILLIC = dict(
         strict=True,
     )
 )
+_ELECTRIC = {"V": "voltage", "I": "current"}  # symbols whose one-letter index is no unit of another quantity: V_G, I_C
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 _BARE_TIMES = frozenset(
     {"day", "ms", "us", "µs", "μs", "ns"}
@@ -158,8 +159,9 @@ def _behind_underscore(name: str, siblings: Sequence[str]) -> tuple[str, str] | 
         return None
     others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
     labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
-    if labels or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
-        return None  # I_A, I_B, I_C are currents of three phases
+    terminal = len(match[2]) == 1 and quantity(match[2]) != _ELECTRIC.get(match[1], quantity(match[2]))
+    if labels or terminal or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
+        return None  # I_A, I_B, I_C are currents of three phases, V_G the voltage of a gate
     return match[1], match[2]
 
 

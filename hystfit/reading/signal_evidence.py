@@ -86,6 +86,15 @@ def computed(u: np.ndarray, y: np.ndarray) -> bool:
     return _beside_a_line(u, y, _FEWEST_COMPUTED) < _COMPUTED
 
 
+def same_loop(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two outputs over one input differ by their scale and a multiple of the input, as J and B = J + mu0 H do."""
+    both = np.isfinite(u) & np.isfinite(one) & np.isfinite(other)
+    if both.sum() < _FEWEST_COMPUTED or np.ptp(u[both]) == 0:
+        return False
+    bent = [y[both] - np.polyval(np.polyfit(u[both], y[both], 1), u[both]) for y in (one, other)]
+    return all(np.ptp(y) > 0 for y in bent) and _beside_a_line(*bent, _FEWEST_COMPUTED) < _PROPORTIONAL
+
+
 def _beside_a_line(u: np.ndarray, y: np.ndarray, fewest: int) -> float:
     """Part of the variance that a straight line leaves; 1 of fewer samples, and of a constant column."""
     u, y = sample(u), sample(y)
@@ -111,6 +120,15 @@ def roughness(values: np.ndarray) -> float:
     return (
         float(np.median(np.abs(np.diff(values, 3))) / np.ptp(values)) if values.size > 3 and np.ptp(values) > 0 else 0.0
     )
+
+
+def smoothness(values: np.ndarray) -> float:
+    """Correlation of neighboring samples: 0 of white noise, near 1 of a column that is sampled often; 1 of few samples."""
+    values = values[np.isfinite(values)]
+    if values.size < _FEWEST or np.ptp(values) == 0:
+        return 1.0
+    values = (values - values.mean()) / np.ptp(values)
+    return float(values[1:] @ values[:-1] / (values @ values))
 
 
 def overtones(values: np.ndarray) -> float:

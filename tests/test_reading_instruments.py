@@ -1,0 +1,139 @@
+"""Tables of magnetometers, source-measure units, lock-in amplifiers and furnaces: channels, terminals, components and conditions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.data import Record
+from hystfit.outcome import Code
+from hystfit.reading import read
+from hystfit.reading.column_names import column_quantity
+from hystfit.reading.names_with_units import split_unit
+
+N = 120
+RNG = np.random.default_rng(4)
+U = np.round(np.concatenate([np.linspace(1, -1, N // 2), np.linspace(-1, 1, N // 2)]), 4)
+# A wide loop that lags: the falling branch switches below zero, the rising one above.
+Y = np.round(np.tanh(6 * (U + np.where(np.arange(N) < N // 2, 0.3, -0.3))), 5)
+NOISE = np.round(RNG.normal(0, 1, N), 3)
+
+
+def loop(folder: Path, header: str, *columns: np.ndarray, mark: str = ",", above: str = "") -> Record:
+    lines = (mark.join(map(str, row)) for row in zip(*columns, strict=True))
+    path = folder / "loop.dat"
+    path.write_text(above + header + "\n" + "\n".join(lines) + "\n")
+    data = read(path)
+    assert isinstance(data, Record), [record.name for record in data]
+    return data
+
+
+def is_pair(record: Record, u: np.ndarray, y: np.ndarray) -> None:
+    np.testing.assert_allclose(record.u, u, rtol=1e-12)
+    np.testing.assert_allclose(record.y, y, rtol=1e-12)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_rows_of_other_channels_in_turn_are_left_out(count: int, tmp_path: Path) -> None:
+    """A resistance bridge measures one channel a row, and leaves the cells of the others empty."""
+    rows, clock = [], 0
+    for k in range(N):
+        for channel in range(count):
+            clock += 2
+            cells = [f"{(100 + channel + Y[k]):.5f}" if at == channel else "" for at in range(count)]
+            rows.append(f",{clock},{300 + 0.01 * NOISE[k]:.4f},{9000 * U[k]:.2f},{','.join(cells)}")
+    named = ",".join(f"Bridge {at + 1} Resistivity (Ohm)" for at in range(count))
+    path = tmp_path / "film.dat"
+    header = f"Comment,Time Stamp (sec),Temperature (K),Magnetic Field (Oe),{named}"
+    path.write_text("[Header]\nTITLE,Resistivity\n[Data]\n" + "\n".join([header, *rows]) + "\n")
+    for channel in range(count):
+        record = read(path, **({"output": f"Bridge {channel + 1} Resistivity (Ohm)"} if channel else {}))
+        assert isinstance(record, Record)
+        is_pair(record, np.round(9000 * U, 2), np.round(100 + channel + Y, 5))
+        assert not any(note.code is Code.CONDITIONS for note in record.notes)
+
+
+@pytest.mark.parametrize("in_phase", ["X", "Y"])
+def test_of_the_components_of_a_lock_in_amplifier_the_larger_one_is_read(in_phase: str, tmp_path: Path) -> None:
+    signal, other = Y, 0.04 * Y + 0.01 * NOISE
+    x, y = (signal, other) if in_phase == "X" else (other, signal)
+    is_pair(loop(tmp_path, "H(Oe)\tX\tY\tDEG", 300 * U, x, y, np.degrees(np.arctan2(y, x)), mark="\t"), 300 * U, signal)
+
+
+def test_x_and_y_alone_are_an_input_and_its_output(tmp_path: Path) -> None:
+    is_pair(loop(tmp_path, "X,Y,DEG", 300 * U, Y, 0.1 * Y + 0.01 * NOISE), 300 * U, Y)
+
+
+@pytest.mark.parametrize("header", ["VG,ID,IG", "Vgs (V),Ids (A),Igs (A)", "V_G,I_D,I_G", "Vg,Id,Ig"])
+@pytest.mark.parametrize("sweep", ["there and back", "once"])
+def test_terminals_of_a_transistor(header: str, sweep: str, tmp_path: Path) -> None:
+    gate = U if sweep != "once" else np.linspace(-1, 1, N)
+    record = loop(tmp_path, header, 10 * gate, 1e-6 * Y, 1e-12 * NOISE)
+    is_pair(record, 10 * gate, 1e-6 * Y)
+    assert record.t is None
+    assert record.u_unit in ("", "V")
+
+
+def test_an_id_without_a_gate_is_a_number() -> None:
+    assert column_quantity("ID") == column_quantity("Id") == "index"
+    assert [column_quantity(name) for name in ("VDS", "V_D", "Vgs", "I_S", "IG")] == ["voltage"] * 3 + ["current"] * 2
+    assert split_unit("V_G") == ("V_G", "")
+    assert split_unit("V_mV") == ("V", "mV")
+    assert split_unit("I_A") == ("I", "A")
+
+
+def test_two_outputs_of_branches_over_one_input(tmp_path: Path) -> None:
+    """The gate's current stands beside that of the drain, each on the way there and back."""
+    gate, switched = np.linspace(-3, 3, 61), lambda at: np.round(1 / (1 + np.exp(-(gate_of - at) / 0.15)), 6)
+    gate_of = gate
+    leak = [1e-9 * NOISE[:61], 1e-9 * NOISE[-61:]]
+    record = loop(tmp_path, "Vg,Id_fwd,Id_bwd,Ig_fwd,Ig_bwd", gate, switched(0.8), switched(-0.6), *leak)
+    is_pair(record, np.concatenate([gate, gate[::-1]]), np.concatenate([switched(0.8), switched(-0.6)[::-1]]))
+
+
+def test_a_hall_voltage_responds_to_the_field(tmp_path: Path) -> None:
+    record = loop(
+        tmp_path, "#B(T) Vxx(V) Vxy(V) T(K)", 1.5 * U, 1e-3 - 1e-6 * U**2, 1e-5 * Y, 10 + 1e-3 * NOISE, mark=" "
+    )
+    is_pair(record, 1.5 * U, 1e-5 * Y)
+
+
+def test_the_signed_piezoresponse_is_read_rather_than_its_amplitude(tmp_path: Path) -> None:
+    header = "DC Bias (V),Amplitude off (pm),Phase off (deg),Piezoresponse off (a.u.)"
+    record = loop(tmp_path, header, 8 * U, 50 * np.abs(Y), np.where(Y > 0, 0, 180), 50 * Y)
+    is_pair(record, 8 * U, 50 * Y)
+
+
+def test_polarization_and_flux_density_over_one_field_are_one_loop(tmp_path: Path) -> None:
+    """B is J and mu0 H: whichever is read, the quantities of both follow, and there is nothing to ask."""
+    field, flux = 1000 * U, np.round(1.2 * Y, 5)
+    record = loop(tmp_path, "H [kA/m];J [T];B [T]", field, flux, np.round(flux + 4e-4 * np.pi * field, 5), mark=";")
+    is_pair(record, field, flux)
+
+
+def test_a_strain_over_the_temperature_at_a_stress_that_is_held(tmp_path: Path) -> None:
+    record = loop(tmp_path, "Temperature,Strain,Stress", 70 - 50 * U, 2.5 - 2 * Y, 150 + 0.4 * NOISE)
+    is_pair(record, 70 - 50 * U, 2.5 - 2 * Y)
+
+
+def test_the_measured_temperature_drives_and_is_no_condition(tmp_path: Path) -> None:
+    """Of a furnace with a setpoint and two thermometers; the temperatures are no conditions of the loop over one of them."""
+    kelvin = np.round(330 + 30 * U, 3)
+    measured = kelvin + 0.05 * NOISE
+    columns = (2.0 * np.arange(N), kelvin, measured, np.round(0.9 * measured + 30, 4), 100 + 50 * Y)
+    record = loop(tmp_path, "time(s)\tSetpoint(K)\tTemp A(K)\tTemp B(K)\tRes(Ohm)", *columns, mark="\t")
+    is_pair(record, measured, 100 + 50 * Y)
+    assert not any(note.code is Code.CONDITIONS for note in record.notes)
+
+
+def test_the_question_on_channels_without_names_offers_those_that_are_related(tmp_path: Path) -> None:
+    """A loop beside components that are noise: no order of the columns tells which one drives, and their relation tells which belong."""
+    from hystfit.errors import DataError
+
+    path = tmp_path / "output"
+    columns = (2 * U, 0.02 * NOISE, 0.02 * NOISE[::-1], Y, np.abs(Y))
+    path.write_text("".join(" ".join(map(str, row)) + "\n" for row in zip(*columns, strict=True)))
+    with pytest.raises(DataError, match="--input 0 --output 3 "):
+        read(path)
