@@ -186,6 +186,23 @@ def play_positions(
     return p.T
 
 
+def curve_scatter(records: Iterable[Record]) -> float:
+    """Pooled rms distance of samples from a curve of any shape over the input [y]: of each from the line between those beside it.
+
+    Samples of one input are in random order, as those that follow each other in time are alike whatever the memory.
+    """
+    squares, count = 0.0, 0
+    for record in records:
+        u, y = record.u[record.used], record.y[record.used]
+        order = np.lexsort((np.random.default_rng(0).permutation(u.size), u))
+        u, y = u[order], y[order]
+        gap = u[2:] - u[:-2]
+        part = np.divide(u[1:-1] - u[:-2], gap, out=np.full(gap.shape, 0.5), where=gap > 0)
+        errors = y[1:-1] - (1 - part) * y[:-2] - part * y[2:]
+        squares, count = squares + float(np.sum(errors**2 / (1 + part**2 + (1 - part) ** 2))), count + errors.size
+    return float(np.sqrt(squares / max(count, 1)))
+
+
 def _noise(outputs: Sequence[np.ndarray]) -> float | None:
     """Pooled rms noise of the outputs of records; None where it is unknown on any of them."""
     squares, count = 0.0, 0
