@@ -168,10 +168,7 @@ def _branches_coincide(fitted: Fitted) -> bool:
         100 * scatter > POOR * fitted.baselines.span or not is_noise(scatter, fitted.baselines)
     ):
         return False
-    closed = all(
-        (quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities
-    )
-    return closed and few_samples(fitted.qualities) is None  # of few samples, none of two branches are neighbors
+    return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities)
 
 
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
