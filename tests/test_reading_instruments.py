@@ -12,6 +12,7 @@ from hystfit.outcome import Code
 from hystfit.reading import read
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.signal_evidence import roughness
 
 N = 120
 RNG = np.random.default_rng(4)
@@ -137,3 +138,42 @@ def test_the_question_on_channels_without_names_offers_those_that_are_related(tm
     path.write_text("".join(" ".join(map(str, row)) + "\n" for row in zip(*columns, strict=True)))
     with pytest.raises(DataError, match="--input 0 --output 3 "):
         read(path)
+
+
+def test_a_column_of_units_belongs_to_the_one_before_it(tmp_path: Path) -> None:
+    """As a source-measure unit keeps its buffer: the reading and the value that was sourced, each before its unit."""
+    units = np.full(N, "Amp DC"), np.full(N, "Volt DC")
+    header = '"Index","Reading","Unit","Value","Unit","Relative Time"'
+    record = loop(tmp_path, header, np.arange(1, N + 1), 1e-4 * Y, units[0], 3 * U, units[1], 0.1 * np.arange(N))
+    is_pair(record, 3 * U, 1e-4 * Y)
+    assert (record.u_unit[:4], record.y_unit[:3]) == ("Volt", "Amp")
+
+
+@pytest.mark.parametrize(
+    ("header", "clock"), [("millis,pwm,current_mA,raw,mT", "ms"), ("micros,pwm,current_mA,raw,mT", "us")]
+)
+def test_clocks_and_bare_units_of_loggers(header: str, clock: str, tmp_path: Path) -> None:
+    counts = np.round(512 + 300 * Y)
+    columns = (20 * np.arange(N), np.round(127 + 120 * U), 500 * U, counts, 40 * Y)
+    record = loop(tmp_path, header, *columns)
+    is_pair(record, 500 * U, 40 * Y)
+    assert (record.t_unit, record.y_unit) == (clock, "mT")
+
+
+def test_numbers_that_are_cut_off_are_no_noise(tmp_path: Path) -> None:
+    """A voltage of three decimals, and the current that it drives with more digits."""
+    volts = np.round(3 * np.sin(np.linspace(0, 4 * np.pi, 300)), 3)
+    current = np.round(1e-4 * volts + 2e-5 * np.tanh(2 * volts - np.cos(np.linspace(0, 4 * np.pi, 300))), 12)
+    is_pair(loop(tmp_path, "V (V),I (A)", volts, current), volts, current)
+    assert roughness(volts) == 0.0
+    assert roughness(volts + 0.01 * RNG.normal(size=300)) > 1e-3
+
+
+def test_a_quality_factor_beside_a_capacitance_is_no_charge(tmp_path: Path) -> None:
+    columns = (5 * U, 120 - 30 * Y, 1e5 + 1e3 * NOISE, 30 + NOISE[::-1])
+    is_pair(loop(tmp_path, "BIAS(V)  Cp(pF)  Rp(ohm)  Q", *columns, mark=" "), 5 * U, 120 - 30 * Y)
+
+
+def test_an_oxide_is_no_number() -> None:
+    assert column_quantity("NO2_ppb") == column_quantity("NOx") == ""
+    assert column_quantity("No") == column_quantity("Point No") == "index"

@@ -21,11 +21,10 @@ from hystfit.quality.equal_inputs import MOST_APART, apart_note
 from hystfit.quality.loops import SLACK, clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
-from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise, is_single_valued_error
+from hystfit.results.accuracy import SHARE, accuracy_note, exceeded_limits, is_noise, is_single_valued_error
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
-_CHANCE = 0.8  # of the scatter about a curve, below which an error is smaller by no chance: of 100 samples the ratio has an error of 0.1
 _LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
 POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
 _ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
@@ -162,7 +161,7 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
 def _branches_coincide(fitted: Fitted) -> bool:
     """Whether no loop is open beyond the noise, and the fit errs as much as the samples scatter about a curve of any shape."""
     scatter = curve_scatter(fitted.parts)
-    if not fitted.thorough or fitted.train.rmse < _CHANCE * scatter:
+    if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
         return False
     if fitted.percent > POOR and (
         100 * scatter > POOR * fitted.baselines.span or not is_noise(scatter, fitted.baselines)

@@ -146,5 +146,5 @@ def _named_quantities(base: str) -> list[str]:
 def _words(base: str) -> list[str]:
     """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
     tokens = [token.strip() for token in base.lower().split("_")]
-    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
+    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|(?!NO[\dx])[A-Z]{2,}(?![a-z])", base)]
     return [base.lower(), *tokens, *camel]

@@ -243,8 +243,8 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         kinds.update({k: "phase" for k in free if table.names[k].lower() in _POLAR})
     if among("voltage") and has_terminals(table.names):
         kinds.update({k: "current" for k in free if is_drain(table.names[k])})
-    if among("capacitance"):  # D beside C is a loss
-        kinds.update({k: "" for k in free if table.names[k] == "D"})
+    if among("capacitance"):  # D beside C is a loss, and Q its inverse
+        kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     _find_velocities(table, free, kinds)
     if table.named and many:
         kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
