@@ -83,8 +83,9 @@ def apart_note(records: Sequence[Record]) -> Note | None:
         f"the loops of {len(found.names)} records, {first!r} and {others[-1]!r} among them, differ at equal inputs: one model for all of "
         f"them errs by at least {100 * found.rms / span:.2g} % of the range. Fit each alone (only=), or all of them by hystfit batch"
     )
-    value = first.partition("=")[2]
-    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=("only", value) if value else None)
+    of_one_file = len({record.source for record in records}) == 1
+    option = ("only", first.partition("=")[2] or first) if of_one_file else None
+    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option)
 
 
 def _largest_loop(record: Record) -> _Loop | None:
