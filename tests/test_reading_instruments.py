@@ -177,3 +177,10 @@ def test_a_quality_factor_beside_a_capacitance_is_no_charge(tmp_path: Path) -> N
 def test_an_oxide_is_no_number() -> None:
     assert column_quantity("NO2_ppb") == column_quantity("NOx") == ""
     assert column_quantity("No") == column_quantity("Point No") == "index"
+
+
+def test_a_refractive_index_is_no_number_of_rows(tmp_path: Path) -> None:
+    celsius = np.round(50 - 30 * U, 1)
+    columns = (celsius, celsius + 0.05 * NOISE, 1.5 - 1e-3 * Y, 3.1 + 0.01 * NOISE[::-1])
+    record = loop(tmp_path, "Setpoint T (°C),Actual T (°C),n (-),Power (mW)", *columns)
+    is_pair(record, columns[1], columns[2])

@@ -246,8 +246,16 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     _find_velocities(table, free, kinds)
+    fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
+    kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
         kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+
+
+def _is_whole(values: np.ndarray) -> bool:
+    """Whether a column has whole numbers alone."""
+    known = values[np.isfinite(values)]
+    return bool((known == np.round(known)).all())
 
 
 def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, int]) -> None:
