@@ -184,3 +184,24 @@ def test_a_refractive_index_is_no_number_of_rows(tmp_path: Path) -> None:
     columns = (celsius, celsius + 0.05 * NOISE, 1.5 - 1e-3 * Y, 3.1 + 0.01 * NOISE[::-1])
     record = loop(tmp_path, "Setpoint T (°C),Actual T (°C),n (-),Power (mW)", *columns)
     is_pair(record, columns[1], columns[2])
+
+
+def test_lines_of_words_between_two_loops_begin_a_section(tmp_path: Path) -> None:
+    rows = lambda *columns: "".join(" ".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+    head = "@Date: 12 Mar 2018\n@@Columns\n@Column 0: Applied Field [Oe]\n@Column 1: Signal X direction [emu]\n@@END Columns\n"
+    section = "@@Data\nNew Section: Section {}\n{}@@END Data.\n"
+    path = tmp_path / "film.VHD"
+    path.write_text(head + section.format(0, rows(5000 * U, Y)) + section.format(1, rows(9000 * U, 2 * Y)))
+    data = read(path)
+    assert len(data) == 2
+    for record, size in zip(data, (5000, 9000), strict=True):
+        is_pair(record, size * U, Y if size == 5000 else 2 * Y)
+
+
+def test_messages_in_a_record_whose_clock_goes_on_begin_nothing(tmp_path: Path) -> None:
+    lines = [f"{0.1 * k:.1f},{a},{b}" for k, (a, b) in enumerate(zip(U, Y, strict=True))]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["t (s),V (V),x (um)", *lines[:50], "INFO gain changed", "INFO ready", *lines[50:]]))
+    record = read(path)
+    assert isinstance(record, Record)
+    is_pair(record, U, Y)

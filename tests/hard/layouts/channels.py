@@ -1,4 +1,4 @@
-"""Channels of one instrument: bridges in turn, components of a lock-in amplifier, terminals of a transistor, sensors of a furnace."""
+"""Channels of one instrument: bridges in turn, components of a lock-in amplifier, terminals, sensors, buffers and sections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .drawing import Draw
 from .physics import lagging, major_loop, saturating
 from .registry import kind
 from .truth import Layout, loops
-from .writing import Column, Dialect, loop, packed, table
+from .writing import Column, Dialect, loop, packed, rows, table
 
 
 @kind("bridges in turn")
@@ -97,3 +97,35 @@ def furnace(draw: Draw) -> Layout:
     clock = Column("time", 2.0 * np.arange(n), "s", ".1f")
     lines = table(draw, [clock, setpoint, a, b, y], Dialect("\t", style=draw.pick("parentheses", "brackets")))
     return Layout("", {draw.pick("vo2.txt", "run.lvm"): packed(draw, lines, ("utf-8",))}, loops(loop(a, y)))
+
+
+@kind("buffer of a source-measure unit")
+def buffer(draw: Draw) -> Layout:
+    """Readings and sourced values, each before the column of its unit."""
+    n = 2 * draw.whole(50, 150)
+    volts = draw.size(0.5, 20) * major_loop(n)
+    share = volts / volts.max()
+    amperes = draw.size(1e-8, 1e-2) * draw.noise(share + 0.5 * saturating(draw, share, begin=1), 3e-4)
+    v, i = Column("Value", volts, "", ".5f"), Column("Reading", amperes, "", ".6E")
+    of_i, of_v = Column("Unit", np.full(n, "Amp DC")), Column("Unit", np.full(n, "Volt DC"))
+    number = Column("Index", 1.0 + np.arange(n), "", ".0f")
+    clock = Column("Relative Time", 0.11 * np.arange(n), "", ".4f")
+    columns = [number, i, of_i, v, of_v, *([clock] if draw.chance(0.7) else [])]
+    lines = table(draw, columns, Dialect(",", style="none"))
+    u, y = (Column(one.name, one.values, unit, one.form) for one, unit in ((v, "V"), (i, "A")))
+    return Layout("", {draw.pick("defbuffer1.csv", "sweep.csv"): packed(draw, lines, ("utf-8",))}, loops(loop(u, y)))
+
+
+@kind("sections under words")
+def sections(draw: Draw) -> Layout:
+    """Loops of growing amplitude below each other, between lines that end one section and begin the next."""
+    n, count = 2 * draw.whole(40, 120), draw.whole(2, 4)
+    top = draw.size(500, 20000)
+    h, m, lines = [], [], ["@@Columns", "@Column 0: Applied Field [Oe]", "@Column 1: Moment [emu]", "@@END Columns"]
+    for k in range(count):
+        share = major_loop(n) * (k + 1) / count
+        h.append(Column("Applied Field", top * share, "Oe", ".4f"))
+        m.append(Column("Moment", 1e-3 * draw.noise(saturating(draw, share, begin=1), 1e-3), "emu", ".6e"))
+        lines += ["@@Data", f"New Section: Section {k}", *rows([h[-1], m[-1]], Dialect(" ")), "@@END Data."]
+    truth = tuple(loop(field, moment) for field, moment in zip(h, m, strict=True))
+    return Layout("", {draw.pick("film.VHD", "minor.txt"): packed(draw, lines, ("utf-8",))}, (truth,))
