@@ -215,7 +215,7 @@ class LinearCreep(AbstractHysteresis):
 
     def without_creep(self) -> LinearCreep:
         """See the base class."""
-        return dataclasses.replace(self, a=jnp.zeros_like(self.a))
+        return dataclasses.replace(self, a=np.zeros(self.a.shape))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """What relaxes within one sample."""
