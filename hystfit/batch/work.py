@@ -16,7 +16,7 @@ from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
-from hystfit.config import enable_x64
+from hystfit.config import enable_x64, one_blas_thread
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -33,7 +33,6 @@ from hystfit.params.space import ParameterSpace
 from hystfit.reading.read import read
 from hystfit.results.result import FitResult
 from hystfit.results.timing import Stopwatch
-from hystfit.runs.threads import one_blas_thread
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program

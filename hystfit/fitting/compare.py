@@ -25,7 +25,7 @@ from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
 from hystfit.reading.in_memory import records_of
-from hystfit.runs.threads import Workers, one_blas_thread
+from hystfit.runs.threads import Workers
 
 
 @verb
@@ -81,7 +81,7 @@ def compare(
     chosen = Candidates(tuple(named)) if named else candidates(data)
     data = without_faults(data)
     update = shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress)
-    with one_blas_thread(), update as shown:
+    with update as shown:
         run = ComparisonRun(
             data, left_out, purpose, options, named, ShownProgress(shown, chosen.names), Workers(workers)
         )
