@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import hystfit as hf
 from hystfit import cli
 from hystfit.batch import bucketed, many, work
-from hystfit.batch.journal import Journal
+from hystfit.batch.many import Journal
 from hystfit.batch.overview import histogram, overview
 from hystfit.batch.sources import Source
 from hystfit.errors import DataError, MissingExtraError, ParameterError
