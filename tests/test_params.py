@@ -408,3 +408,10 @@ WORDS = {
 def test_units_in_words_are_those_of_their_symbols(words, symbols):
     assert parse_unit(words) == parse_unit(symbols) is not None
     assert conversion(words, symbols) == 1.0
+
+
+def test_a_power_beyond_those_of_units_is_none() -> None:
+    """A damaged file has text such as km999, whose factor no number holds."""
+    assert parse_unit("km999") is None
+    assert quantity("km999") == ""
+    assert parse_unit("mm^4") is not None

@@ -327,3 +327,50 @@ def sorted_pair(record: hf.Record, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Outputs and inputs of two neighboring samples, by rising output."""
     order = np.argsort(record.y[k : k + 2])
     return record.y[k : k + 2][order], record.u[k : k + 2][order]
+
+
+COARSE = {"three samples a half cycle of a sine": (60, 2.9, 0.15), "six of a triangle": (37, 6.0, 0.25)}
+
+
+def coarse_record(kind: str) -> tuple[hf.Record, dict[str, float]]:
+    """A loop of plays behind a saturation at few samples, and the values of its steady loop, by dense simulation in NumPy."""
+    count, half, width = COARSE[kind]
+    phase = np.arange(count) / half
+    corners = np.sin(np.pi * phase) if "sine" in kind else 4 * np.abs((0.5 * phase) % 1 - 0.5) - 1
+    radii = width * np.linspace(0.2, 1.8, 21)
+
+    def plain(u: np.ndarray) -> np.ndarray:
+        p, out = u[0] - radii, []
+        for x in u:
+            p = np.clip(p, x - radii, x + radii)
+            out.append(np.tanh(3 * p).mean())
+        return np.array(out)
+
+    dense = np.interp(np.arange(100 * (count - 1) + 1) / 100, np.arange(count), corners)
+    record = hf.Record(500 * corners, 1.2 * plain(dense)[::100], u_unit="A/m", y_unit="T", u_name="H", y_name="B")
+    edge = np.linspace(-1, 1, 1001) * np.abs(corners).max()
+    u = np.concatenate([edge, edge[::-1], edge])
+    falling, rising = plain(u)[1001:2002][::-1], plain(u)[2002:]
+    truth = {"loop_area": 600 * np.trapezoid(falling - rising, edge), "remanence": 0.6 * (falling - rising)[500]}
+    truth["coercive_input"] = 250 * float(np.interp(0, rising, edge) - np.interp(0, falling, edge))
+    return record, truth
+
+
+@pytest.mark.parametrize("kind", COARSE)
+def test_the_errors_of_a_coarse_loop_include_what_lies_between_its_samples(kind: str) -> None:
+    """The model and the straight lines between the samples are both right at the samples alone."""
+    record, truth = coarse_record(kind)
+    found = {one.name: one for one in hf.fit("preisach-magnetic:n=6", record, noise="iid").quantities}
+    for name, true in truth.items():
+        value, error = found[name].value, found[name].stderr
+        assert value is not None, name
+        assert error is not None, name
+        assert abs(value - true) < max(3 * error, 1e-6 * true), name
+        assert error < true, name
+    assert not any(one.differs for one in found.values())
+
+
+def test_the_error_of_a_finely_sampled_loop_is_that_of_its_parameters(fit: hf.FitResult) -> None:
+    errors = {one.name: one.stderr for one in fit.quantities}
+    scatter = {name: float(np.std(values)) for name, values in of_draws(fit, drawn(fit, 300)).items()}
+    assert errors["loop_area"] == pytest.approx(scatter["loop_area"], rel=0.25)

@@ -11,7 +11,8 @@ from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, 
 from hystfit.cli.records import load
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, progress
-from hystfit.outcome import Note, Status
+from hystfit.outcome import Code, Note, Status
+from hystfit.outcome.note import has
 
 if TYPE_CHECKING:
     from hystfit.quality.check import QualityReport
@@ -33,6 +34,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
     with progress("checking"):
         report = judge(data)
     determined = any(item.verdict != "no" and item.model != "creep" for item in report.determines)
+    determined |= report.advice is not None and has(report.findings, Code.CROSSING)  # by a model that is not judged
     status = Status.OK if determined else Status.NO_MODEL
     content = {"schema": "hystfit.check/1", "status": str(status), **report.to_dict()}
     content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
@@ -69,7 +71,7 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
     if report.advice is None and not changed and (part := _sound_part(report)) is not None:
         return f"\n\nNext: fit the part before the {part[0]}\nhystfit fit {command} --window=:{part[1]:.10g}"
     if changed or report.advice is None:  # the advice is for the output as it was read
-        return f"\n\nNext: look at the output that is proposed above\nhystfit check {command}"
+        return f"\n\nNext: look at the records as they are proposed above\nhystfit check {command}"
     lines = [
         "\n\nNext: compare models by cross-validation, or fit the one above alone",
         f"hystfit fit {command}",

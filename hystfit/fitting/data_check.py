@@ -45,9 +45,9 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
     damaged = any(note.code is Code.DEGRADING for note in report.findings)
-    every = () if charge or has(report.findings, Code.NO_LOOP) else _screened(records)
+    every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(records)
     shown = _traits(records, every) if every else ()
-    screened = () if damaged else every
+    screened = () if damaged or all(record.single_valued for record in report.records) else every
     advice = _advice(records, screened) if screened else None
     explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []

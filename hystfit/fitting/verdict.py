@@ -15,13 +15,22 @@ from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.quality.baselines import Baselines
+from hystfit.quality.baselines import Baselines, curve_scatter
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
+from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
-from hystfit.results.accuracy import POOR, USABLE, accuracy_note, exceeded_limits, is_noise, is_single_valued_error
+from hystfit.results.accuracy import (
+    POOR,
+    SHARE,
+    USABLE,
+    accuracy_note,
+    exceeded_limits,
+    is_noise,
+    is_single_valued_error,
+)
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
@@ -102,7 +111,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.POOR, [apart]
     white = residuals_are_white(fitted.rows, baselines.curve, parameters)
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
-    if not fitted.model.from_saturation and percent <= POOR and _is_single_valued(train, baselines, unexplained):
+    single_valued = percent <= POOR and _is_single_valued(train, baselines, unexplained)
+    if not fitted.model.from_saturation and (single_valued or _branches_coincide(fitted)):
         text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
@@ -130,7 +140,7 @@ def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
 
 
 def _records_apart(fitted: Fitted) -> Note | None:
-    """The objection to records of which most are not described, beside the range of each: they are of different devices."""
+    """The objection to records of which most are not described, beside the range of each, or which differ at equal inputs."""
     if len(fitted.rows) < 2:
         return None
     ranges = [float(np.ptp(record.y[record.used])) for record in fitted.data]
@@ -138,8 +148,11 @@ def _records_apart(fitted: Fitted) -> Note | None:
         100 * float(np.sqrt(np.mean(row**2))) / (span or np.inf) for row, span in zip(fitted.rows, ranges, strict=True)
     ]
     missed = [record.name for record, error in zip(fitted.data, errors, strict=True) if error > POOR]
-    if 2 * len(missed) <= len(errors) or fitted.model.from_saturation:
+    if fitted.model.from_saturation:
         return None
+    if 2 * len(missed) <= len(errors):
+        apart = apart_note(fitted.parts) if fitted.thorough and fitted.percent > USABLE else None
+        return None if apart is None else dataclasses.replace(apart, severity=Severity.ERROR)
     text = (
         f"{len(missed)} of {len(errors)} records, such as {missed[0]!r}, are not described: the error of one is {max(errors):.3g} % of its "
         "range. If they are of different samples or devices, fit each alone (only=), or all of them by hystfit batch"
@@ -150,6 +163,18 @@ def _records_apart(fitted: Fitted) -> Note | None:
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
     exact = baselines.curve <= _EXACT * baselines.span
     return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
+
+
+def _branches_coincide(fitted: Fitted) -> bool:
+    """Whether no loop is open beyond the noise, and the fit errs as much as the samples scatter about a curve of any shape."""
+    scatter = curve_scatter(fitted.parts)
+    if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
+        return False
+    if fitted.percent > POOR and (
+        100 * scatter > POOR * fitted.baselines.span or not is_noise(scatter, fitted.baselines)
+    ):
+        return False
+    return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities)
 
 
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:

@@ -50,7 +50,7 @@ class Status(enum.StrEnum):
 _ADVICE = {
     Status.OK: "usable",
     Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
-    Status.POOR: "the model does not describe this loop: try hystfit compare, or a more flexible model",
+    Status.POOR: "the model does not describe these data, see the verdict: hystfit compare shows what others do",
     Status.ROUGH: (
         "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where such an error is acceptable"
     ),

@@ -182,6 +182,7 @@ _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**
     map(ord, "\u2126\u03a9"), "Ohm"
 )
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
+_HIGHEST = 12  # power of a symbol in any unit, beyond which a text is none
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
 
@@ -213,6 +214,8 @@ def parse_unit(text: str) -> Unit | None:
         if mark not in ("", "*", "/", ".") or (place == 0) != (term["mark"] == ""):
             return None
         power = (-1 if mark == "/" else 1) * int(term["power"] or 1)
+        if abs(power) > _HIGHEST:
+            return None
         factor *= part.factor**power
         for base, exponent in part.powers:
             powers[base] = powers.get(base, 0.0) + power * exponent

@@ -186,6 +186,63 @@ def play_positions(
     return p.T
 
 
+def curve_scatter(records: Iterable[Record]) -> float:
+    """Pooled rms distance of samples from a curve of any shape over the input [y]; infinite where none has another beside it.
+
+    Samples of a rising input are compared with the curve through those of a falling one, and the reverse; samples that share an input and
+    a direction, as a hold has them, with their mean.
+    """
+    squares, count = 0.0, 0
+    for record in records:
+        u, y = record.u[record.used], record.y[record.used]
+        step = np.sign(np.diff(u, prepend=u[0]))
+        moved = np.maximum.accumulate(np.where(step != 0, np.arange(u.size), 0))
+        rises = step[moved] > 0
+        curves = [_Curve.of(u[side], y[side]) for side in (rises, ~rises)]
+        for own, other in (curves, curves[::-1]):
+            errors = np.concatenate([own.errors(own.u, own.y), other.errors_between(own.u, own.y)])
+            squares, count = squares + float(errors @ errors), count + errors.size
+    return float(np.sqrt(squares / count)) if count else np.inf
+
+
+@dataclasses.dataclass(frozen=True)
+class _Curve:
+    """Means of an output over the inputs that occur.
+
+    Attributes:
+        u, y: samples, shape (n,).
+        inputs, means, many: the inputs, rising, the mean output of each and the number of its samples, shape (m,).
+    """
+
+    u: np.ndarray
+    y: np.ndarray
+    inputs: np.ndarray
+    means: np.ndarray
+    many: np.ndarray
+
+    @classmethod
+    def of(cls, u: np.ndarray, y: np.ndarray) -> _Curve:
+        """That of samples."""
+        inputs, which, many = np.unique(u, return_inverse=True, return_counts=True)
+        return cls(u, y, inputs, np.bincount(which, y, minlength=inputs.size) / many, many)
+
+    def errors(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Of own samples that share their input with others, in units of one of them."""
+        at = np.searchsorted(self.inputs, u)
+        shared = self.many[at] > 1
+        return (y - self.means[at])[shared] / np.sqrt(1 - 1 / self.many[at][shared])
+
+    def errors_between(self, u: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Of other samples within the range of the inputs, about straight lines between the means, in units of one sample."""
+        if self.inputs.size < 2:
+            return np.empty(0)
+        inside = (u >= self.inputs[0]) & (u <= self.inputs[-1])
+        k = np.clip(np.searchsorted(self.inputs, u[inside]) - 1, 0, self.inputs.size - 2)
+        part = (u[inside] - self.inputs[k]) / (self.inputs[k + 1] - self.inputs[k])
+        line = (1 - part) * self.means[k] + part * self.means[k + 1]
+        return (y[inside] - line) / np.sqrt(1 + (1 - part) ** 2 / self.many[k] + part**2 / self.many[k + 1])
+
+
 def _noise(outputs: Sequence[np.ndarray]) -> float | None:
     """Pooled rms noise of the outputs of records; None where it is unknown on any of them."""
     squares, count = 0.0, 0

@@ -18,6 +18,7 @@ from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
+from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import RecordQuality
@@ -160,6 +161,7 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     notes, determined = findings(records), determine(records, needs or {})
     family = recognize_family(dataset)
     if family is None:
+        notes = (*([apart] if (apart := apart_note(tuple(dataset))) else []), *notes)
         if not has(notes, Code.NO_LOOP, Code.SINGLE_VALUED):
             notes = (*notes, *coverage_notes(dataset))
     else:

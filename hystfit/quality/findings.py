@@ -142,11 +142,13 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     if shape.crossing:
         yield warn(
             Code.CROSSING,
-            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): no model of hystfit "
-            "describes that; fit the signed quantity of which the output is an even function, or one half of the input range",
+            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): only weights of either "
+            "sign (preisach-signed) describe that, without an inverse; or fit the signed quantity of which the output is an even function, "
+            "or one half of the input range",
         )
-    elif shape.circulation is None and not record.degrading:
-        yield warn(Code.SINGLE_VALUED, "the rising and falling branches coincide: no hysteresis above the noise")
+    elif record.single_valued:
+        text = "the rising and falling branches coincide: no hysteresis above the noise; fit a curve instead"
+        yield warn(Code.SINGLE_VALUED, text)
     chance = 0.0 if record.y.range == 0 else 100 * CLEAR * (record.y.known_noise or 0.0) / record.y.range
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")

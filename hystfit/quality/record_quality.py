@@ -186,6 +186,12 @@ class RecordQuality:
         )
 
     @property
+    def single_valued(self) -> bool:
+        """Whether the branches of the largest loops coincide within the noise: a curve describes them."""
+        shape = self.shape
+        return shape is not None and shape.circulation is None and not (shape.crossing or self.degrading)
+
+    @property
     def softens(self) -> bool:
         """Whether a force unloads with less stiffness the later it is, at growing strokes."""
         late = self.unloading_left

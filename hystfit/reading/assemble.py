@@ -18,7 +18,7 @@ from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.cells import unit_of_epoch
 from hystfit.reading.column_names import column_unit
 from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.conditions import changed_conditions
+from hystfit.reading.conditions import changed_conditions, without_turns
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
 from hystfit.reading.raw_table import Part, Table
@@ -83,6 +83,7 @@ def assemble(
         marked = marked_by_place(table, choice)
     marked = table.calibration if table.calibration is not None and divider is None else marked
     table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
+    table = without_turns(table, choice.output, notes)
     groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
         if not several:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import tomllib
+from collections.abc import Iterable
 from importlib.resources import files
 
 from hystfit.params.units import quantity
@@ -21,10 +22,15 @@ _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
-# Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas.
+# Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas, VGS, I_D.
 _TERMINAL = re.compile(
-    r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?|([VI])_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate)\d?"
+    r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?"
+    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg])|_[DSBdsb])\d?|(V)[DSBdsb]\d?"
 )
+_OF_DRAIN = re.compile(
+    r"I[DdSs]\d?"
+)  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
+_OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
@@ -50,7 +56,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     if _TEMPERATURES.fullmatch(base):
         return "temperature"
     if terminal := _TERMINAL.fullmatch(base):
-        base = terminal[1] or terminal[2]
+        base = terminal[1] or terminal[2] or terminal[3]
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
@@ -84,6 +90,16 @@ def _field(base: str) -> str:
 def column_unit(name: str, unit: str) -> str:
     """The unit of a column; degrees of a temperature that are written without their sign are named so."""
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
+
+
+def has_terminals(names: Iterable[str]) -> bool:
+    """Whether columns are those of a transistor: one has the name of the voltage of a gate."""
+    return any(_OF_GATE.fullmatch(split_unit(name)[0]) for name in names)
+
+
+def is_drain(name: str) -> bool:
+    """Whether a column of a transistor is the current of its drain or source."""
+    return _OF_DRAIN.fullmatch(split_unit(name)[0]) is not None
 
 
 @_of_names
@@ -130,5 +146,5 @@ def _named_quantities(base: str) -> list[str]:
 def _words(base: str) -> list[str]:
     """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
     tokens = [token.strip() for token in base.lower().split("_")]
-    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|[A-Z]{2,}(?![a-z])", base)]
+    camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|(?!NO[\dx])[A-Z]{2,}(?![a-z])", base)]
     return [base.lower(), *tokens, *camel]

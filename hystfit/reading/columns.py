@@ -16,11 +16,11 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.column_names import column_quantity, column_role
+from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import computed, proportional
+from hystfit.reading.signal_evidence import computed, proportional, same_loop
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
@@ -28,6 +28,8 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
+_SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
+_POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -236,11 +238,24 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
         if among("force"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    if among("capacitance"):  # D beside C is a loss
-        kinds.update({k: "" for k in free if table.names[k] == "D"})
+    if {"X", "Y"} <= {split_unit(name)[0] for name in table.names} and among(*_SWEPT):  # of a lock-in amplifier
+        kinds.update({k: "" for k in free if table.names[k] == "X"})
+        kinds.update({k: "phase" for k in free if table.names[k].lower() in _POLAR})
+    if among("voltage") and has_terminals(table.names):
+        kinds.update({k: "current" for k in free if is_drain(table.names[k])})
+    if among("capacitance"):  # D beside C is a loss, and Q its inverse
+        kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     _find_velocities(table, free, kinds)
+    fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
+    kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
         kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+
+
+def _is_whole(values: np.ndarray) -> bool:
+    """Whether a column has whole numbers alone."""
+    known = values[np.isfinite(values)]
+    return bool((known == np.round(known)).all())
 
 
 def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, int]) -> None:
@@ -255,9 +270,13 @@ def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, in
 
 
 def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
-    """Whether two readings differ by the scale of their columns, as those of a moment and of the moment per mass."""
-    pairs = ((one.input, other.input), (one.output, other.output))
-    return all(a == b or proportional(table.columns[a], table.columns[b]) for a, b in pairs)
+    """Whether two readings differ by the scale of their columns, as those of a moment and of the moment per mass, or by a straight line."""
+    columns = table.columns
+    if one.input != other.input:
+        pairs = ((one.input, other.input), (one.output, other.output))
+        return all(a == b or proportional(columns[a], columns[b]) for a, b in pairs)
+    outputs = columns[one.output], columns[other.output]
+    return proportional(*outputs) or same_loop(columns[one.input], *outputs)
 
 
 def _undecided(table: Table, *equal: Reading) -> DataError:

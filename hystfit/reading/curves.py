@@ -106,7 +106,9 @@ def split_curves(
         notes.append(Note(Code.CURVES, text))
         return [("", np.concatenate(pieces))], False
     if not has(table.notes, Code.CURVES):
-        notes.append(Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines or repeated headers"))
+        notes.append(
+            Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")
+        )
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
 
 

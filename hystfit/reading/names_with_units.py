@@ -32,10 +32,13 @@ _CYRILLIC = dict(
         strict=True,
     )
 )
+_ELECTRIC = {"V": "voltage", "I": "current"}  # symbols whose one-letter index is no unit of another quantity: V_G, I_C
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
-_BARE_TIMES = frozenset(
-    {"day", "ms", "us", "µs", "μs", "ns"}
-)  # names of columns that are no more than the unit of time
+# Names of columns that are no more than a unit, and that unit.
+_BARE_UNITS = {
+    unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa".split()
+}
+_BARE_UNITS |= {"millis": "ms", "micros": "us"}  # clocks of Arduino
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
@@ -82,7 +85,9 @@ def _split_alone(name: str) -> tuple[str, str]:
 def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
         name = match[1] + _CYRILLIC[match[2]] + match[3]
-    if name in _BARE_TIMES or (len(name) >= _WORD and name.isalpha() and is_unit(name)):
+    if name in _BARE_UNITS:
+        return name, _BARE_UNITS[name]
+    if len(name) >= _WORD and name.isalpha() and is_unit(name):
         return name, name  # Volts
     return (
         _in_brackets(name)
@@ -158,8 +163,9 @@ def _behind_underscore(name: str, siblings: Sequence[str]) -> tuple[str, str] | 
         return None
     others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
     labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
-    if labels or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
-        return None  # I_A, I_B, I_C are currents of three phases
+    terminal = len(match[2]) == 1 and quantity(match[2]) != _ELECTRIC.get(match[1], quantity(match[2]))
+    if labels or terminal or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
+        return None  # I_A, I_B, I_C are currents of three phases, V_G the voltage of a gate
     return match[1], match[2]
 
 

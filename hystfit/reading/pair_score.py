@@ -26,6 +26,7 @@ from hystfit.reading.signal_evidence import (
     repeats,
     roughness,
     sample,
+    smoothness,
 )
 
 # Points of a quantity as the input and as the output of a device.
@@ -35,7 +36,7 @@ _DRIVE = {
     "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
-    "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "force": 2.0,
+    "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3,
@@ -50,7 +51,8 @@ _BARE = (
 # differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
-# a part; the component of a field across its direction, or its size, which has no sign. Points of components along one axis (Bx, mx).
+# a part; the component of a field across its direction, or its size, which has no sign; the component of a signal out of phase. Points of
+# components along one axis (Bx, mx).
 _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
 _OF_PARTS = ("displacement", "field", "induction")
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
@@ -59,7 +61,8 @@ _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "c
 _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
-    | {("state of charge", "voltage"): 4.0, ("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0, ("strain", "stress"): 4.0}
+    | {("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
+    | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0, ("strain", "stress"): 4.0}
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
@@ -96,12 +99,15 @@ _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
 _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
-_UNRELATED, _RELATED = -3.0, 0.5
+_UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
 # one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
+# Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
+# half cycle has 0.5, and four a whole one 0.
+_WHITE, _NO_DRIVE = 0.3, -2.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
@@ -135,20 +141,38 @@ def readings(
     # Of more than two channels that have a number instead of a name, the order means nothing.
     equal = [k for k in free if kinds[k] == "" and (not named or is_channel(table.names[k]))]
     equal = equal if len(equal) > 2 else []
-    ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds)
-    evidence = _Evidence(table, kinds, ranks, frozenset(equal), alone)
+    components = _lock_in(table, kinds)
+    roles = _roles(table, components)
+    ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
+    evidence = _Evidence(table, kinds, components, roles, ranks, frozenset(equal), alone)
     found = [evidence.reading(i, o) for i, o in itertools.product(inputs, outputs) if i != o]
     if not alone:
         found = evidence.related(found)
     return sorted(found, key=lambda reading: (-reading.points, reading.input, reading.output))
 
 
-def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str]) -> dict[int, int]:
+def _lock_in(table: Table, kinds: Mapping[int, str]) -> tuple[int, ...]:
+    """The columns X and Y that are components of one signal, as X is no displacement; none in other tables."""
+    bases = {split_unit(name)[0].strip().lower(): k for k, name in enumerate(table.names)}
+    components = bases.get("x", -1), bases.get("y", -1)
+    return components if min(components) >= 0 and kinds.get(components[0]) != "displacement" else ()
+
+
+def _roles(table: Table, components: Sequence[int]) -> dict[int, str]:
+    """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component."""
+    is_length = lambda k, name: (
+        split_unit(name)[0].strip().lower() == "y" and quantity(table.units[k]) == "displacement"
+    )
+    told = lambda k, name: table.named and k not in components and not is_length(k, name)
+    return {k: column_role(name) if told(k, name) else "" for k, name in enumerate(table.names)}
+
+
+def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str], roles: Mapping[int, str]) -> dict[int, int]:
     """Place of each column among those of its quantity."""
     count: dict[tuple[str, str], int] = {}
     ranks = {}
     for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
-        group = (kinds[k], column_role(table.names[k]))
+        group = (kinds[k], roles[k])
         ranks[k] = count.get(group, 0)
         count[group] = ranks[k] + 1
     return ranks
@@ -160,6 +184,8 @@ class _Evidence:
 
     Attributes:
         kinds: the physical quantity of every column.
+        components: those of one signal that a lock-in amplifier writes.
+        roles: that which the name of every column states.
         ranks: place of each among those of its quantity.
         equal: columns whose order means nothing.
         alone: whether there is no other pair to choose.
@@ -167,6 +193,8 @@ class _Evidence:
 
     table: Table
     kinds: Mapping[int, str]
+    components: tuple[int, ...]
+    roles: Mapping[int, str]
     ranks: Mapping[int, int]
     equal: frozenset[int]
     alone: bool
@@ -174,20 +202,22 @@ class _Evidence:
     def reading(self, i: int, o: int) -> Reading:
         """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
         kinds, later = self.kinds, self.ranks.get(i, 0) + self.ranks.get(o, 0)
+        overtaken = kinds[i] != kinds[o] and self._is_measured[i]
+        driven = self.roles[o] == "output" or (self.roles[i] == "input" and not overtaken)
         points = (
-            self._of_quantity(i, _DRIVE, told=self._stated[i] == "input" or self._stated[o] == "output")
-            + self._of_quantity(o, _RESPONSE, told=self._stated[o] == "output")
+            self._of_quantity(i, _DRIVE, told=driven)
+            + self._of_quantity(o, _RESPONSE, told=self.roles[o] == "output")
             + _PAIRS.get((kinds[i], kinds[o]), 0.0)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
+        points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
         points += _ALONG * (self._axis[i] == self._axis[o] != "")
-        if kinds[i] != kinds[o] and self._is_measured[i]:
-            points += _OVERTAKEN
+        points += _OVERTAKEN * overtaken
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
-        told = {i, o} <= self.equal or self._stated[i] or self._stated[o]
+        told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
         if self.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             plain, bent = self._overtones[i], self._overtones[o]
             points += _CLEAN * (plain <= _PURE and bent > _PLAINER * plain)
@@ -201,12 +231,13 @@ class _Evidence:
         part = self.table.curve if self.table.part is None else self.table.part
 
         def lost(reading: Reading) -> float:
-            if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
-                return 0.0
             u, y = columns[reading.input], columns[reading.output]
+            share = explained(u, y, part)
+            if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
+                return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
             same = self.kinds[reading.input] == self.kinds[reading.output]
             copied = (same and proportional(u, y)) or repeats(u, y)
-            unrelated = _UNRELATED * max(0.0, 1.0 - explained(u, y, part) / _RELATED)
+            unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
             return unrelated + _COMPUTED + _COPY if computed(u, y) else unrelated + _COPY * copied
 
         return [
@@ -216,16 +247,6 @@ class _Evidence:
             for reading in found
         ]
 
-    @functools.cached_property
-    def _stated(self) -> dict[int, str]:
-        """The role that the name of each column states."""
-        of_length = {
-            k for k, unit in enumerate(self.table.units) if quantity(unit) == "displacement"
-        }  # y is a deflection there
-        named = {k: name for k, name in enumerate(self.table.names) if self.table.named}
-        bare = {k for k, name in named.items() if k in of_length and split_unit(name)[0].strip().lower() == "y"}
-        return {k: column_role(named[k]) if k in named and k not in bare else "" for k in range(len(self.table.names))}
-
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
         points = usual.get(self.kinds[position], _SELDOM)
@@ -233,7 +254,7 @@ class _Evidence:
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""
-        stated = self._stated[position]
+        stated = self.roles[position]
         contrary = _CONTRARY + _BARE * (bool(stated) and is_bare_role(self.table.names[position]))
         return 0.0 if not stated else _STATED if stated == role else contrary
 
@@ -241,6 +262,8 @@ class _Evidence:
     def _of_signal(self) -> _ByColumn:
         """Points of each column in either role."""
         table = self.table
+
+        signal = max((extent(table.columns[k]) for k in self.components), default=0.0)
 
         def points(k: int) -> float:
             values = table.columns[k]
@@ -250,6 +273,7 @@ class _Evidence:
                 + _RAW_VOLTS * _is_raw_signal(table, k)
                 + _IS_SET * few
                 + _HELD * self._is_held[k]
+                + _PARTIAL * (k in self.components and extent(values) < _OF_LARGEST * signal)
             )
 
         return _ByColumn(points)
@@ -300,15 +324,19 @@ class _Evidence:
             others = [
                 j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""
             ]
-            others = [j for j in others if j != k and self._stated[j] != "input" and not _is_raw_signal(table, j)]
+            others = [j for j in others if j != k and self.roles[j] != "input" and not _is_raw_signal(table, j)]
             near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * extent(command)
-            return self._stated[k] == "input" and any(map(near, others))
+            return self.roles[k] == "input" and any(map(near, others))
 
         return _ByColumn(measured)
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:
         return _ByColumn(lambda k: overtones(self.table.columns[k]))
+
+    @functools.cached_property
+    def _smoothness(self) -> _ByColumn:
+        return _ByColumn(lambda k: smoothness(self.table.columns[k]))
 
     @functools.cached_property
     def _roughness(self) -> _ByColumn:

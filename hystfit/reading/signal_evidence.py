@@ -12,6 +12,9 @@ _PROPORTIONAL = 2e-4
 _COMPUTED = 1e-9
 _SMALL = 0.01  # range of a column over its size, below which it is held at a value far from zero
 _SWING = 0.02  # of the range of an input, below which it swings as noise does
+# Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
+# than that part of the range, and two steps by that part of a power of ten.
+_CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
 
@@ -86,6 +89,15 @@ def computed(u: np.ndarray, y: np.ndarray) -> bool:
     return _beside_a_line(u, y, _FEWEST_COMPUTED) < _COMPUTED
 
 
+def same_loop(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two outputs over one input differ by their scale and a multiple of the input, as J and B = J + mu0 H do."""
+    both = np.isfinite(u) & np.isfinite(one) & np.isfinite(other)
+    if both.sum() < _FEWEST_COMPUTED or np.ptp(u[both]) == 0:
+        return False
+    bent = [y[both] - np.polyval(np.polyfit(u[both], y[both], 1), u[both]) for y in (one, other)]
+    return all(np.ptp(y) > 0 for y in bent) and _beside_a_line(*bent, _FEWEST_COMPUTED) < _PROPORTIONAL
+
+
 def _beside_a_line(u: np.ndarray, y: np.ndarray, fewest: int) -> float:
     """Part of the variance that a straight line leaves; 1 of fewer samples, and of a constant column."""
     u, y = sample(u), sample(y)
@@ -106,11 +118,24 @@ def repeats(u: np.ndarray, y: np.ndarray) -> bool:
 
 
 def roughness(values: np.ndarray) -> float:
-    """Median third difference over the range: the noise of a column that is sampled often."""
+    """Median third difference over the range: the noise of a column that is sampled often; 0 where it is no more than decimals cut off."""
     values = values[np.isfinite(values)]
-    return (
-        float(np.median(np.abs(np.diff(values, 3))) / np.ptp(values)) if values.size > 3 and np.ptp(values) > 0 else 0.0
-    )
+    if values.size <= 3 or not np.ptp(values) > 0:
+        return 0.0
+    third = float(np.median(np.abs(np.diff(values, 3))))
+    steps = np.diff(np.unique(values))
+    decimals = np.log10(steps[steps > _SAME * np.ptp(values)].min())
+    cut_off = abs(decimals - round(decimals)) < _SAME_DIGIT and third < _CUT_OFF * 10**decimals
+    return 0.0 if cut_off else third / float(np.ptp(values))
+
+
+def smoothness(values: np.ndarray) -> float:
+    """Correlation of neighboring samples: 0 of white noise, near 1 of a column that is sampled often; 1 of few samples."""
+    values = values[np.isfinite(values)]
+    if values.size < _FEWEST or np.ptp(values) == 0:
+        return 1.0
+    values = (values - values.mean()) / np.ptp(values)
+    return float(values[1:] @ values[:-1] / (values @ values))
 
 
 def overtones(values: np.ndarray) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import gc
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -31,6 +32,8 @@ from hystfit.reading.text_file import TextFile
 
 _MOST_COLUMNS = 5000
 _FIRST = 30  # lines that may hold names
+_WORDS = re.compile(r"\s*[^\d\s+.,;|-]")  # a line that begins with no number
+_SECTION = 2  # such lines between rows of numbers from which they begin a section; a single one is a comment
 _SHOWN = 8  # empty columns that a note lists
 
 
@@ -298,11 +301,13 @@ def _doubtful_dots(columns: Sequence[Sequence[str]], dialect: Dialect) -> list[N
 
 
 def _curves(index: np.ndarray, lines: Sequence[str], notes: list[Note]) -> np.ndarray:
-    """Number of the block between blank lines that each row is in."""
+    """Number of the block that each row is in, between blank lines or lines of words: the end of a section and the head of the next."""
     curve = np.zeros(index.size, dtype=int)
     gaps = np.flatnonzero(np.diff(index) > 1)
     for k in gaps:
-        if any(not line.strip(" \t,;|") for line in lines[index[k] + 1 : index[k + 1]]):
+        between = lines[index[k] + 1 : index[k + 1]]
+        section = len(between) >= _SECTION and all(map(_WORDS.match, between))
+        if section or any(not line.strip(" \t,;|") for line in between):
             curve[k + 1] = 1
     curve = np.cumsum(curve)
     if curve[-1] > 1 and curve[-1] == index.size - 1:

@@ -64,7 +64,11 @@ def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     if not apart or not all(pair.directed for pair in pairs[2:]):
         return None
     cycles = len({re.sub(r"\d", "", pair.base).strip() for pair in pairs}) == 1  # Load 1, Unload 1, Load 2, Unload 2
-    loop = _of_one_input(table, sorted(pairs, key=lambda pair: min(pair.columns))) if cycles else None
+    ordered = sorted(pairs, key=lambda pair: min(pair.columns))
+    if cycles:
+        loop = _of_one_input(table, ordered)
+    else:
+        loop = _of_one_input(table, ordered[:1], ordered[1:]) if all(pair.directed for pair in pairs) else None
     return _of_own_inputs(table, pairs) if loop is None and len(pairs) == 2 else loop
 
 
@@ -165,10 +169,17 @@ def _apart(first: np.ndarray, second: np.ndarray, order: int) -> float:
     return float((ends / np.maximum(np.ptp(np.concatenate([first, second]), axis=0), np.finfo(float).tiny)).max())
 
 
-def _of_one_input(table: Table, pairs: Sequence[_Pair]) -> Table | None:
-    """The loop of two outputs over one input, which runs once from end to end; several pairs are cycles, in their order."""
+def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] = ()) -> Table | None:
+    """The loop of two outputs over one input, which runs once from end to end; several pairs are cycles, in their order.
+
+    Args:
+        table: with the input beside the pairs.
+        pairs: the branches of one output.
+        others: those of further outputs, which become columns of the loop.
+    """
     columns = [k for pair in pairs for k in pair.columns]
-    drives = [k for k in range(len(table.names)) if k not in columns and _runs_once(table, k)]
+    taken = {*columns, *(k for pair in others for k in pair.columns)}
+    drives = [k for k in range(len(table.names)) if k not in taken and _runs_once(table, k)]
     if not drives:
         return None
     heated = lambda k: (
@@ -185,11 +196,16 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     rows = [way[np.isfinite(u + y)[way]] for way, y in zip(ways, outputs, strict=False)]
     if min(map(len, rows)) < _FEWEST:
         return None
-    loop = np.column_stack(
-        [np.concatenate([u[k] for k in rows]), np.concatenate([y[k] for y, k in zip(outputs, rows, strict=True)])]
+    beside = [[table.columns[k] for k in pair.columns] for pair in others]
+    loop = [
+        np.concatenate([y[k] for y, k in zip(ways, rows, strict=True)]) for ways in ([u] * len(rows), outputs, *beside)
+    ]
+    positions, words = (
+        [columns[0], *(pair.columns[0] for pair in others)],
+        [pairs[0].word, *(pair.word for pair in others)],
     )
-    joined = _table(table, [drive, columns[0]], ["", pairs[0].word], loop, rows)
-    return dataclasses.replace(joined, pair=(0, 1))
+    joined = _table(table, [drive, *positions], ["", *words], np.column_stack(loop), rows)
+    return joined if others else dataclasses.replace(joined, pair=(0, 1))
 
 
 def _is_force_loop(table: Table, drive: int, output: int) -> bool:
@@ -226,15 +242,15 @@ def _runs_once(table: Table, position: int) -> bool:
 def _table(
     table: Table, positions: Sequence[int], words: Sequence[str], loop: np.ndarray, rows: Sequence[np.ndarray]
 ) -> Table:
-    """The loop as a table of two columns, named as those of the first branch without its word.
+    """The loop as a table, its columns named as those of the first branch without its word.
 
     Args:
-        loop: input and output, shape (samples, 2).
+        loop: input and outputs, shape (samples, columns).
         rows: those of each branch.
     """
     names = [_without(table.names[k], word) for k, word in zip(positions, words, strict=True)]
     many = f"the {len(rows)} branches of {len(rows) // 2} cycles" if len(rows) > 2 else "the two branches of a loop"
-    text = f"{many} stand side by side: they are joined to one loop of {names[0]!r} and {names[1]!r}"
+    text = f"{many} stand side by side: they are joined to one loop of {' and '.join(map(repr, names))}"
     zeros = np.zeros(len(loop), dtype=int)
     return dataclasses.replace(
         table.select(positions).take(np.concatenate(rows)),

@@ -21,7 +21,7 @@ _NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
 _LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
 _LASTING = 3  # samples; a shorter one is an outlier of the measurement
 NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
-_SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
+SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
 
 
 class Limits(NamedTuple):
@@ -48,7 +48,7 @@ def is_noise(rmse: float, baselines: Baselines) -> bool:
 
 def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
     """Whether an rms error [y] is that of a single-valued curve, or nearly so."""
-    return rmse > _SHARE * baselines.curve
+    return rmse > SHARE * baselines.curve
 
 
 def persistent_error(errors: Any, xp: Any = np) -> Any:

@@ -110,6 +110,12 @@ def area(one: Branch, other: Branch) -> float:
     return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
 
 
+def _thinned(branch: Branch) -> Branch:
+    """Every second sample of a branch, and its last one."""
+    kept = np.unique(np.append(np.arange(0, branch.u.size, 2), branch.u.size - 1))
+    return Branch(branch.u[kept], branch.y[kept])
+
+
 def area_error(pair: Pair, sigma: float | None, correlated: float = 0.0) -> float | None:
     """Standard error of the area of a loop by noise.
 
@@ -128,7 +134,9 @@ def area_error(pair: Pair, sigma: float | None, correlated: float = 0.0) -> floa
 def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) -> tuple[float, float | None, int]:
     """Median area of closed loops, its standard error and their number.
 
-    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter.
+    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
+    comes that of straight lines between the samples: the areas of every second and of every fourth sample show how fast it falls with their
+    distance (Richardson and Aitken).
 
     Args:
         pairs: branches of each loop, in the order of time.
@@ -138,7 +146,14 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
     separate = combined(
         [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
     )
-    return float(np.median(areas)), separate[1] if separate else None, len(areas)
+    value = float(np.median(areas))
+    half = [(_thinned(one), _thinned(other)) for one, other in pairs]
+    quarter = [(_thinned(one), _thinned(other)) for one, other in half]
+    second, fourth = (float(np.median([abs(area(*pair)) for pair in thinned])) for thinned in (half, quarter))
+    lost = abs(value - second)
+    ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
+    error = float(np.hypot((separate and separate[1]) or 0.0, lost / np.clip(ratio, 1.0, 3.0)))
+    return value, error if error > 0 else None, len(areas)
 
 
 def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
@@ -155,7 +170,7 @@ def crossing(
     Args:
         level: along a branch, shape (n,).
         values: at the same samples, shape (n,).
-        sigma: noise of the level; of_values: noise of the values; None where unknown.
+        sigma: noise of the level; of_values: noise of the values; None where unknown. The error is then that between the samples.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if not passed.size:
@@ -164,13 +179,12 @@ def crossing(
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
     near = np.flatnonzero(np.abs(level) <= CLEAR * (sigma or 0.0))
     if near.size < 5 or abs(step) > CLEAR * (sigma or 0.0):
-        error = of_values if sigma is None else sigma * abs(run / step)
-        if error is not None:
-            curved = (
-                _beside_chord(level, values, k) if sigma is None else _beside_chord(values, level, k) * abs(run / step)
-            )
-            error = float(np.hypot(error, (level[k] / step) * (1 + level[k] / step) * curved))
-        return float(values[k] - level[k] * run / step), error
+        noise = of_values if sigma is None else sigma * abs(run / step)
+        chord = (level, values, k) if of_values is not None else (values, level, k)
+        curved = _beside_chord(*chord) * (1.0 if of_values is not None else abs(run / step))
+        between = abs((level[k] / step) * (1 + level[k] / step) * curved)
+        error = float(np.hypot(noise or 0.0, between))
+        return float(values[k] - level[k] * run / step), error if error > 0 else None
     # Noise crosses zero several times: a straight line through the samples about it.
     slope, offset = np.polyfit(values[near], level[near], 1)
     at = -offset / slope
@@ -181,16 +195,16 @@ def crossing(
 
 
 def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:
-    """Half the squared distance of two neighboring samples times the smaller second derivative on both sides of it.
+    """Half the squared distance of two neighboring samples times the mean second derivative on both sides of it.
 
-    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance. One sample that is off makes the
-    other derivative large; between samples on both sides of a steep part both are.
+    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance. One sample that is off makes one
+    derivative large, as a bend on one side does; of six samples a branch the smaller of the two is too small by a factor of two.
     """
     triples = [slice(first, first + 3) for first in (k - 1, k) if first >= 0 and first + 3 <= x.size]
     slopes = [np.diff(y[three]) / np.diff(x[three]) for three in triples if np.all(np.diff(x[three]))]
     widths = [abs(x[three][2] - x[three][0]) for three in triples if np.all(np.diff(x[three]))]
-    second = min((2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width), default=0.0)
-    return 0.5 * float((x[k + 1] - x[k]) ** 2 * second)
+    second = [2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width] or [0.0]
+    return 0.5 * float((x[k + 1] - x[k]) ** 2 * np.mean(second))
 
 
 def combined(found: list[tuple[float, float | None] | None]) -> tuple[float, float | None, int] | None:

@@ -30,6 +30,9 @@ _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
+# Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
+# cycles that are, and parts into which each step of the input is divided.
+_COARSE, _SEEN, _INSERTED = 40, 10, 16
 
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
@@ -55,15 +58,39 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
     if "stroke" in part:  # the largest of noisy heights over that of noisy outputs
         part["hysteresis_percent"] = float(np.sqrt(2)) * part["stroke"]
+    between = _between_samples(result)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
+        if one.stderr is not None and name in between:
+            one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
         value = measured.get(name)
         error = None if value is None or name not in part else part[name] * abs(value)
         rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
     return tuple(rows)
+
+
+def _between_samples(result: FitResult) -> dict[str, float]:
+    """What coarse samples leave open of each quantity: its change where the loop of the model is seen at the samples of the record alone.
+
+    Both are read as measured loops are, over the first cycles of the first record; empty where these have many samples.
+    """
+    record = result.data[0]
+    turns = turns_of(record.u)[:_SEEN]
+    if turns.size < 2 or np.median(np.diff(turns)) > _COARSE:
+        return {}
+    places = np.arange(int(turns[-1]) * _INSERTED + 1) / _INSERTED
+    along = lambda values: np.interp(places, np.arange(len(record)), values)
+    u, t = along(record.u), None if record.t is None else along(record.t)
+    units = {"u_unit": record.u_unit, "y_unit": record.y_unit, "t_unit": record.t_unit}
+    of = lambda y, step: Record(u[::step], y[::step], None if t is None else t[::step], **units)
+    y = _simulated_outputs(lambda one: _run(result, one, result.model)[None], of(np.zeros(places.size), 1))[0]
+    if not np.isfinite(y).all():
+        return {}
+    all_of, coarse = (measured_quantities(Dataset((of(y, step),))) for step in (1, _INSERTED))
+    return {name: abs(value - coarse[name]) for name, value in all_of.items() if name in coarse}
 
 
 def _estimate(

@@ -29,6 +29,7 @@ _SAMPLED = 40  # parameters that a sampler still takes
 # Notes that may propose another fit: of a window, or with a robust loss.
 _REMEDIED = (
     Code.FAILURE,
+    Code.RECORDS_DIFFER,
     Code.LAST_HALF_CYCLE,
     Code.INITIAL_STATE,
     Code.CHATTER,

@@ -2,6 +2,7 @@
 
 from . import (  # noqa: F401 - they register their kinds
     branches,
+    channels,
     containers,
     documents,
     electrics,

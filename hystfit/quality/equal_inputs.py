@@ -1,0 +1,107 @@
+"""How far records lie apart whose inputs are equal: the least error that any one model of the input has on all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.loops import SAME_LEVEL, closed_loops, loop_branches
+from hystfit.quality.record_quality import SPEEDS_APART
+
+_GRID = np.linspace(0.02, 0.98, 97)  # parts of the range at which loops are compared, apart from the turning points
+_MOST_APART = 3.0  # percent of the range, the limit of a usable fit
+
+
+@dataclasses.dataclass(frozen=True)
+class _Loop:
+    """The last of the largest loops of a record.
+
+    Attributes:
+        name: of the record.
+        low, high: range of its input.
+        duration: of the loop; None without time.
+        outputs: of the rising and then of the falling branch at `_GRID`, without their mean.
+    """
+
+    name: str
+    low: float
+    high: float
+    duration: float | None
+    outputs: np.ndarray
+
+    def like(self, other: _Loop) -> bool:
+        """Whether the other loop has the same input: its range and, where both are timed, its speed."""
+        near = SAME_LEVEL * (self.high - self.low)
+        if self.duration and other.duration and abs(np.log10(self.duration / other.duration)) > SPEEDS_APART:
+            return False
+        return abs(self.low - other.low) <= near and abs(self.high - other.high) <= near
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordsApart:
+    """Records of equal inputs whose outputs differ.
+
+    Attributes:
+        names: of the records.
+        rms: least rms error of one model on their largest loops, each with an offset of its own [y].
+    """
+
+    names: tuple[str, ...]
+    rms: float
+
+
+def records_apart(records: Iterable[Record]) -> RecordsApart | None:
+    """The records of equal inputs that are furthest apart; None where no two have loops over one range at one speed."""
+    loops = [loop for loop in map(_largest_loop, records) if loop is not None]
+    groups = [[other for other in loops if loop.like(other)] for loop in loops]
+    found = [
+        RecordsApart(
+            tuple(loop.name for loop in group), float(np.sqrt(np.var([one.outputs for one in group], axis=0).mean()))
+        )
+        for group in groups
+        if len(group) > 1
+    ]
+    return max(found, key=lambda one: one.rms, default=None)
+
+
+def apart_note(records: Sequence[Record]) -> Note | None:
+    """The warning on records that no one model describes; None where they are not known to be further apart than a usable fit may err.
+
+    Its option reads the first of them, where they are curves of one file.
+    """
+    found = records_apart(records)
+    used = [record.y[record.used] for record in records]
+    span = max(float(y.max()) for y in used) - min(float(y.min()) for y in used)
+    if found is None or 100 * found.rms <= _MOST_APART * span:
+        return None
+    first, *others = found.names
+    text = (
+        f"the loops of {len(found.names)} records, {first!r} and {others[-1]!r} among them, differ at equal inputs: one model for all of "
+        f"them errs by at least {100 * found.rms / span:.2g} % of the range. Fit each alone (only=), or all of them by hystfit batch"
+    )
+    of_one_file = len({record.source for record in records}) == 1
+    option = ("only", first.partition("=")[2] or first) if of_one_file else None
+    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option)
+
+
+def _largest_loop(record: Record) -> _Loop | None:
+    """That of a record without missing outputs; None where no loop over most of its range is closed."""
+    u, y = record.u, record.y
+    if not record.used.all() or not np.ptp(u) > 0:
+        return None
+    loops = closed_loops(u, SAME_LEVEL * float(np.ptp(u)))
+    largest = max((loop.stroke for loop in loops), default=0.0)
+    if largest < 0.5 * np.ptp(u):
+        return None
+    loop = [loop for loop in loops if loop.stroke >= (1 - SAME_LEVEL) * largest][-1]
+    part = slice(loop.start, loop.stop + 1)
+    low, high = float(u[part].min()), float(u[part].max())
+    centers, rising, falling = loop_branches(u[part], y[part])
+    at = low + (high - low) * _GRID
+    outputs = np.concatenate([np.interp(at, centers, branch) for branch in (rising, falling)])
+    duration = None if record.t is None else float(record.t[loop.stop] - record.t[loop.start])
+    return _Loop(record.name, low, high, duration, outputs - outputs.mean())

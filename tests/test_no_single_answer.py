@@ -1,0 +1,105 @@
+"""Data to which one model of hysteresis is no answer: curves without a loop, and records of several states."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import hystfit as hf
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import has
+from hystfit.quality.baselines import curve_scatter
+from hystfit.quality.equal_inputs import records_apart
+
+from .conftest import examined
+
+N = 200
+RNG = np.random.default_rng(11)
+WHITE = RNG.normal(size=N)
+LOOP = np.concatenate([np.linspace(1, -1, N // 2), np.linspace(-1, 1, N // 2)])
+CURVES = {  # steeper or longer than the polynomial of seventh degree describes
+    "diode": (LOOP, np.exp(LOOP / 0.08)),
+    "superparamagnet": (7 * LOOP, np.tanh(21 * LOOP) + 0.02 * LOOP),
+    "isotherm with noise in its input": (jitter := np.abs(np.linspace(0, 90, N) + 1.5 * WHITE), jitter / (12 + jitter)),
+}
+
+
+def play(u: np.ndarray, radius: float) -> np.ndarray:
+    p, out = u[0] - radius, []
+    for x in u:
+        p = np.clip(p, x - radius, x + radius)
+        out.append(p)
+    return np.array(out)
+
+
+def made(u: np.ndarray, y: np.ndarray, noise: float = 2e-3, **labels) -> hf.Record:
+    return hf.Record(u, y + noise * np.ptp(y) * np.resize(WHITE[::-1], y.size), **labels)
+
+
+@pytest.mark.parametrize("kind", CURVES)
+@pytest.mark.parametrize("model", ["preisach:n=20:spacing=steep", pytest.param("bouc-wen", marks=pytest.mark.slow)])
+def test_a_curve_of_any_shape_is_no_loop(kind: str, model: str) -> None:
+    record = made(*CURVES[kind])
+    result = hf.fit(model, record, noise="iid")
+    assert result.status is Status.NO_LOOP
+    assert has(result.notes, Code.SINGLE_VALUED)
+
+
+@pytest.mark.parametrize("kind", ["diode", "superparamagnet"])
+def test_a_check_advises_no_model_of_hysteresis_for_a_curve(kind: str) -> None:
+    report = hf.check(made(*CURVES[kind]))
+    assert has(report.findings, Code.SINGLE_VALUED)
+    assert report.advice is None
+
+
+def test_a_narrow_loop_is_one() -> None:
+    """Of a width of ten times the noise; one of its size is seen by the mean distance of the branches."""
+    narrow = lambda radius: made(LOOP, play(LOOP, radius) + 0.1 * LOOP**3, noise=1e-3)
+    assert hf.fit("prandtl-ishlinskii:plays=6", narrow(0.02), noise="iid").status is Status.OK
+    assert not has(examined(narrow(0.002)).findings, Code.SINGLE_VALUED)
+
+
+def test_the_scatter_about_a_curve_is_the_noise() -> None:
+    u, y = CURVES["diode"]
+    assert curve_scatter([made(u, y)]) == pytest.approx(2e-3 * np.ptp(y), rel=0.15)
+    held = np.repeat(
+        [0.0, 1.0, 0.5], 60
+    )  # creep at held inputs, of which each sample has the neighbors in time beside it
+    assert curve_scatter([hf.Record(held, np.log1p(np.arange(180.0)))]) > 0.2
+
+
+def states(width: float, seconds: float = 1.0, offset: float = 0.0) -> hf.Record:
+    u = np.tile(LOOP, 2)
+    return made(u, np.tanh(4 * play(u, 0.3 * width)) + offset, t=seconds * np.arange(u.size), name=f"T={width}")
+
+
+@pytest.fixture(scope="module")
+def two_states() -> hf.Dataset:
+    return hf.Dataset((states(1.0), states(0.4)))
+
+
+def test_records_of_two_states_are_asked_for_one_of_them(two_states: hf.Dataset) -> None:
+    """The least error of one model: half of the mean distance, computed here from the loops themselves."""
+    wide, narrow = (record.y[N:] - record.y[N:].mean() for record in two_states)
+    least = float(np.sqrt(np.mean((wide - narrow) ** 2))) / 2
+    found = records_apart(two_states)
+    assert found is not None
+    assert found.rms == pytest.approx(least, rel=0.1)
+    report = hf.check(two_states)
+    note = next(note for note in report.findings if note.code is Code.RECORDS_DIFFER)
+    assert note.option == ("only", "1.0")
+    assert report.advice is None
+    result = hf.fit("preisach-magnetic:n=16", two_states, noise="iid")
+    assert result.status is Status.POOR
+    assert has(result.notes, Code.RECORDS_DIFFER)
+
+
+@pytest.mark.parametrize("other", [{"offset": 0.5}, {"seconds": 30.0}, {"range": 0.5}], ids=lambda one: next(iter(one)))
+def test_offsets_rates_and_other_ranges_are_no_other_states(other: dict[str, float]) -> None:
+    """Models have an offset for each record, and may depend on the rate."""
+    if "range" in other:
+        u = 0.5 * np.tile(LOOP, 2)
+        second = dataclasses.replace(states(1.0), u=u, y=np.tanh(4 * play(u, 0.3)), name="second")
+    else:
+        second = dataclasses.replace(states(0.4 if "seconds" in other else 1.0, **other), name="second")
+    assert not has(examined(hf.Dataset((states(1.0), second))).findings, Code.RECORDS_DIFFER)
