@@ -16,12 +16,14 @@ import distributed
 import numpy as np
 import pytest
 import scipy.optimize
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import hystfit as hf
 from hystfit import cli
 from hystfit.batch import bucketed, many, work
 from hystfit.batch.many import Journal
 from hystfit.batch.overview import histogram, overview
+from hystfit.batch.sources import Source
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Code, Status
 
@@ -81,6 +83,16 @@ def folder(tmp_path) -> Path:
 
 
 # -- the fits ------------------------------------------------------------------------------------------------------------------
+
+
+def test_files_are_fitted_with_one_thread_of_linear_algebra(monkeypatch):
+    """Two threads wait for each other at every small product: 1000 files took twice the processor time."""
+    seen: list[set[int]] = []
+    threads = lambda: {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+    monkeypatch.setattr(work, "_read", lambda *_: seen.append(threads()) or [])
+    with threadpool_limits(2, "blas"):
+        work.fit_sources(work.Work.of("bouc-wen", {}, {}), [Source("loop", "loop.csv", None)])
+    assert seen == [{1}]
 
 
 def test_estimates_errors_and_verdicts_are_those_of_fit(fits, records):

@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Group, Loops
-from hystfit.config import first_device
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.lanes import Stack, placed, room
+from hystfit.fitting.lanes import Stack, room
 from hystfit.inference.noise.even_noise import BESIDE
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.objective import flat
 from hystfit.inference.residuals import ResidualAnalysis, curves
+from hystfit.params.host_arrays import compiled
 
 _NUMBERS = 2**22  # derivatives computed in one call
 
@@ -90,13 +90,13 @@ def _linearized(
     for begin in range(0, len(z), size):
         at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
         part = stack.take(at)
-        rows = _linearize_rows(*placed((part, z[at]), first_device("cpu")))
+        rows = _linearize_rows(part, z[at])
         pieces.append([np.asarray(values)[: len(z) - begin] for values in rows])
     residual, jacobian = (np.concatenate(column) for column in zip(*pieces, strict=True))
     return residual, jacobian
 
 
-@jax.jit
+@compiled
 def _linearize_rows(stack: Stack, z: Array) -> tuple[Array, Array]:
     def one(k: Array) -> tuple[Array, Array]:
         single = stack.at(k)

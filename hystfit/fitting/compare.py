@@ -29,7 +29,7 @@ from hystfit.quality.baselines import rounding_error
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
-from hystfit.runs.threads import Workers, one_blas_thread
+from hystfit.runs.threads import Workers
 
 
 def search(run: ComparisonRun, chosen: Candidates) -> None:
@@ -155,7 +155,7 @@ def compare(
     chosen = Candidates(tuple(named)) if named else candidates(data)
     data = without_faults(data)
     update = shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress)
-    with one_blas_thread(), update as shown:
+    with update as shown:
         run = ComparisonRun(
             data, left_out, purpose, options, named, ShownProgress(shown, chosen.names), Workers(workers)
         )

@@ -23,7 +23,6 @@ from hystfit.quality.determination import Verdict, count
 from hystfit.quality.held_out import equal_errors, held_out
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
-from hystfit.runs.threads import one_blas_thread
 
 _INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, of which the loop is made
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
@@ -42,11 +41,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     Raises:
         DataError: `data` holds no records.
     """
-    with one_blas_thread():
-        return _checked(records_of(data, y, t, u=u))
-
-
-def _checked(records: Dataset) -> QualityReport:
+    records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
     damaged = any(note.code is Code.DEGRADING for note in report.findings)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hystfit.config import require_seed, verb
+from hystfit.config import one_blas_thread, require_seed, verb
 from hystfit.data.covariates import dependences
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
@@ -41,7 +41,6 @@ from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, paramete
 from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-from hystfit.runs.threads import one_blas_thread
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
 
@@ -111,7 +110,7 @@ class Solved:
 
     def judged(self) -> FitResult:
         """The result with standard errors."""
-        with one_blas_thread():  # of 625 weights: 0.2 s of processor time, 2.4 s with two threads on busy cores
+        with one_blas_thread():  # a comparison judges a fit when it is looked at
             return judge(self.setup, self.estimate, self.options, self.watch)
 
     @functools.cached_property

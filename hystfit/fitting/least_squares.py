@@ -65,7 +65,7 @@ class LeastSquares(AbstractEstimator):
         objective = problem.objective if short is None else short
         ended = self._run(objective, starts)
         # The first start continues too: another basin may be ahead after few steps.
-        total, thinned = (float(of.batch.weight.sum()) for of in (problem.objective, objective))
+        total, thinned = (float(np.asarray(of.batch.weight).sum()) for of in (problem.objective, objective))
         error = problem.scales.y * np.sqrt(2 * float(ended.cost.min()) / thinned)
         if not (self.brief and error > _FAR * self.most):
             for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):

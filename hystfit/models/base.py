@@ -19,7 +19,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
 from hystfit.models.design import Block, DesignMatrix
-from hystfit.models.simulation import AbstractDynamics, drive, run
+from hystfit.models.simulation import AbstractDynamics, checked_drive, run
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.models.uniaxial_material import UniaxialMaterial
@@ -207,7 +207,7 @@ class AbstractHysteresis(AbstractDynamics):
             dt: as in `simulate`.
         """
         leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _solvable(leaf.info.bounds)]
-        u, dt = (np.asarray(values) for values in drive(self, u, dt))
+        u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
         extra = bucket(u.size) - u.size if self.causal else 0  # records of similar length share one program
         padded = np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))
         rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), *padded)
@@ -296,9 +296,7 @@ class AbstractHysteresis(AbstractDynamics):
         """
         if not self.linear_in_input or (dt is None and not self.rate_independent):
             return None
-        zero, step = jnp.zeros(()), jnp.asarray(0.0 if dt is None else dt)
-        response = lambda u: self.step(self.init(zero), zero, u, step)[1]
-        return Slopes.of(float(response(zero + 1.0) - response(zero)))
+        return Slopes.of(float(_gain(self, np.float64(0.0 if dt is None else dt))))
 
     def c_part(self) -> CPart:
         """The model's part of the exported C code.
@@ -356,6 +354,14 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
 
     zero = [jnp.zeros_like(leaves[k]) for k in at]
     return output(zero), jax.jacfwd(output)(zero) if at else []
+
+
+@compiled
+def _gain(model: Any, dt: Array) -> Array:
+    """Change of the output by a step of the input from 0 to 1 in one sample."""
+    zero = jnp.zeros(())
+    response = lambda u: model.step(model.init(zero), zero, u, dt)[1]
+    return response(zero + 1.0) - response(zero)
 
 
 def check_same_length(model: AbstractHysteresis, one: str, other: str, element: str) -> None:

@@ -20,7 +20,7 @@ from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import Clock, relaxed
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse
@@ -197,11 +197,11 @@ class LinearCreep(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """Relaxation by relaxation on the host where the sampling is even."""
-        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        u, dt = (np.asarray(v) for v in checked_drive(self, u, dt))
         if (clock := Clock.of(dt)) is None:
             return super().free_run(u, dt)
         rows = clock.rows(float(u[0] if self.rest == "first" else self.level), u)
-        x = ((rows - float(self.low)) / float(self.high - self.low))[:, None]
+        x = ((rows - float(self.low)) / (float(self.high) - float(self.low)))[:, None]
         weights = np.broadcast_to(np.asarray(self.a), self.tau.shape)
         lags = np.asarray(self.tau) / clock.interval
         return clock.samples(sum(w * lagged(x, lag)[:, 0] for w, lag in zip(weights, lags, strict=True)))
@@ -215,14 +215,14 @@ class LinearCreep(AbstractHysteresis):
 
     def without_creep(self) -> LinearCreep:
         """See the base class."""
-        return dataclasses.replace(self, a=jnp.zeros_like(self.a))
+        return dataclasses.replace(self, a=np.zeros(self.a.shape))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """What relaxes within one sample."""
         if dt is None:
             return None
         shares = -np.expm1(-dt / np.asarray(self.tau)) * np.asarray(self.a)
-        return Slopes.of(float(shares.sum()) / float(self.high - self.low))
+        return Slopes.of(float(shares.sum()) / (float(self.high) - float(self.low)))
 
     def c_part(self) -> CPart:
         """One recursion per relaxation."""

@@ -15,7 +15,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.param import element_places, element_weights, param
@@ -81,7 +81,7 @@ class Dahl(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        return self.design_matrix(*drive(self, u, dt)).output(self)
+        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The bristles, the spring and the offset."""

@@ -19,7 +19,7 @@ from hystfit.models.design import DesignMatrix
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import LARGE, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
@@ -123,7 +123,7 @@ class Damper(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        return self.design_matrix(*drive(self, u, dt)).output(self)
+        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""

@@ -19,7 +19,7 @@ from hystfit.models.base import AbstractHysteresis, OutputResonance, Rest
 from hystfit.models.c_code import CPart
 from hystfit.models.even_steps import Clock, scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
@@ -116,7 +116,7 @@ class Lag(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """Two recursions on the host where the sampling is even."""
-        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        u, dt = (np.asarray(v) for v in checked_drive(self, u, dt))
         if (clock := Clock.of(dt)) is None:
             return super().free_run(u, dt)
         rest = float(u[0] if self.rest == "first" else self.level)

@@ -6,8 +6,6 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from scipy.linalg.lapack import dpotrs
 
-from hystfit.runs.threads import one_blas_thread
-
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before few unknowns are exchanged at a time
 # Of the largest violation on each side of the bounds, above which unknowns are exchanged then: at 0.1, 0.3 and 0.5 the nearly singular
 # equations of 1891 weights ended after 25, 24 and 34 exchanges, where one by one they did not.
@@ -29,11 +27,10 @@ def solve_nonnegative(
     Returns:
         w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
     """
-    with one_blas_thread():
-        try:
-            return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
-        except np.linalg.LinAlgError:  # positive definite but for rounding
-            return _by_root(A, b, bounded)
+    try:
+        return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
+    except np.linalg.LinAlgError:  # positive definite but for rounding
+        return _by_root(A, b, bounded)
 
 
 def solve_several(

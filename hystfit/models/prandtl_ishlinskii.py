@@ -21,7 +21,7 @@ from hystfit.models.design import COLUMNS, DesignMatrix
 from hystfit.models.play_columns import Envelope, element_columns, envelope, envelope_slope, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
@@ -98,7 +98,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     def plays(self) -> tuple[PlayWeights, ...]:
         """The weights of each envelope."""
-        threshold = np.asarray(self.r) * float(self.high - self.low)
+        threshold = np.asarray(self.r) * (float(self.high) - float(self.low))
         return tuple(
             PlayWeights(
                 f"{self.operator}s of {kind}" if len(self.envelopes) > 1 else f"{self.operator}s",
@@ -206,12 +206,12 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """By columns, without a program to compile, where these are not too large."""
         if np.size(u) * self.w.size > COLUMNS:
             return super().free_run(u, dt)
-        return self.design_matrix(*drive(self, u, dt)).output(self)
+        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns run by run of monotonic input, without a pass for each of the weights."""
         u = np.asarray(u, dtype=float)
-        low, span = float(self.low), float(self.high - self.low)
+        low, span = float(self.low), float(self.high) - float(self.low)
         x, before = (u - low) / span, (float(u[0] if self.rest == "first" else self.level) - low) / span
         elements = [
             element_columns(envelope(k, x), np.asarray(self.r), envelope(k, before), self.operator)
@@ -259,7 +259,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         """
         if self.hardening.size:
             return None
-        place, span = float(self.low), float(self.high - self.low)
+        place, span = float(self.low), float(self.high) - float(self.low)
         x = np.linspace((low - place) / span, (high - place) / span, _SWEPT)
         order = np.argsort(np.asarray(self.r))
         widths, total = 2 * np.asarray(self.r)[order], self._single_slope(x)[None, :]

@@ -15,9 +15,10 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import speed, speeds
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 
 
@@ -55,11 +56,11 @@ class _AbstractRate(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """All rates at once on the host."""
-        u, dt = (np.asarray(v) for v in drive(self, u, dt))
+        u, dt = (np.asarray(v) for v in checked_drive(self, u, dt))
         passes = dt > 0
         rates = np.diff(u, prepend=u[0]) / np.where(passes, dt, 1.0)
         last = np.maximum.accumulate(np.where(passes, np.arange(u.size), 0))
-        return np.asarray(self.force(jnp.asarray(rates[last])))
+        return np.asarray(_forces(self, rates[last]))
 
 
 class Viscous(_AbstractRate):
@@ -137,6 +138,12 @@ class Excess(_AbstractRate):
     def c_part(self) -> CPart:
         """A difference quotient."""
         return CPart.of(self, "rate", force=self.g, v0=self.e, saturates=2)
+
+
+@compiled
+def _forces(model: _AbstractRate, rates: Array) -> Array:
+    """Output at rates."""
+    return model.force(rates)
 
 
 def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:

@@ -86,7 +86,9 @@ class RateDependentPlays(AbstractHysteresis):
     def plays(self) -> tuple[PlayWeights, ...]:
         """The weights over the thresholds at rest."""
         names = tuple(f"w[{j}]" for j in range(self.r.size))
-        return (PlayWeights("plays", np.asarray(self.r) * float(self.high - self.low), np.asarray(self.w), names),)
+        return (
+            PlayWeights("plays", np.asarray(self.r) * (float(self.high) - float(self.low)), np.asarray(self.w), names),
+        )
 
     def init(self, u0: Scalar) -> State:
         """State at rest on u0: the plays, the averaged rate and the last one, shape (plays + 2,)."""
@@ -115,7 +117,7 @@ class RateDependentPlays(AbstractHysteresis):
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The plays, which are in the state; the straight part and the offset."""
-        x = (np.asarray(u, dtype=float) - float(self.low)) / float(self.high - self.low)
+        x = (np.asarray(u, dtype=float) - float(self.low)) / (float(self.high) - float(self.low))
         columns = {"w": states_over(self, u, dt)[:, :-2], "gain": x[:, None], "offset": np.ones((x.size, 1))}
         return DesignMatrix.of(self, columns)
 

@@ -17,7 +17,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import drive
+from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import output_range
 from hystfit.params.param import element_places, param
 from hystfit.quality.loops import APART
@@ -153,7 +153,7 @@ class SelfSimilarStops(AbstractHysteresis):
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
-        return self.design_matrix(*drive(self, u, dt)).output(self)
+        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""

@@ -22,10 +22,10 @@ from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import drive, run, simulate
+from hystfit.models.simulation import checked_drive, run, simulate
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.params.host_arrays import compiled
+from hystfit.params.host_arrays import compiled, to_device
 
 
 class Series(AbstractComposition):
@@ -90,7 +90,7 @@ class Series(AbstractComposition):
 
     def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
         """The input with one more sample before the first, so that each part starts from its own rest, as in `init`."""
-        u, dt = drive(self, u, dt)
+        u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
         return np.append(u[0], u), np.append(0.0, dt)
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
@@ -160,7 +160,7 @@ class Series(AbstractComposition):
         ranges = [part.reach() if s.needs_limits else open_ for s, part in zip(inner, self.parts, strict=True)]
         if any(edges is None for edges in ranges[1:]):
             return SearchStep(self, sign)
-        return SeriesStep(self, inner, jnp.asarray([edges or open_ for edges in ranges]))
+        return SeriesStep(self, inner, to_device([edges or open_ for edges in ranges]))
 
     def c_part(self) -> CPart:
         """Feeds the output of each part into the next."""
@@ -217,7 +217,7 @@ class SeriesStep(AbstractStepInverse):
 def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
     """A design matrix, one row per sample, through a filter that is linear in its input."""
     columns = [block.columns for block in design.blocks]
-    out = np.asarray(_filtered(part, jnp.asarray(np.column_stack([design.rest, *columns])), jnp.asarray(dt)))
+    out = np.asarray(_filtered(part, np.column_stack([design.rest, *columns]), np.asarray(dt)))
     edges = np.cumsum([1, *(block.shape[1] for block in columns)])
     blocks = (
         dataclasses.replace(block, columns=out[:, lo:hi])

@@ -17,7 +17,7 @@ from hystfit.config import require_x64
 from hystfit.data.batch import bucket
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.params.host_arrays import compiled
+from hystfit.params.host_arrays import compiled, to_device
 
 
 class AbstractDynamics(eqx.Module):
@@ -150,7 +150,8 @@ def drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Array, Array]:
         PrecisionError: double precision is off.
     """
     u, dt = checked_drive(model, u, dt)
-    return jnp.asarray(u), jnp.asarray(dt)
+    on_device = lambda values: values if isinstance(values, jax.Array) else to_device(values)
+    return on_device(u), on_device(dt)
 
 
 def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
@@ -199,7 +200,7 @@ def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
         model: any whose `step` needs no later sample.
         u, dt: as in `simulate`.
     """
-    u, dt = (np.asarray(values) for values in drive(model, u, dt))
+    u, dt = (np.asarray(values) for values in checked_drive(model, u, dt))
     extra = bucket(u.size) - u.size  # records of similar length share one program
     return np.asarray(_states(model, np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))))[: u.size]
 

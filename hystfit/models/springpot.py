@@ -19,6 +19,7 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import states_over
 from hystfit.models.starting import input_range, output_range
 from hystfit.models.viscoelastic import MODES, Viscoelastic, relaxation_times
+from hystfit.params.host_arrays import compiled
 from hystfit.params.param import element_places, param
 from hystfit.quality.needs import Needs
 
@@ -81,8 +82,8 @@ class Springpot(AbstractHysteresis):
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The force of a springpot with c = 1."""
-        chain = dataclasses.replace(self, c=1.0)._chain()
-        return DesignMatrix.of(self, {"c": states_over(chain, u, dt) @ np.asarray(chain.g)[:, None]})
+        g, tau = _elements(dataclasses.replace(self, c=1.0))
+        return DesignMatrix.of(self, {"c": states_over(Viscoelastic(g=g, tau=tau), u, dt) @ np.asarray(g)[:, None]})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' at frequencies.
@@ -101,3 +102,10 @@ class Springpot(AbstractHysteresis):
     def c_part(self) -> CPart:
         """The chain in C."""
         return self._chain().c_part()
+
+
+@compiled
+def _elements(springpot: Springpot) -> tuple[Array, Array]:
+    """Stiffness and relaxation time of each element of the chain."""
+    chain = springpot._chain()
+    return chain.g, chain.tau

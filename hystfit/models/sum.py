@@ -20,7 +20,7 @@ from hystfit.models.composition import AbstractComposition, check_parts, join_c_
 from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import drive, simulate
+from hystfit.models.simulation import checked_drive, simulate
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
@@ -71,7 +71,7 @@ class Sum(AbstractComposition):
         """Part by part, where some part has a short cut."""
         if not self.has_fast_run:
             return super().free_run(u, dt)
-        u, dt = drive(self, u, dt)
+        u, dt = checked_drive(self, u, dt)
         return np.sum([part.free_run(u, dt) for part in self.parts], axis=0)
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
@@ -80,7 +80,7 @@ class Sum(AbstractComposition):
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all parts, one row per sample."""
-        u, dt = drive(self, u, dt)
+        u, dt = checked_drive(self, u, dt)
         designs = [part.design_matrix(u, dt).rows() for part in self.parts]
         blocks = [block for k, design in enumerate(designs) for block in self._blocks(k, design.blocks)]
         return DesignMatrix(tuple(blocks), np.sum([design.rest for design in designs], axis=0), np.arange(u.size))

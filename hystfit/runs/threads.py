@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import concurrent.futures
-import functools
 import os
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
-from typing import Any, TypeVar
-
-from threadpoolctl import ThreadpoolController
+from typing import TypeVar
 
 from hystfit.config import on_device
 
@@ -21,22 +17,6 @@ _MOST = 4  # threads: Python itself, which traces models for compilation, runs i
 def usable_cores() -> int:
     """Processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """A context in which linear algebra runs in one thread, for work that alternates small products and factors.
-
-    NumPy and SciPy bring a pool of threads each, which only wait for each other there: on two cores `check` of 4000 samples took 12.5 s of
-    processor time with them and 4.4 s without. Their number also changes the last digit of sums.
-    """
-    return _blas().limit(limits=1, user_api="blas")
-
-
-@functools.cache
-def _blas() -> ThreadpoolController:
-    import scipy.linalg  # noqa: F401  # the libraries must be loaded to be found
-
-    return ThreadpoolController()
 
 
 class Stopped(BaseException):
@@ -61,19 +41,18 @@ class Workers:
 
     def run(self, tasks: Sequence[Callable[[], T]]) -> list[T]:
         """What the tasks return; the first error, and an interrupt of the calling thread, end the others at their next `check`."""
-        with one_blas_thread():
-            if self.count <= 1 or len(tasks) <= 1:
-                return [task() for task in tasks]
-            pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
-            try:
-                futures = [pool.submit(_on_device, task) for task in tasks]
-                done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
-                return [future.result() for future in sorted(done, key=futures.index)]
-            except BaseException:
-                self._interrupted.set()
-                raise
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        if self.count <= 1 or len(tasks) <= 1:
+            return [task() for task in tasks]
+        pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
+        try:
+            futures = [pool.submit(_on_device, task) for task in tasks]
+            done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
+            return [future.result() for future in sorted(done, key=futures.index)]
+        except BaseException:
+            self._interrupted.set()
+            raise
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _on_device(task: Callable[[], T]) -> T:
