@@ -59,7 +59,7 @@ tests: setup  ## the tests, without the slow ones (QUICK= for all)
 # What takes longest starts first, so that both cores are busy to the end.
 NOTEBOOKS := 04_uncertainty_study 03_creep_and_the_filter 01_first_fit
 NOTEBOOKS += $(filter-out $(NOTEBOOKS),$(basename $(notdir $(wildcard notebooks/[0-9]*.py))))
-EXPERIMENTS := recognition ukf measured preisach uncertainty
+EXPERIMENTS := preisach ukf uncertainty measured magnetics recognition duhem structures
 EXPERIMENTS += $(filter-out $(EXPERIMENTS),$(patsubst experiments/%/run.py,%,$(wildcard experiments/*/run.py)))
 
 notebooks: setup  ## run every notebook, two at a time (QUICK= for the full form)
