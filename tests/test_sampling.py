@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.optimize
 import scipy.signal
 import scipy.special
 import scipy.stats
@@ -23,7 +24,9 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError, optional
-from hystfit.models import LogCreep
+from hystfit.inference.noise import White
+from hystfit.inference.problem import Problem
+from hystfit.models import LogCreep, Series, Sum
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.base import AbstractSampler, Raw
@@ -37,6 +40,7 @@ from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import checked, prepare
 from hystfit.sampling.shear import Shear
+from hystfit.sampling.slope_coordinates import SlopeCoordinates
 from hystfit.sampling.target import Target
 
 
@@ -187,6 +191,62 @@ def test_nuts_follows_a_ridge_into_a_bound(fitted):
         inside, share = (x > place).astype(float), truth.sf(place)
         assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
     assert effective_size(x) > 0.15 * steps
+
+
+def test_slope_coordinates_hold_the_slope_between_the_tips_and_have_determinant_one():
+    """Of two Bouc-Wen parts, one of which has its c fixed; the slope is that of a simulated steady loop."""
+    record = dataclasses.replace(loop()[0], t=0.01 * np.arange(500))
+    model = Sum(Series(LogCreep(), hf.BoucWen(c=2.0, mu=0.3, tau=1.5, rho=0.0)), hf.BoucWen())
+    problem = Problem(model, [record], fix=["parts.bouc_wen.c"]).with_noise(White())
+    density, names = problem.density, problem.space.names
+    slopes = SlopeCoordinates.of(density)
+    assert slopes is not None
+    assert [names[k] for k in (*slopes.c, *slopes.mu)] == ["series.parts.bouc_wen.c", "series.parts.bouc_wen.mu"]
+    z = jnp.asarray(np.random.default_rng(0).normal(size=(20, len(names) + 1)))
+    w = slopes.of_z(density, z)
+    np.testing.assert_allclose(slopes.z_of(density, w), z, atol=1e-12)
+    to_z = lambda w: slopes.z_of(density, w)
+    np.testing.assert_allclose(jnp.linalg.det(jax.vmap(jax.jacfwd(to_z))(w)), 1.0, rtol=1e-12)
+    for tau in (1e-5, 0.01, 0.3, 2.0, 50.0):
+        one = hf.BoucWen(c=2.0, mu=0.9, tau=tau, rho=0.0, scheme="exact")
+        u = 0.7 * np.sin(np.linspace(0, 2 * np.pi * 40, 40 * 400 + 1))
+        y = np.asarray(hf.simulate(one, u)[0])
+        tips = (y[-301] - y[-101]) / 1.4
+        assert 2.0 * np.exp(float(one.log_secant(jnp.asarray(0.7)))) == pytest.approx(tips, rel=0.02)
+
+
+def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():
+    """Little saturation shows a = c (1 - mu) and b = mu c tau; over mu c, least squares and priors give the posterior on a grid."""
+    phase = np.linspace(0, 4 * np.pi, 200)
+    u = np.linspace(0.3, 1, 200) * np.sin(phase)
+    truth = hf.BoucWen(c=50.0, mu=0.3, tau=0.01, rho=0.2, scheme="exact")
+    y = np.asarray(hf.simulate(truth, u)[0]) + 0.01 * np.random.default_rng(0).normal(size=u.size)
+    fit = hf.fit(truth, hf.Record(u=u, y=y), noise="iid", fix=["rho"])
+    wide = dict.fromkeys(["c", "tau"], priors.LogNormal(1.0, 3.0))
+    made = sample(fit, "nuts", noise="iid", priors=wide, draws=200, warmup=200)
+    assert made.status is Status.OK
+
+    def residual(logs, amount):
+        a, b = np.exp(logs)
+        model = dataclasses.replace(truth, c=a + amount, mu=amount / (a + amount), tau=b / amount)
+        r = y - np.asarray(hf.simulate(model, u)[0])
+        return (r - r.mean()) / 0.01
+
+    logs, rows = np.log([35.0, 0.15]), []
+    for log_amount in np.linspace(8.0, -2.0, 41):
+        found = scipy.optimize.least_squares(residual, logs, args=(np.exp(log_amount),), x_scale=[1e-4, 0.1])
+        logs, c = found.x, np.exp(found.x[0]) + np.exp(log_amount)
+        mu, log_tau = np.exp(log_amount) / c, found.x[1] - log_amount
+        prior = -0.5 * (np.log(c) ** 2 + log_tau**2) / 9 + np.log(mu * (1 - mu))
+        rows.append((mu, prior - found.cost - 0.5 * np.linalg.slogdet(found.jac.T @ found.jac)[1]))
+    mu, log_weight = np.array(rows[::-1]).T
+    weight = np.exp(log_weight - log_weight.max())
+    below = np.cumsum(weight) - 0.5 * weight
+    draws = made.draws[:, :, made.names.index("mu")]
+    for share in (0.25, 0.5, 0.75):
+        place = np.interp(share, below / weight.sum(), mu)
+        inside = (draws < place).astype(float)
+        assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
 
 
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):

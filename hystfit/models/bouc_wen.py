@@ -27,6 +27,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
+from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
@@ -38,7 +39,7 @@ from hystfit.quality.needs import Needs
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
-class BoucWen(AbstractHysteresis):
+class BoucWen(AbstractHysteresis, AbstractSecant):
     """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
     Here delta = rho tau. With |rho| < 1 the loop is dissipative, and |h| <= mu c / (tau + delta). The classic form with A, beta, gamma

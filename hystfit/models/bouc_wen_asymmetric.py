@@ -27,13 +27,14 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import legendre_series
+from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 
-class AsymmetricBoucWen(AbstractHysteresis):
+class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
     """Generalized Bouc-Wen for asymmetric loops and any exponent n:
 
         dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1),    H = mu c / (tau + delta),

@@ -73,7 +73,7 @@ class Nuts(AbstractSampler):
         ]
         report("compilation and warm-up", 0.0)
         for last in [False] * _AGAIN + [True]:
-            joined = self._converged(chains, report, to_the_end=last)
+            joined = self._converged(chains, setup, report, to_the_end=last)
             if joined is not None:
                 break
             chains = [chain.again() for chain in chains]
@@ -88,14 +88,16 @@ class Nuts(AbstractSampler):
             notes = (warn(Code.DIVERGENCES, text),)
         return Raw(z, density, joined, notes)
 
-    def _converged(self, chains: list[_Chain], report: Progress, *, to_the_end: bool) -> dict[str, np.ndarray] | None:
+    def _converged(
+        self, chains: list[_Chain], setup: Setup, report: Progress, *, to_the_end: bool
+    ) -> dict[str, np.ndarray] | None:
         """All chains, joined, twice as long as before until they have converged; None where `_draw` gives None."""
         draws = self.draws
         while True:
             joined = self._draw(chains, draws, report, to_the_end=to_the_end)
             if joined is None or draws >= self.extend * self.draws:
                 return joined
-            convergence = Convergence.of(joined["z"])
+            convergence = Convergence.of(setup.physical(joined["z"]))
             if convergence.good or convergence.apart:
                 return joined
             draws = min(2 * draws, self.extend * self.draws)

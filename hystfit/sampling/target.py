@@ -17,6 +17,7 @@ from hystfit.params.host_arrays import to_device
 from hystfit.sampling.bend import Bend
 from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
+from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
 
 class Target(eqx.Module):
@@ -28,6 +29,7 @@ class Target(eqx.Module):
         center, factor: y = center + factor q.
         shear: between y and v; None where they are the same.
         noise: coordinates of white and slow noise; None where the noise model has one part.
+        slopes: coordinates of slopes of which the hysteresis takes a part; None where the model has none.
     """
 
     density: Density
@@ -36,14 +38,17 @@ class Target(eqx.Module):
     factor: Float[Array, "d d"]
     shear: Shear | None = None
     noise: NoiseCoordinates | None = None
+    slopes: SlopeCoordinates | None = None
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
         """Centered on z, not whitened."""
-        kinds = (*density.objective.coordinates.kinds, *density.noise.kinds)
-        widths = to_device(np.zeros(z.shape)) if widths is None else widths
-        bend, noise = Bend(to_device([kind == BOTH for kind in kinds]), widths), NoiseCoordinates.of(density)
-        return cls(density, bend, _v_of(bend, noise, z), to_device(np.eye(z.shape[0])), noise=noise)
+        kinds, slopes = (*density.objective.coordinates.kinds, *density.noise.kinds), SlopeCoordinates.of(density)
+        both = np.equal(kinds, BOTH) if slopes is None else slopes.bent(kinds)
+        bend = Bend(to_device(both), to_device(np.zeros(z.shape)) if widths is None else widths)
+        eye, noise = to_device(np.eye(z.shape[0])), NoiseCoordinates.of(density)
+        plain = cls(density, bend, z, eye, noise=noise, slopes=slopes)
+        return plain.whitened(_v_of_z(plain, z), eye)
 
     def whitened(self, center: Float[Array, " d"], factor: Float[Array, "d d"]) -> Target:
         """The same density in other coordinates q."""
@@ -79,6 +84,7 @@ class Target(eqx.Module):
 
     def _z_and_slope(self, w: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, ""]]:
         """z from v without its bend, and log |det dz/dw|."""
+        w = w if self.slopes is None else self.slopes.z_of(self.density, w)
         return (w, jnp.zeros(())) if self.noise is None else self.noise.z_and_slope(w)
 
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
@@ -115,11 +121,13 @@ class Target(eqx.Module):
 
 # Operations of JAX outside compiled code are one program each: 30 of 20 ms or more, and loops that are compiled again in every call.
 @eqx.filter_jit
-def _v_of(bend: Bend, noise: NoiseCoordinates | None, z: Array) -> Array:
-    return bend.bent(z if noise is None else noise.of_z(z))
+def _v_of_z(target: Target, z: Array) -> Array:
+    w = z if target.noise is None else target.noise.of_z(z)
+    return target.bend.bent(w if target.slopes is None else target.slopes.of_z(target.density, w))
 
 
 @eqx.filter_jit
 def _unwhitened(target: Target, q: Array) -> Array:
     w = target.bend.unbent(target.v_of(q))
+    w = w if target.slopes is None else target.slopes.z_of(target.density, w)
     return w if target.noise is None else target.noise.z_of(w)
