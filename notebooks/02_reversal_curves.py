@@ -34,7 +34,7 @@ import hystfit as hf
 from hystfit.control import Controller, design, export_c, run_loop
 
 from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.results.forc_plots import plot_forc_diagram
+from hystfit.results.preisach_plots import plot_forc_diagram
 from hystfit.results.preisach_plots import plot_curves, plot_density
 from hystfit.models.preisach import check_preisach, fit_forc, forc_diagram
 from hystfit.models.preisach.properties import through

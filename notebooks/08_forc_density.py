@@ -28,7 +28,7 @@ import numpy as np
 import hystfit as hf
 from hystfit import signals
 from hystfit.models.preisach import fit_forc, forc_diagram
-from hystfit.results.forc_plots import plot_forc_diagram
+from hystfit.results.preisach_plots import plot_forc_diagram
 from hystfit.results.preisach_plots import plot_curves, plot_density
 
 hf.enable_x64()  # double precision, required by every fit

@@ -20,7 +20,7 @@ import scipy.optimize
 import hystfit as hf
 from hystfit import cli
 from hystfit.batch import bucketed, many, work
-from hystfit.batch.journal import Journal
+from hystfit.batch.many import Journal
 from hystfit.batch.overview import histogram, overview
 from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.outcome import Code, Status

@@ -17,7 +17,7 @@ from hystfit.errors import DataError, MissingExtraError, ParameterError
 from hystfit.inference.priors import LogNormal, priors_around
 from hystfit.params.space import ParameterSpace
 from hystfit.runs import pool
-from hystfit.uncertainty import replicate_pool
+from hystfit.uncertainty import replicates
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
@@ -124,21 +124,21 @@ def test_a_damaged_chunk_is_made_again(honest, damage):
 
 def test_a_chunk_that_breaks_is_told_and_not_kept(honest, tmp_path, monkeypatch):
 
-    run_chunk = replicate_pool.run_chunk
+    run_chunk = replicates.run_chunk
 
     def breaking(study, number):
         if number == 1:
             raise MemoryError("no memory left")
         return run_chunk(study, number)
 
-    monkeypatch.setattr(replicate_pool, "run_chunk", breaking)
+    monkeypatch.setattr(replicates, "run_chunk", breaking)
     found = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
     assert len(found.failures) == 10
     assert all("chunk broke" in why for _, why in found.failures)
     assert found.broken == ("chunk 1 broke: MemoryError: no memory left",)
     assert not (tmp_path / "chunk-00001.npz").exists()
     assert found.status == "miscalibrated"  # a sixth of the replicates failed
-    monkeypatch.setattr(replicate_pool, "run_chunk", run_chunk)
+    monkeypatch.setattr(replicates, "run_chunk", run_chunk)
     again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
     np.testing.assert_array_equal(again.ranks, honest[1].ranks)
 

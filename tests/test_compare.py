@@ -21,7 +21,6 @@ from hystfit.fitting import sizes
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import solve_model
@@ -38,6 +37,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
+from hystfit.outcome.progress import ShownProgress
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import Scheme, equal_errors, held_out
 from hystfit.runs.threads import Stopped, Workers

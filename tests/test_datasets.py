@@ -13,7 +13,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.reading import datasets, published
-from hystfit.results.stored_records import load_records, save_records
+from hystfit.results.saved import load_records, save_records
 
 MEASURED = {name: entry for name, entry in published.ENTRIES.items() if isinstance(entry, published.Measured)}
 BUNDLED = {name: entry for name, entry in published.ENTRIES.items() if isinstance(entry, published.Bundled)}

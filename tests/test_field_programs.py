@@ -10,9 +10,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hystfit as hf
-from hystfit.control.field_programs import export_field_programs
-from hystfit.control.magnetic_law import parts_of
-from hystfit.control.spice_winding import winding
+from hystfit.control.field_programs import export_field_programs, winding
+from hystfit.control.magnetic_material import parts_of
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.linear import Linear

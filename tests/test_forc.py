@@ -11,15 +11,14 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
-from hystfit.models.preisach.forc import density_of, fit_forc
 from hystfit.models.preisach.forc_diagram import ForcDiagram, forc_diagram
 from hystfit.models.preisach.forc_numbers import forc_numbers
+from hystfit.models.preisach.solve import density_of, fit_forc
 from hystfit.outcome import Status
-from hystfit.quality.reversal_corrections import corrected_curves
-from hystfit.quality.reversal_curves import reversal_curves
+from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
 from hystfit.results.forc_loop import forc_loop
+from hystfit.sampling.derived import sampled_density
 from hystfit.sampling.diagnostics import Convergence
-from hystfit.sampling.forc_density import sampled_density
 from hystfit.sampling.posterior import Posterior
 
 COERCIVITY, SPREAD = 0.35, 0.1

@@ -13,7 +13,7 @@ from hystfit.errors import ModelError, ParameterError
 from hystfit.identify import IDENTIFIERS, AbstractIdentifier, Ukf, as_fit, identify
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.results.timing import Stopwatch
+from hystfit.results.provenance import Stopwatch
 
 OWN = '''
 """Stochastic gradient for a friction loop: y = k u + f sign(du)."""

@@ -9,7 +9,7 @@ import pytest
 import hystfit as hf
 from hystfit.data.batch import Batch
 from hystfit.inference.noise import OrnsteinUhlenbeck, Setting, StudentT, White
-from hystfit.inference.noise.innovations import drive, resample
+from hystfit.inference.noise.base import drive, resample
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior

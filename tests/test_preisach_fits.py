@@ -350,8 +350,7 @@ class TestPictures:
     def test_axes_show_what_was_asked(self):
         matplotlib = pytest.importorskip("matplotlib")
         matplotlib.use("Agg")
-        from hystfit.results.forc_plots import plot_forc_diagram
-        from hystfit.results.preisach_plots import plot_curves, plot_density
+        from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 
         curves = family(truth("positive"), 12)
         model = truth("positive")

@@ -21,7 +21,7 @@ from hystfit.reading import read
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.read import table_of
-from hystfit.results.stored_records import load_records, save_records
+from hystfit.results.saved import load_records, save_records
 
 T = [0.0, 0.5, 1.0, 1.5]
 U = [0.0, 1.25, -2.5, 1000.5]

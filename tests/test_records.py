@@ -438,7 +438,7 @@ def test_records_share_one_standard_deviation():
 
 
 def test_standard_deviations_survive_saving_and_windows(tmp_path):
-    from hystfit.results.stored_records import load_records, save_records
+    from hystfit.results.saved import load_records, save_records
 
     record, _, _ = linear_problem()
     data = hf.Dataset.of(record.window(0.2, 1.5))

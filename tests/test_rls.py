@@ -21,7 +21,7 @@ from hystfit.models.duhem import Duhem
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.results.timing import Stopwatch
+from hystfit.results.provenance import Stopwatch
 
 ALPHA, ALPHA_F, G = 0.0874, np.array([-0.015, 0.006, 5.57e-6, -8.6e-8]), np.array([0.053, -0.83e-4, 8.1e-6])
 PAPER = np.array([*ALPHA_F, ALPHA, *G])

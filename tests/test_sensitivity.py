@@ -14,8 +14,7 @@ from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.results.exchange import smoothed_weights
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.record_densities import record_densities
-from hystfit.sampling.sensitivity import Sensitivity
+from hystfit.sampling.sensitivity import Sensitivity, record_densities
 
 RECORDS, SIGMA = 4, 0.05
 SDS = np.array([0.08, 0.2, *3 * [0.4]])  # of the priors of the weight, and of the offsets

@@ -9,7 +9,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
-from hystfit.fitting import disturbance
+from hystfit.fitting import fit_warnings
 from hystfit.inference import objective as whole
 from hystfit.inference import stretches
 from hystfit.inference.linearization import Linearization
@@ -86,7 +86,7 @@ def test_a_fit_of_a_long_record_needs_little_more_memory_than_its_columns(monkey
     for module, name, value in (
         (stretches, "NUMBERS", 2**18),
         (baselines, "BLOCK", 2**12),
-        (disturbance, "BLOCK", 2**12),
+        (fit_warnings, "BLOCK", 2**12),
     ):
         monkeypatch.setattr(module, name, value)
     samples = 100_000

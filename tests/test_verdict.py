@@ -10,7 +10,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.disturbance import disturbance_note
+from hystfit.fitting.fit_warnings import disturbance_note
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has

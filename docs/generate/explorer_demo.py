@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import hystfit as hf
-from hystfit.explorer.document import document
+from hystfit.explorer.server import document
 from hystfit.explorer.session import Session, Source
 
 RECORD, MODEL = "stage-sweep", "bouc-wen"

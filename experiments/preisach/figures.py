@@ -15,8 +15,7 @@ from measured import Measured
 
 import hystfit as hf
 from hystfit.control import LoopResult
-from hystfit.results.forc_plots import plot_forc_diagram
-from hystfit.results.preisach_plots import plot_curves, plot_density
+from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
 
 INK = {"FF": "C0", "table FF": "C4", "FB": "C1", "line+FB": "C3", "FF+FB": "C2", "table FF+FB": "C5"}
 

@@ -21,8 +21,7 @@ from hystfit.config import device_of_many, verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import make_model, model_name
-from hystfit.models.storage import to_json
+from hystfit.models.registry import make_model
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
@@ -91,8 +90,7 @@ def fit_map(
     space = ParameterSpace.of(
         make_model(work.model), fix=work.options.fix, free=work.options.free, tie=work.options.tie
     )
-    name = str(work.model) if isinstance(work.model, str) else model_name(work.model)
-    return LoopMap.of(found, np.shape(y)[:-1], space.names, name, frame, work)
+    return LoopMap.of(found, np.shape(y)[:-1], space.names, work.name, frame, work)
 
 
 def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Record:
@@ -122,10 +120,8 @@ def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
 
 def _described(work: Work, frame: Record, shape: tuple[int, ...]) -> Mapping[str, Any]:
     """What identifies a map but its outputs, which every part compares."""
-    model = work.model if isinstance(work.model, str) else to_json(work.model)
-    options = {name: repr(value) for name, value in sorted(vars(work.options).items())}
     units = (frame.u_unit, frame.y_unit, frame.t_unit)
-    return {"model": model, "options": options, "units": units, "input": frame.digest(), "shape": list(shape)}
+    return work.described | {"units": units, "input": frame.digest(), "shape": list(shape)}
 
 
 def _kept(place: Path | None, number: int, work: Work, frame: Record, y: Any, part: slice) -> Columns:

@@ -29,8 +29,6 @@ from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.batch/1"
 _ERRORS = ("rmse", "error_percent", "max_error_percent")
-_WORST = 20
-_REASON = 240  # characters of a reason in text; fits.csv and the reports have all of it
 _OUTER = (0.05, 0.5, 0.95)
 
 
@@ -203,7 +201,7 @@ class Fits(WithStatus):
             write_csv(scratch, columns, ".15g")
         return path
 
-    def worst(self, count: int = _WORST) -> tuple[Row, ...]:
+    def worst(self, count: int = 20) -> tuple[Row, ...]:
         """Loops to inspect: first those without a fit, then unusable ones, then those with the largest errors."""
         rank = lambda row: (row.status is not Status.FAILED, row.usable, -(row.error_percent or 0.0))
         return tuple(sorted(self.rows, key=rank)[:count])
@@ -252,7 +250,7 @@ class Fits(WithStatus):
                 "",
                 "Not usable",
                 *(
-                    f"  {row.name}: {row.status}: {textwrap.shorten(row.reason, _REASON, placeholder=' ...')}"
+                    f"  {row.name}: {row.status}: {textwrap.shorten(row.reason, 240, placeholder=' ...')}"
                     for row in worst
                 ),
             ]
@@ -270,7 +268,7 @@ class Fits(WithStatus):
             "loops": len(self.rows),
             "counts": self.counts,
             "units": dict(self.units),
-            "settings": {name: repr(value) for name, value in vars(self.work.options).items()},
+            "settings": self.work.settings,
             "summary": self.summary().to_list(),
             "rows": [row.to_dict() for row in self.rows],
             "provenance": provenance((), self.work.options.seed),

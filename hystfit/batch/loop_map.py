@@ -27,7 +27,6 @@ _OUTER = (0.05, 0.5, 0.95)
 _NUMBERS = ("rmse", "error_percent", "max_error_percent")
 _FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
 _AXES = ("x", "y", "z")
-_LISTED = 100  # loops without a usable fit that `to_dict` names
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -241,9 +240,9 @@ class LoopMap(WithStatus):
             "counts": self.counts,
             "fitted_alone": int(self.alone.sum()),
             "units": dict(self.units),
-            "settings": {name: repr(value) for name, value in vars(self.work.options).items()},
+            "settings": self.work.settings,
             "summary": self.summary().to_list(),
-            "not_usable": bad[:_LISTED],
+            "not_usable": bad[:100],
             "provenance": provenance((), self.work.options.seed),
         }
 

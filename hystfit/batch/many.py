@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,16 +14,13 @@ from typing import Any
 import numpy as np
 
 from hystfit.batch.fits import Fits
-from hystfit.batch.journal import Journal
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source, sources_of, units_of
 from hystfit.batch.work import Work, fit_sources
 from hystfit.config import verb
 from hystfit.data.record import Record
-from hystfit.errors import ParameterError
+from hystfit.errors import DataError, ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import model_name
-from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.runs.chunks import claim
 from hystfit.runs.pool import computed
@@ -85,7 +84,7 @@ def fit_many(
             done = sum(source.key in rows for source in sources)
             progress(f"{done} of {len(sources)} loops", done / len(sources))
     pairs = [(row, source) for source in sources for row in rows[source.key]]
-    return Fits(tuple(row for row, _ in pairs), _name(work), work.units, work, tuple(source for _, source in pairs))
+    return Fits(tuple(row for row, _ in pairs), work.name, work.units, work, tuple(source for _, source in pairs))
 
 
 def _chunks(sources: Sequence[Source], workers: int, few: int) -> list[Sequence[Source]]:
@@ -96,20 +95,10 @@ def _chunks(sources: Sequence[Source], workers: int, few: int) -> list[Sequence[
     return [sources[a:b] for a, b in itertools.pairwise(edges) if b > a]
 
 
-def _name(work: Work) -> str:
-    return str(work.model) if isinstance(work.model, str) else model_name(work.model)
-
-
 def _described(work: Work) -> dict[str, Any]:
     """The settings that identify a batch: model, options and reading, not its loops."""
-    model = work.model if isinstance(work.model, str) else to_json(work.model)
-    plain = lambda options: {name: repr(value) for name, value in sorted(options.items())}
-    return {
-        "model": model,
-        "options": plain(vars(work.options)),
-        "reading": plain(work.reading),
-        "units": dict(work.units),
-    }
+    reading = {name: repr(value) for name, value in sorted(work.reading.items())}
+    return work.described | {"reading": reading, "units": dict(work.units)}
 
 
 def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row]]]:
@@ -118,3 +107,53 @@ def _finished(chunk: Sequence[Source], outcome: Any) -> list[tuple[str, list[Row
         reason = f"the worker process failed: {type(outcome).__name__}: {outcome}"
         return [(source.key, [Row(source.name, source.file, None, Status.FAILED, reason)]) for source in chunk]
     return [(source.key, [Row.of(row) for row in rows]) for source, rows in zip(chunk, outcome, strict=True)]
+
+
+Finished = tuple[str, Sequence[Row]]
+
+
+class Journal:
+    """One line for each file or record: its key and its rows. A line that an interruption cut short is ignored.
+
+    Args:
+        file: made when the first rows are added.
+
+    Raises:
+        DataError: the file cannot be read.
+    """
+
+    def __init__(self, file: Path):
+        self.file = file
+        self.rows: dict[str, tuple[Row, ...]] = {}
+        try:
+            text = file.read_bytes() if file.exists() else b""
+        except OSError as error:
+            raise DataError(f"cannot read {str(file)!r}: {error.strerror or error}") from error
+        whole = [line for line in text.splitlines(keepends=True) if self._accept(line)]
+        if (kept := b"".join(whole)) != text:
+            scratch = file.with_name(f".{file.name}")
+            scratch.write_bytes(kept)
+            scratch.replace(file)
+
+    def _accept(self, line: bytes) -> bool:
+        """Take the rows of a line; whether it is whole."""
+        if not line.endswith(b"\n"):
+            return False
+        try:
+            content = json.loads(line)
+            self.rows[content["key"]] = tuple(Row.of(row) for row in content["rows"])
+        except (ValueError, KeyError, TypeError):
+            return False
+        return True
+
+    def add(self, finished: Sequence[Finished]) -> None:
+        """Append the rows of several loops."""
+        lines = [json.dumps({"key": key, "rows": [row.to_dict() for row in rows]}) + "\n" for key, rows in finished]
+        try:
+            with self.file.open("a", encoding="utf-8") as handle:
+                handle.write("".join(lines))
+                handle.flush()
+                os.fsync(handle.fileno())
+        except OSError as error:
+            raise DataError(f"cannot write {str(self.file)!r}: {error.strerror or error}") from error
+        self.rows |= {key: tuple(rows) for key, rows in finished}

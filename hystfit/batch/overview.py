@@ -10,13 +10,11 @@ import numpy as np
 from hystfit.batch.fits import Fits
 from hystfit.batch.row import Row
 from hystfit.outcome import Column, Table
-from hystfit.outcome.table import number
+from hystfit.outcome.table import ROUNDING, number
 from hystfit.params.units import with_unit
 from hystfit.results.webpage import Markup, Page
 
-_SHOWN = 50  # loops in the list at most, besides those with a report
 _WIDTH, _HEIGHT, _FOOT = 240, 96, 18  # of a histogram
-_ALIKE = 1e-9  # relative range of values that are shown as one
 _FEWEST, _MOST = 5, 30  # bars
 
 
@@ -28,7 +26,7 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None, translate: Ca
         translate: from settings as in Python to the options of the reader.
     """
     reports = reports or {}
-    listed = [row for k, row in enumerate(fits.worst(len(fits))) if k < _SHOWN or row.name in reports]
+    listed = [row for k, row in enumerate(fits.worst(len(fits))) if k < 50 or row.name in reports]
     pictures = [_picture(fits, name) for name in (*fits.names, *fits.quantities) if fits.values(name).size]
     counts = ", ".join(f"{count} {status}" for status, count in fits.counts.items())
     advice = "" if fits.usable else f" {translate(fits.advice[:1].upper() + fits.advice[1:])}."
@@ -49,14 +47,12 @@ def overview(fits: Fits, reports: Mapping[str, str] | None = None, translate: Ca
 
 
 def _picture(fits: Fits, name: str) -> str:
-    """Histogram of a parameter or quantity with its heading."""
     values, unit = fits.values(name), fits.unit(name)
     heading = with_unit(name, unit)
     return f"<figure><figcaption>{html.escape(heading)}</figcaption>{histogram(values, heading)}</figure>"
 
 
 def _table(rows: Sequence[Row], reports: Mapping[str, str], translate: Callable[[str], str]) -> str:
-    """The list of loops, each with the address of its report where it has one."""
     columns = [
         Column("loop"),
         Column("status", left=True),
@@ -78,7 +74,7 @@ def histogram(values: np.ndarray, heading: str) -> str:
     """
     bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
     center, size = float(values[0]), float(np.abs(values).max())
-    alike = np.ptp(values) <= _ALIKE * size  # bins of such a range would be narrower than numbers can be
+    alike = np.ptp(values) <= ROUNDING * size  # bins of such a range would be narrower than numbers can be
     pad = 0.1 * size or 1.0
     counts, edges = np.histogram(values, bins=bars, range=(center - pad, center + pad) if alike else None)
     low, high, middle = float(edges[0]), float(edges[-1]), float(np.median(values))

@@ -11,10 +11,9 @@ import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
 from hystfit.batch.bucketed import STEPS
-from hystfit.batch.plain_judge import Judged, judge_plain
+from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
-from hystfit.batch.row_notes import RowNotes, row_notes
 from hystfit.batch.simulated_rows import simulated
 from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket
@@ -29,9 +28,9 @@ from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
+from hystfit.results.provenance import Stopwatch
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
-from hystfit.results.timing import Stopwatch
 
 FEWEST = 8  # loops from which the programs of many pay
 _SAME = 1e-3  # relative difference of two standard errors that is none

@@ -6,6 +6,7 @@ Many loops of a map are judged on the GPU that has solved them; all others on th
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -16,25 +17,77 @@ from jaxtyping import Array, Float
 from hystfit.batch.alike import Group, Loops
 from hystfit.batch.simulated_rows import chunks, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
+from hystfit.fitting.fit_warnings import BEGINS, SHORT
+from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.lanes import Stack, device_for, placed
 from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
+from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
+from hystfit.quality.baselines import DEGREE
+from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
-from hystfit.quality.rows import curve_errors, polynomials, row_noise, sound_rows
-from hystfit.results.accuracy import persistent_error
+from hystfit.results.accuracy import NOISY, USABLE, persistent_error
 
-# Limits stricter than those of a fit that is judged alone, so that the verdict is the same.
-_OF_NOISE = 1.9  # times the noise: largest rms error
+_ON_CURVE = 2**12  # samples on which a curve is fitted: its error is known to a percent
+_LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four
+_SPARSE = 0.9  # noise by differences of order 6 over that of order 3, below which it still contains the signal
+_ROUNDED = 0.06  # of the least step between neighbors: noise below it may be rounding
+_SPIKE, _OF_RANGE = 9.0, 0.028  # times the noise, and of the range, that an outlier stands out from both neighbors
+
+
+def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
+    """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error."""
+    difference = xp.diff(y, axis=1)
+    steps = xp.abs(difference)
+    least_step = xp.min(xp.where(steps > 0, steps, xp.inf), axis=1)
+    sizes = []
+    for order in range(2, 7):
+        difference = xp.diff(difference, axis=1)
+        middle, size = difference.shape[1] // 2, xp.abs(difference)
+        # On a GPU a sort takes less time than a selection.
+        median = (np.partition(size, middle, axis=1) if xp is np else xp.sort(size, axis=1))[:, middle]
+        sizes.append(MAD_TO_RMS * median / math.sqrt(math.comb(2 * order, order)))
+    least = xp.min(xp.stack(sizes), axis=0)
+    floor = xp.maximum(_ROUNDED * least_step, 1e-15 * xp.abs(y).max(axis=1))
+    return xp.where((least > floor) & (sizes[-1] >= _SPARSE * sizes[1]), least, xp.nan)
+
+
+def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> Any:
+    """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool."""
+    if y.shape[1] < _FEWEST:
+        return xp.zeros(len(y), bool)
+    low, high = y.min(axis=1, keepdims=True), y.max(axis=1, keepdims=True)
+    stays = xp.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
+    steps = xp.diff(y, axis=1)
+    before, after = steps[:, :-1], steps[:, 1:]
+    apart = xp.where(before * after < 0, xp.minimum(xp.abs(before), xp.abs(after)), 0.0).max(axis=1)
+    spiky = apart > xp.maximum(_SPIKE * xp.nan_to_num(noise), _OF_RANGE * (high - low)[:, 0])
+    return xp.isfinite(noise) & ~stays & ~spiky
+
+
+def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
+    """Orthonormal polynomials over the input for `curve_errors`, on at most 4096 samples at even distances."""
+    u = u[:: _stride(u.size)]
+    low, high = u.min(), u.max()
+    return np.linalg.qr(np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree))[0]
+
+
+def curve_errors(basis: Float[Any, "m k"], y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
+    """RMS error of the best of these polynomials over the input, for each row."""
+    y = y[:, :: _stride(y.shape[1])]
+    rest = y - (y @ basis) @ basis.T
+    return xp.sqrt(xp.mean(rest**2, axis=1))
+
+
+def _stride(samples: int) -> int:
+    return -(-samples // _ON_CURVE)
+
+
+# Part of a limit of a fit that is judged alone, up to which the same verdict is beyond doubt.
+MARGIN = 0.93
 _OF_CURVE = 0.5  # of the error of a single-valued curve: largest rms error
-_PERCENT = 2.9  # of the range: largest rms error
-_DEGREE = 7  # of that curve
-# Percent of the range, and times the rms error elsewhere: of a half cycle unlike the others.
-_LASTING, _STANDS_OUT = 0.95, 2.8
-_SHORT = 0.035  # of the samples, which must not carry half of the squared error
-_TAILS = 2.8  # largest excess kurtosis of the differences of residuals
-_FEWEST = 64  # residuals
-_VARIES = 1e-12  # of the largest output: least range
+_FEWEST = 64  # samples
 
 
 class Soundness(NamedTuple):
@@ -81,7 +134,7 @@ class _Frame(NamedTuple):
         record = group.record
         at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
         ends = np.stack([at <= turns[0], at >= turns[-1]]) if turns.size else np.zeros((2, at.size))
-        return cls(at, polynomials(record.u[at], _DEGREE), ends.astype(float))
+        return cls(at, polynomials(record.u[at], DEGREE), ends.astype(float))
 
 
 def soundness(loops: Loops) -> Soundness:
@@ -108,7 +161,7 @@ def _on_gpu(loops: Loops) -> Any:
 def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
     finite = xp.isfinite(y).all(axis=1)
     rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
-    varies = rows.max(axis=1) - rows.min(axis=1) > _VARIES * xp.abs(rows).max(axis=1)
+    varies = rows.max(axis=1) - rows.min(axis=1) > 1e-12 * xp.abs(rows).max(axis=1)
     noise = row_noise(rows, xp)
     return finite & varies & sound_rows(rows, noise, xp), noise
 
@@ -175,8 +228,8 @@ def _accuracy(frame: _Frame, y: Any, predicted: Any, noise: Any, xp: Any = np) -
     residual = predicted - y
     span, rmse = y.max(axis=1) - y.min(axis=1), xp.sqrt(xp.mean(residual**2, axis=1))
     percent, largest = 100 * rmse / span, 100 * xp.abs(residual).max(axis=1) / span
-    close = xp.isfinite(rmse) & (percent < _PERCENT) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
-    good = close & (rmse < _OF_NOISE * noise)
+    close = xp.isfinite(rmse) & (percent < MARGIN * USABLE) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
+    good = close & (rmse < MARGIN * NOISY * noise)
     residual = xp.where(good[:, None], residual, 0.0)
     good &= _is_even(frame, residual, span, xp)
     return Accuracy(good, ~correlated_rows(residual, xp), close, rmse, percent, largest)
@@ -189,12 +242,12 @@ def _is_even(frame: _Frame, residual: Float[Any, "N m"], span: Float[Any, " N"],
     total = squares.sum(axis=1)
     change = xp.diff(residual, axis=1)
     change = (change - change.mean(axis=1, keepdims=True)) ** 2
-    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < _TAILS) & (samples >= _FEWEST)
-    sums, width = xp.cumsum(squares, axis=1), int(_SHORT * samples) + 1
+    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < MARGIN * TAILS) & (samples >= _FEWEST)
+    sums, width = xp.cumsum(squares, axis=1), int(SHORT / MARGIN * samples) + 1
     plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
     size = persistent_error(residual, xp)
     largest, place = size.max(axis=1), xp.argmax(size, axis=1)
     for end in frame.ends:
         rest = xp.sqrt((total - squares @ end) / xp.maximum((1 - end).sum(), 1))
-        plain &= ~((end[place] > 0) & (100 * largest > _LASTING * span) & (largest > _STANDS_OUT * rest))
+        plain &= ~((end[place] > 0) & (100 * largest > MARGIN * VISIBLE * span) & (largest > MARGIN * BEGINS * rest))
     return plain

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.batch.alike import Common, Group, Loops
-from hystfit.batch.plain_judge import SLOW, Judged
-from hystfit.batch.row_accuracy import accuracy_of
+from hystfit.batch.plain_judge import Judged
+from hystfit.batch.row_accuracy import MARGIN, accuracy_of
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -23,6 +23,7 @@ from hystfit.fitting.assessment import Unknown, notes_of_errors
 from hystfit.fitting.convex import Convex
 from hystfit.fitting.covariance import determine, ridge_shares
 from hystfit.fitting.estimate import Estimate
+from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.near_bounds import Information, NearBounds, centered
 from hystfit.fitting.ridge import LinearSystem, fit_ridges
 from hystfit.fitting.smooth_weights import SmoothWeights
@@ -36,8 +37,6 @@ from hystfit.inference.weights import Split, free_columns, weighted_columns
 from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.outcome import Code, Note
 from hystfit.params.relative_size import relative_size
-
-_SURE = 0.97  # of the largest error of left-out samples
 
 
 class Weights(NamedTuple):
@@ -78,7 +77,6 @@ def solve_weights(common: Common, loops: Loops) -> Weights:
 
 
 def _ridges(common: Common, group: Group) -> Weights:
-    """With a ridge for each loop."""
     setup, estimator, sizes = common.setup, Convex(), group.sizes[:, 1]
     candidates = setup.candidates or (setup.problem,)
     systems = [LinearSystem.of(problem, problem.space.vector(problem.model)) for problem in candidates]
@@ -96,7 +94,6 @@ def _ridges(common: Common, group: Group) -> Weights:
 
 
 def _smooth(common: Common, group: Group) -> Weights:
-    """With smooth weights."""
     problem, estimator = common.setup.problem, SmoothWeights()
     (record,), held, x = problem.data, problem.held_out, problem.space.vector(problem.model)
     split = Split.of(problem.space, [record], x, held=held)
@@ -142,9 +139,9 @@ def judge_weights(
     described, white, _, *sizes = accuracy_of(loops, weights.outputs(group.record), noise)
     rmse, percent, _ = sizes
     with np.errstate(all="ignore"):
-        tested = weights.left_out <= _SURE * largest_left_out(100 * rmse / percent, rmse)
+        tested = weights.left_out <= MARGIN * largest_left_out(100 * rmse / percent, rmse)
     tested &= (rmse > 0) & (len(weights.columns) > x.shape[1])
-    wanted = np.flatnonzero(described & (white | (percent < SLOW)) & tested & weights.chosen)
+    wanted = np.flatnonzero(described & (white | (percent < MARGIN * VISIBLE)) & tested & weights.chosen)
     plain, stderr, scale = np.zeros(len(loops), bool), np.full(x.shape, np.nan), weights.common.scale(loops)
     notes: list[tuple[Note, ...]] = [()] * len(loops)
     if wanted.size:

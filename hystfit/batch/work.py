@@ -27,12 +27,13 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, set_up_fit, solve, starting_vectors
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.registry import SEARCH, make_model
+from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.models.storage import to_json
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.reading.read import read
+from hystfit.results.provenance import Stopwatch
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
@@ -88,6 +89,21 @@ class Work:
     def searches(self) -> bool:
         """Whether the model itself is chosen for each loop."""
         return isinstance(self.model, str) and self.model in (AUTO, SEARCH)
+
+    @property
+    def name(self) -> str:
+        """Name of the model."""
+        return str(self.model) if isinstance(self.model, str) else model_name(self.model)
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """The options as text."""
+        return {name: repr(value) for name, value in sorted(vars(self.options).items())}
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """Model and options, which identify a run."""
+        return {"model": self.model if isinstance(self.model, str) else to_json(self.model), "options": self.settings}
 
     @property
     def quick(self) -> bool:
@@ -196,7 +212,6 @@ def _read(work: Work, source: Source) -> list[_Loop]:
 
 
 def _convert(work: Work, loop: _Loop) -> None:
-    """To the units of the batch."""
     loop.record = cast(Record, loop.record).in_units(**work.units)
 
 

@@ -104,7 +104,6 @@ def batch(
 
 
 def _count(reports: str) -> int | None:
-    """Number of reports; None for all."""
     if reports == "all":
         return None
     if not reports.isdigit():

@@ -1,8 +1,9 @@
-"""`hystfit models` and `hystfit datasets`."""
+"""`hystfit models`, `hystfit datasets` and `hystfit completion`."""
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal
 
 from hystfit.cli.options import NO_TABLE, TableOutput
 from hystfit.cli.write import finish, finish_table, record_columns, show
@@ -50,7 +51,6 @@ def models(name: str | None = None, /, *, json: bool = False) -> int:
 
 
 def _group(place: str) -> str:
-    """The models of one place below its heading."""
     from hystfit.models.entries import MODELS
 
     width = max(map(len, MODELS))
@@ -98,3 +98,21 @@ def datasets(name: str | None = None, /, *, output: TableOutput = NO_TABLE) -> i
 
     table = record_columns(Dataset.of(known.load(name)))
     return finish_table(text, content, output, name.replace("/", "_"), table)
+
+
+def completion(shell: Literal["bash", "zsh", "fish"], /, *, install: bool = False) -> int:
+    """Print the script that completes verbs and options in a shell, or install it for this user.
+
+    Args:
+        shell: bash, zsh or fish.
+        install: write the script where the shell looks for it, and load it at the start of the shell.
+    """
+    from hystfit.cli import app
+
+    if not install:
+        print(app.generate_completion(shell=shell))
+        return 0
+    place = app.install_completion(shell=shell)
+    shown = f"~/{place.relative_to(Path.home())}" if place.is_relative_to(Path.home()) else str(place)
+    print(f"Written to {shown}; open a new shell")
+    return 0

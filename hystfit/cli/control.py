@@ -73,11 +73,11 @@ def invert(
     content |= {"notes": [note.to_dict() for note in missed], "rest": rest}
     title, units = f"{result.name} inverted for {target.name}", content["units"]
     notes = [*missed, *(note for note in target.notes if note.code in _ABOUT_READING)]
-    remarks = [
-        _limits_line(result, span),
-        *([] if rest is None else [_rest_line(rest, units["input"])]),
-        *map(str, notes),
-    ]
+    remarks = [_limits_line(result, span)]
+    if rest is not None:
+        level = f"{rest:g} {units['input'] or ''}".rstrip()
+        remarks.append(f"in equilibrium at an input of {level} before the reference begins")
+    remarks += map(str, notes)
     remarks += [] if bands is None else [_band_words(content)]
     counts = [[name, count] for name, count in inverse.counts().items() if count or name == "ok"]
     reach = f"{inverse.u.min():.4g} to {inverse.u.max():.4g} {units['input'] or ''}".rstrip()
@@ -110,7 +110,6 @@ def _content(
     bands: InverseBands | None,
     given: tuple[float, float] | None,
 ) -> dict[str, Any]:
-    """The contents of result.json."""
     from hystfit.data.dataset import Dataset
     from hystfit.results.provenance import provenance
 
@@ -137,14 +136,7 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
     return f"input limited to {low:.6g} to {high:.6g} {result.data.units['u']}".rstrip() + f" ({source})"
 
 
-def _rest_line(rest: float, unit: str | None) -> str:
-    """Where the device was before the reference."""
-    level = f"{rest:g} {unit or ''}".rstrip()
-    return f"in equilibrium at an input of {level} before the reference begins"
-
-
 def _target(path: str, reading: Reading, fitted: Record) -> Record:
-    """The one record of a file with a reference."""
     data = load_one_sided([path], reading, "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
@@ -170,7 +162,6 @@ def _bands(
 
 
 def _summary(bands: InverseBands) -> dict[str, Any]:
-    """Bands in result.json."""
     import numpy as np
 
     low, _, high = bands.band("u")

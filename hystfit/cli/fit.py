@@ -121,7 +121,6 @@ def _after_comparison(winner: FitResult, wording: Wording) -> list[str]:
 
 
 def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Split, wording: Wording) -> None:
-    """Write a fit, its report and its pictures."""
     from hystfit.results.report import write_into
     from hystfit.results.saved import write_fit
 
@@ -130,7 +129,6 @@ def _save_fit(result: FitResult, folder: Path, test: Dataset | None, split: Spli
 
 
 def _winner(train: Dataset, method: str, options: dict[str, Any], purpose: Any) -> FitResult:
-    """The winner of `compare`, with a note on the choice."""
     from hystfit.fitting.fit import best_model
     from hystfit.fitting.fit_options import FitOptions
 

@@ -91,7 +91,6 @@ def fit_loops(
 
 
 def _draw(found: LoopMap, folder: Path) -> None:
-    """A picture of each parameter and quantity of a map of two axes."""
     if len(found.shape) != 2:
         return
     for name in (*found.values, *found.quantities):

@@ -11,7 +11,7 @@ from hystfit.cli.batches import FEW
 from hystfit.cli.fitting_options import FITTING, Fitting
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading
-from hystfit.cli.write import finish, named, progress, write_csv
+from hystfit.cli.write import finish, progress, write_input
 from hystfit.errors import DataError
 
 if TYPE_CHECKING:
@@ -80,7 +80,8 @@ def population(
         for kind in ("forest", "correlation", "shrinkage"):
             result.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
         if proposal is not None:
-            _write_input(proposal, folder / "next.csv")
+            like = result.devices[0].result.data[0]
+            write_input(folder / "next.csv", like, proposal.best.u, proposal.dt)
 
     text, content = str(result), result.to_dict()
     if proposal is not None:
@@ -89,18 +90,10 @@ def population(
 
 
 def _ranked(result: PopulationFit, update: Any) -> PopulationDesign:
-    """What to measure next."""
     from hystfit.population.next_measurement import design_population
 
     update("ranking the next measurement", 0.0)
     return design_population(result)
-
-
-def _write_input(proposal: PopulationDesign, file: Path) -> None:
-    """The input of the best measurement."""
-    record, u, step = proposal.population.devices[0].result.data[0], proposal.best.u, proposal.dt
-    time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
-    write_csv(file, time | {named(record.u_name, record.u_unit): u}, ".9g")
 
 
 def _named_by(pattern: str) -> Any:
@@ -124,7 +117,6 @@ def _named_by(pattern: str) -> Any:
 
 
 def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None) -> Page:
-    """The page of `hystfit population`."""
     from hystfit.cli.pages import notes_of, page_of
     from hystfit.outcome import Column, Table
     from hystfit.population.next_measurement import COLUMNS

@@ -21,15 +21,11 @@ if TYPE_CHECKING:
     from hystfit.quality.reversal_curves import ReversalFamily
     from hystfit.results.forc_loop import ForcLoop
 
-_SHOWN = 40  # curves in the picture at most
-# Along each axis of a sampled density: the time grows with the third power of their number, and 40 took minutes.
-_CELLS = 24
 _HOW = {
     "regression": "local regression",
     "fitted": "fitted Preisach density",
     "sampled": "posterior of a Preisach density",
 }
-_REPEATS = 24  # draws of the noise: their standard deviation has an error of 15 %
 
 
 def forc(
@@ -52,8 +48,7 @@ def forc(
             shows it beside the regression.
     """
     from hystfit.models.preisach.forc_numbers import forc_numbers
-    from hystfit.quality.reversal_corrections import corrected_curves
-    from hystfit.quality.reversal_curves import reversal_curves
+    from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
     from hystfit.results.forc_loop import forc_loop
     from hystfit.results.provenance import provenance
 
@@ -106,26 +101,27 @@ def _density(
     data: Dataset, density: str, smoothing: int, *, rising: bool
 ) -> tuple[dict[str, ForcDiagram], Status, tuple[Note, ...]]:
     """Diagrams by how they were found, the status of a posterior and its notes."""
-    from hystfit.models.preisach.forc import density_of, fit_forc
     from hystfit.models.preisach.forc_diagram import forc_diagram
+    from hystfit.models.preisach.solve import density_of, fit_forc
 
     if density == "fitted":
         return {_HOW[density]: density_of(fit_forc(data, nonnegative=False).model, rising=rising)}, Status.OK, ()
-    local = {_HOW["regression"]: forc_diagram(data, smoothing, repeats=_REPEATS)}
+    # 24 draws of the noise: their standard deviation has an error of 15 %.
+    local = {_HOW["regression"]: forc_diagram(data, smoothing, repeats=24)}
     if density == "regression":
         return local, Status.OK, ()
     from hystfit.fitting.fit import fit
-    from hystfit.sampling.forc_density import sampled_density
+    from hystfit.sampling.derived import sampled_density
     from hystfit.sampling.sample import sample
 
-    posterior = sample(fit(f"preisach-forc:n={_CELLS}", data))
+    # The time grows with the third power of the number of cells along an axis, and 40 took minutes.
+    posterior = sample(fit("preisach-forc:n=24", data))
     return local | {_HOW[density]: sampled_density(posterior, rising=rising)}, posterior.status, posterior.notes
 
 
 def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
-    """Densities found in different ways on one picture."""
     from hystfit.cli.figures import sheet
-    from hystfit.results.forc_plots import plot_compared
+    from hystfit.results.preisach_plots import plot_compared
 
     figure = sheet(5.6 * len(diagrams), 8.4)
     plot_compared(diagrams, figure, units=units)
@@ -147,15 +143,13 @@ def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:
 def _figures(
     diagram: ForcDiagram, numbers: ForcNumbers, loop: ForcLoop, family: ReversalFamily, units: dict[str, str]
 ) -> dict[str, Figure]:
-    """Diagram, profiles, and curves with the major loop that they contain."""
     from hystfit.cli.figures import sheet
-    from hystfit.results.forc_plots import plot_forc_diagram, plot_profiles
-    from hystfit.results.preisach_plots import plot_curves
+    from hystfit.results.preisach_plots import plot_curves, plot_forc_diagram, plot_profiles
 
     sheets = {"forc": sheet(5.6, 4.4), "profiles": sheet(5.6, 7.2), "curves": sheet(5.6, 4.4)}
     plot_forc_diagram(diagram, sheets["forc"].subplots(), units=units)
     plot_profiles(numbers, sheets["profiles"].subplots(3), units=units)
-    ax = plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // _SHOWN))
+    ax = plot_curves(family.curves, ax=sheets["curves"].subplots(), every=max(1, len(family.curves) // 40))
     ax.plot(loop.loop.u, loop.loop.y, color="black", lw=0.9, label="major loop")
     ax.legend(frameon=False)
     return sheets

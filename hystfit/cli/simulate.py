@@ -105,7 +105,6 @@ def simulate(
 
 
 def _truth(devices: Population[Any]) -> dict[str, Any]:
-    """Columns of the true parameters, one row a device."""
     from hystfit.params.units import with_unit
 
     numbers = {"device": range(1, len(devices) + 1)}
@@ -123,7 +122,6 @@ def _ranges(data: list[Record], columns: dict[str, Any], axes: int) -> dict[str,
 
 
 def _check_options(what: str, axes: int, drive: str | None, population: int | None, spread: list[str] | None) -> None:
-    """Refuse options that do not belong together."""
     if axes != 1 and (axes != 3 or what != "stage"):
         raise ParameterError(f"--axes is 1, or 3 for the stage; got {axes} for {what}")
     if axes == 1 and drive is not None:
@@ -186,7 +184,6 @@ def _joined(devices: Population[Any], measured: Callable[[Any, int, str], _Measu
 
 
 def _voltages(t: np.ndarray, u: np.ndarray, drive: str) -> tuple[np.ndarray, np.ndarray]:
-    """Times and voltages (T, 3) of the three actuators."""
     import numpy as np
 
     from hystfit.stage import drive_in_turn
@@ -256,7 +253,6 @@ def _model_record(
     name: str,
     trust: bool,
 ) -> Record:
-    """The record of a model, or of a fit in a folder."""
     import numpy as np
 
     from hystfit.data.record import Record

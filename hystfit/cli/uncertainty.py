@@ -9,7 +9,7 @@ from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
 from hystfit.cli.records import open_fit
 from hystfit.cli.verbs import as_options
-from hystfit.cli.write import finish, named, progress, terminal_width, write_csv
+from hystfit.cli.write import finish, progress, terminal_width, write_input
 from hystfit.errors import ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.registry import SAMPLERS
@@ -272,9 +272,6 @@ def design(
     result = open_fit(fitdir, output, trust)
     with progress("designing"):
         proposal = propose(result, low=low, high=high, samples=samples, aim=parameter, method=method, seed=seed)
-    record, step, u = result.data[0], proposal.dt, proposal.best.u
-    time = {} if step is None else {named("t", record.t_unit): [k * step for k in range(len(u))]}
-    columns = time | {named(record.u_name, record.u_unit): u}
-    save = lambda folder: write_csv(folder / "input.csv", columns, ".9g")
+    save = lambda folder: write_input(folder / "input.csv", result.data[0], proposal.best.u, proposal.dt)
     page = lambda folder: design_page(proposal, folder)
     return finish(proposal.text(terminal_width()), proposal.to_dict(), output, save, page=page)

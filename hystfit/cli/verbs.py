@@ -45,7 +45,7 @@ VERBS = {
     ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
-    "completion": ("completion:completion", "Set up completion with the Tab key in bash, zsh or fish."),
+    "completion": ("catalog:completion", "Set up completion with the Tab key in bash, zsh or fish."),
 }
 # A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
 _ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")

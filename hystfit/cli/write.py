@@ -21,6 +21,7 @@ from hystfit.outcome.wrapping import PROSE, within
 
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
+    from hystfit.data.record import Record
     from hystfit.results.webpage import Page
 
 _NARROW = 40  # columns below which wrapped text is not readable either
@@ -136,6 +137,16 @@ def named(name: str, unit: str) -> str:
     from hystfit.params.units import without_unit
 
     return f"{without_unit(name, unit)}_{unit}" if unit else name
+
+
+def write_input(path: Path, like: Record, u: Sequence[float], step: float | None) -> None:
+    """An input that is proposed, in the columns of a record: at a time step, or without time.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    time = {} if step is None else {named("t", like.t_unit): [k * step for k in range(len(u))]}
+    write_csv(path, time | {named(like.u_name, like.u_unit): u}, ".9g")
 
 
 def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:

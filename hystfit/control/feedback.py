@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from scipy.optimize import brentq
-from scipy.signal import tf2ss
+from scipy.signal import cont2discrete, tf2ss
 
 from hystfit.config import require_x64
 from hystfit.control.transfer import Margins, TransferFunction, damping, margins, second_order
@@ -256,10 +256,8 @@ class Controller(AbstractController):
 
 def _tustin(transfer: TransferFunction, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """A, B, C, D of a transfer function sampled by the trapezoidal rule."""
-    order = len(transfer.den) - 1
-    if order == 0:
+    if len(transfer.den) == 1:
         return np.zeros((0, 0)), np.zeros(0), np.zeros(0), transfer.num[0] / transfer.den[0]
-    a, b, c, d = (np.asarray(part) for part in tf2ss(transfer.num, transfer.den))
-    half = np.linalg.inv(np.eye(order) - 0.5 * step * a)
-    sampled = step * half @ b[:, 0]
-    return half @ (np.eye(order) + 0.5 * step * a), sampled, (c @ half)[0], float(d[0, 0] + 0.5 * c[0] @ sampled)
+    sampled: Any = cont2discrete(tf2ss(transfer.num, transfer.den), step, "bilinear")
+    a, b, c, d, _ = sampled
+    return a, b[:, 0], c[0], float(d[0, 0])

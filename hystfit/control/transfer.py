@@ -9,8 +9,6 @@ import numpy as np
 
 from hystfit.errors import ParameterError
 
-_POINTS = 20_000  # of the grid of frequencies, besides those near the corners
-
 
 @dataclasses.dataclass(frozen=True)
 class TransferFunction:
@@ -115,7 +113,7 @@ def margins(loop: TransferFunction, delay: float = 0.0) -> Margins:
     corners = corners[corners > 0]
     low, high = (1e-3 * corners.min(), 1e3 * corners.max()) if corners.size else (1e-3, 1e3)
     w = np.unique(
-        np.concatenate([np.geomspace(low, high, _POINTS), *(c * np.linspace(0.9, 1.1, 2001) for c in corners)])
+        np.concatenate([np.geomspace(low, high, 20_000), *(c * np.linspace(0.9, 1.1, 2001) for c in corners)])
     )
     value = loop(1j * w) * np.exp(-1j * w * delay)
     size, angle = np.abs(value), np.unwrap(np.angle(value))

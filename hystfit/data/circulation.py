@@ -6,9 +6,9 @@ import numpy as np
 
 OPEN = 0.02  # area over that of the box around it, from which a loop has a direction
 FEWEST = 8  # samples of a loop or of a period
+SLACK = 0.01  # of a range, which noise and rounding may make up
 GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 
-_NEAR = 0.01  # of the input's range, within which a record is back at its input
 _PART = 0.5  # of the input's range, which the part of a record that returns covers
 _FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lines between samples of a curve enclose as much
 
@@ -46,7 +46,7 @@ def _returning(u: np.ndarray) -> slice:
     """
 
     def passes(level: float) -> np.ndarray:
-        near = np.abs(u - level) <= _NEAR * np.ptp(u)
+        near = np.abs(u - level) <= SLACK * np.ptp(u)
         near[1:] |= (u[:-1] - level) * (u[1:] - level) < 0
         return np.flatnonzero(near)
 

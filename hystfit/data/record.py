@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.circulation import GAP
-from hystfit.data.preparation import integral, interval_of, smooth
-from hystfit.data.record_columns import check_columns, column
+from hystfit.data.preparation import check_columns, column, integral, interval_of, smooth
 from hystfit.data.stated import Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity

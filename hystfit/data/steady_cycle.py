@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.data.circulation import FEWEST, GAP
+from hystfit.data.circulation import FEWEST, GAP, SLACK
 from hystfit.data.record import Record
 
 _INSIDE = 0.1  # of the input's range: least distance of the first input from the turning points, where the state is known anyway
-_BACK = 0.01  # of the input's range: a step back against the branch, by noise
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
 # Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
 _CLOSED, _LOOSE = 0.1, 0.25
@@ -66,7 +65,7 @@ def _between(x: float, places: Float[np.ndarray, " T"], rows: Float[np.ndarray, 
 
 def _turn(v: np.ndarray, span: float) -> int:
     """Where a rise ends: the largest value before the first step back; the last sample where there is none."""
-    back = np.flatnonzero(np.maximum.accumulate(v) - v > _BACK * span)
+    back = np.flatnonzero(np.maximum.accumulate(v) - v > SLACK * span)
     return int(np.argmax(v[: back[0]])) if back.size else v.size - 1
 
 

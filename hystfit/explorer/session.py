@@ -9,13 +9,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from hystfit.config import require_x64
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
-from hystfit.explorer.decimation import chunks, visible
 from hystfit.explorer.view import View
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.fit import fit
@@ -24,8 +23,6 @@ from hystfit.models.registry import MODELS, make_model
 from hystfit.params.param import leaves_of
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
-
-_WIDEST = 8000  # pixels of a canvas
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,7 +197,7 @@ class Session:
         axis, (low, high) = self._axis, (request["from"], request["to"])
         first = 0 if low is None else min(int(np.searchsorted(axis, float(low))), axis.size - 2)
         stop = axis.size if high is None else max(int(np.searchsorted(axis, float(high), "right")), first + 2)
-        return slice(first, stop), chunks(stop - first, min(max(int(request["columns"]), 2), _WIDEST))
+        return slice(first, stop), chunks(stop - first, min(max(int(request["columns"]), 2), 8000))
 
     def _run(self, model: AbstractHysteresis) -> Float[np.ndarray, " T"]:
         return type(model).free_run(model, self.record.u, self._dt)
@@ -255,3 +252,27 @@ def _suited(record: Record) -> list[str]:
     cores = [n for n, entry in MODELS.items() if entry.place == "core" and not make_model(n).from_saturation]
     names = dict.fromkeys([*first, *chosen.resonant, *cores])
     return [name for name in names if record.t is not None or make_model(name).rate_independent]
+
+
+def chunks(samples: int, columns: int) -> Int[np.ndarray, " chunks"]:
+    """First sample of each of at most `columns` pieces of equal length; a short record keeps every sample."""
+    return np.arange(0, samples, 1 if samples <= 2 * columns else -(-samples // columns))
+
+
+def visible(starts: Int[np.ndarray, " chunks"], *signals: Float[np.ndarray, " T"]) -> Int[np.ndarray, " kept"]:
+    """Numbers of the samples to draw: first, last, lowest and highest of every signal in each piece.
+
+    A polyline through them covers the same pixels as one through all samples, whichever signal it is drawn over.
+
+    Args:
+        *signals: equally long; NaN is not drawn.
+    """
+    count = signals[0].size
+    if starts.size == count:
+        return np.arange(count)
+    width = int(starts[1])
+    kept = [starts, np.minimum(starts + width, count) - 1]
+    for signal in signals:
+        rows = np.pad(signal, (0, starts.size * width - count), mode="edge").reshape(-1, width)
+        kept += [starts + np.where(np.isnan(rows), np.inf, rows * sign).argmin(axis=1) for sign in (1.0, -1.0)]
+    return np.unique(np.minimum(np.concatenate(kept), count - 1))

@@ -16,11 +16,10 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number
-from hystfit.params.space import ParameterSpace
+from hystfit.outcome.wrapping import listed
+from hystfit.params.space import MANY, ParameterSpace
 from hystfit.quality.findings import WITHOUT_TIME
 from hystfit.quality.loops import APART
-
-_MANY = 12  # weights above this number are counted in a note, not listed
 
 
 def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, errors: Uncertainty) -> list[Note]:
@@ -112,9 +111,8 @@ def _undetermined(space: ParameterSpace, errors: Unknown) -> list[Note]:
     notes, names = [], space.names
     inactive = [name for name, none in zip(names, errors.inactive, strict=True) if none]
     if inactive:
-        shown = ", ".join(inactive[:_MANY]) + (f" and {len(inactive) - _MANY} more" if len(inactive) > _MANY else "")
-        notes.append(warn(Code.NO_INFLUENCE, f"no influence on these data: {shown}"))
-    if len(errors.directions) > 3 and space.linear.sum() > _MANY:
+        notes.append(warn(Code.NO_INFLUENCE, f"no influence on these data: {listed(inactive)}"))
+    if len(errors.directions) > 3 and space.linear.sum() > MANY:
         text = (
             f"the data do not determine {len(errors.directions)} combinations of the weights (rank {errors.rank} of {len(names)}); "
             "predictions within the fitted range do not need them"

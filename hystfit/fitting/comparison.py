@@ -70,12 +70,12 @@ class Row:
 
     name: str
     asked: str
-    score_percent: float | None
-    in_sample_percent: float | None
-    max_error_percent: float | None
-    parameters: int | None
-    seconds: float
-    status: Status
+    score_percent: float | None = None
+    in_sample_percent: float | None = None
+    max_error_percent: float | None = None
+    parameters: int | None = None
+    seconds: float = 0.0
+    status: Status = Status.UNTESTED
     note: str = ""
     bic: float | None = None
     obstacles: Mapping[str, str] | None = None

@@ -13,7 +13,6 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.fitting.comparison import MARGIN, Obstacles, Purpose, Row, handicap
-from hystfit.fitting.comparison_progress import ShownProgress
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
@@ -29,6 +28,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
+from hystfit.outcome.progress import ShownProgress
 from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
@@ -51,8 +51,11 @@ def score_of(row: Row) -> float:
 
 def correlation_of(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
-    residuals = fit.problem.residuals(fit.x)
-    return max(correlation_length(row[used]) for row, used in zip(residuals, fit.problem.used, strict=True))
+    return max(map(correlation_length, _residuals_of(fit)))
+
+
+def _residuals_of(fit: FitResult) -> list[np.ndarray]:
+    return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
 
 
 class ComparisonRun:
@@ -129,9 +132,7 @@ class ComparisonRun:
     def skip(self, names: Sequence[str], reason: str) -> None:
         """Add a row for each candidate that is not tried."""
         note = "not tried: {} (hystfit compare --models {} tries it)"
-        self.rows += [
-            Row(name, name, None, None, None, None, 0.0, Status.UNTESTED, note.format(reason, name)) for name in names
-        ]
+        self.rows += [Row(name, name, note=note.format(reason, name)) for name in names]
 
     def _each(self, work: _Work, chosen: Sequence[Candidate]) -> None:
         self._workers.run([functools.partial(self._timed, work, one) for one in chosen])
@@ -147,7 +148,7 @@ class ComparisonRun:
         try:
             work(one, say)
         except _SOLVER_ERRORS as error:
-            one.row = Row(one.name, one.name, None, None, None, None, 0.0, Status.FAILED, f"left out: {error}")
+            one.row = Row(one.name, one.name, status=Status.FAILED, note=f"left out: {error}")
             one.failure = error
         one.seconds += time.perf_counter() - started
 
@@ -247,11 +248,8 @@ class ComparisonRun:
             in_sample_percent=result.train.nrmse_percent,
             max_error_percent=result.train.max_error_percent,
             parameters=len(result.free_names),
-            seconds=0.0,
             status=result.status,
-            note=f"its cross-validation ended at an error of {most:.2g} %, above which it cannot win"
-            if stopped
-            else "",
+            note=f"its cross-validation ended at an error of {most:.2g} %, above which it cannot win" * bool(stopped),
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=Obstacles(result),
             family_inverts=result.model.has_inverse,
@@ -272,7 +270,7 @@ class ComparisonRun:
             f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
             f"of {best:.2g} % (hystfit compare --models {name} validates it)"
         )
-        return Row(name, name, None, error, None, first.parameters, 0.0, Status.UNTESTED, note)
+        return Row(name, name, in_sample_percent=error, parameters=first.parameters, note=note)
 
     def _beaten_row(self, one: Candidate) -> Row | None:
         """The row of a model that errs more on the samples it was fitted to than another on left-out data; None for the others."""
@@ -288,7 +286,7 @@ class ComparisonRun:
             f"{best:.2g} % (hystfit compare --models {one.name} validates it)"
         )
         largest, parameters = result.train.max_error_percent, len(result.free_names)
-        return Row(result.name, one.name, None, error, largest, parameters, 0.0, Status.UNTESTED, note)
+        return Row(result.name, one.name, None, error, largest, parameters, note=note)
 
     # -- what was found --
 
@@ -300,14 +298,15 @@ class ComparisonRun:
     @property
     def best(self) -> float | None:
         """The smallest error on left-out data so far, of models that serve the purpose [percent of range]."""
-        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
-        return min((row.score_percent for row in rivals if row.score_percent is not None), default=None)
+        return min((row.score_percent for row in self._rivals() if row.score_percent is not None), default=None)
 
     @property
     def least(self) -> float | None:
         """The smallest error so far by which a model ranks, of those that serve the purpose [percent of range]."""
-        rivals = [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
-        return min((row.ranked_percent for row in rivals if row.ranked_percent is not None), default=None)
+        return min((row.ranked_percent for row in self._rivals() if row.ranked_percent is not None), default=None)
+
+    def _rivals(self) -> list[Row]:
+        return [row for row in self.rows if self.purpose == "prediction" or row.serves(self.purpose)]
 
     @property
     def best_row(self) -> Row | None:
@@ -326,8 +325,7 @@ class ComparisonRun:
         if best is None or best.score_percent is None:
             return False
         fit = self.fits[best.asked]
-        rows = [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
-        return residuals_are_white(rows, fit.baselines.curve, len(fit.free_names))
+        return residuals_are_white(_residuals_of(fit), fit.baselines.curve, len(fit.free_names))
 
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""

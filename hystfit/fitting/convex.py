@@ -17,8 +17,6 @@ from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
 
 _WEAK = 1e-6  # strength at which a ridge moves no lag
-_BRACKET = 0.2  # of a nonlinear parameter's natural scale: first step of its search
-_QUICK = 15  # evaluations of the outer search of a first look
 
 
 class Convex(AbstractEstimator):
@@ -40,7 +38,7 @@ class Convex(AbstractEstimator):
 
     def quick(self) -> Convex:
         """See the base class."""
-        return dataclasses.replace(self, max_evaluations=_QUICK)
+        return dataclasses.replace(self, max_evaluations=15)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
@@ -133,7 +131,7 @@ def search_nonlinear(
 
     if others.size == 1:  # by parabolas: a sixth of the evaluations of a simplex
         bracket, limits = (
-            (z[others[0]], z[others[0]] + _BRACKET),
+            (z[others[0]], z[others[0]] + 0.2),  # of its natural scale
             {"maxiter": options["maxfev"], "xtol": options["xatol"]},
         )
         of_number = lambda v: cost(at(np.atleast_1d(v)))

@@ -17,10 +17,9 @@ from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
 from hystfit.params.coordinates import BOTH
-from hystfit.params.relative_size import relative_size
+from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.params.space import ParameterSpace
 
-_OPEN = 1.0  # a direction is undetermined when its standard error moves parameters by their own size
 _REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar;
 _MOVED = 0.5  # where two bounds limit the direction: standard error that it adds, over the parameter's size, above which it has none
@@ -81,7 +80,7 @@ def uncertainty(
     estimate is the one under slow and independent noise with their statistics (`inference.noise.slow_likelihood`). For hundreds of
     weights, or where such noise would have to be far larger than the residuals, it grows by their integrated autocorrelation time.
     Parameters on a bound and directions that the data do not determine have no finite error. Those of the others treat the
-    bounds as prior information where up to 60 parameters are near theirs (`active_bounds`); for more, those at bounds are held there.
+    bounds as prior information where up to 60 parameters are near theirs (`near_bounds`); for more, those at bounds are held there.
 
     Args:
         problem: what was fitted.
@@ -209,7 +208,7 @@ def determine(
     values, root, back = _spectrum(information, live, space.offsets[live])
     kept, relative = values > RANK * values[0], relative[live]
     spreads, axes = np.linalg.eigh(root[:, kept] @ root[:, kept].T / relative[:, None] / relative)
-    wide, free = spreads > _OPEN**2, root[:, ~kept] / relative[:, None]
+    wide, free = spreads > OPEN**2, root[:, ~kept] / relative[:, None]
     open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
     known, every = back @ root[:, kept], back @ root
     full = known @ known.T if inside is None else inside[np.ix_(at, at)]

@@ -15,18 +15,17 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.assessment import notes_of
 from hystfit.fitting.covariance import Uncertainty, uncertainty
-from hystfit.fitting.disturbance import ROBUST_LOSS
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
+from hystfit.fitting.fit_warnings import ROBUST_LOSS
 from hystfit.fitting.fitted import Fitted
 from hystfit.fitting.noise_refinement import refine
 from hystfit.fitting.registry import ESTIMATORS, is_sequential
 from hystfit.fitting.structure_search import search_structure
 from hystfit.fitting.trial import with_left_out
 from hystfit.fitting.verdict import verdict_of
-from hystfit.identify.identification import as_fit
-from hystfit.identify.sequential import identify
+from hystfit.identify.identification import as_fit, identify
 from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
@@ -40,9 +39,8 @@ from hystfit.outcome.note import warn
 from hystfit.quality.baselines import Baselines
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
-from hystfit.results.provenance import provenance
+from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 from hystfit.runs.threads import one_blas_thread
 
 _ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
@@ -205,7 +203,6 @@ def _make_result(
     notes: Sequence[Note] = (),
     thorough: bool = True,
 ) -> FitResult:
-    """The `FitResult` of an estimate, with its verdict."""
     problem, method = setup.problem, ESTIMATORS.label(setup.method)
     data, x = problem.data, estimate.x
     train, rows = _errors(problem, x)

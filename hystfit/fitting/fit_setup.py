@@ -9,6 +9,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
@@ -22,7 +23,6 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import saturated_samples
-from hystfit.quality.loops import SLACK
 from hystfit.quality.summary import outliers_of
 
 _MANY = 4  # weights on a bound from which the convex solve is the default

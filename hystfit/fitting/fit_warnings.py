@@ -1,4 +1,4 @@
-"""Warnings of a fit about its records: samples that were left out, a half cycle unlike the others, a delay, a drift."""
+"""Warnings of a fit about its records: samples that were left out, a half cycle unlike the others, a delay, a drift, a disturbance."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.disturbance import disturbance_note
 from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.quality.chatter import MOST
+from hystfit.quality.baselines import BLOCK
 from hystfit.quality.damage import fails_at
-from hystfit.quality.faults import clipped_samples, saturated_samples
+from hystfit.quality.faults import MOST, clipped_samples, saturated_samples
 from hystfit.quality.findings import AFTER_FAILURE, chatter_note, place_of
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
-_BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
+BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _EXPLAINED = 0.5  # least share of a squared error that a drift explains
 _TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
@@ -45,7 +44,6 @@ def warnings_of(fitted: Fitted) -> list[Note]:
 
 
 def _failed(fitted: Fitted) -> Note | None:
-    """A warning where the fit is of a device that fails, and of what is left of it."""
     if not fitted.may_change:
         return None
     for record, quality in zip(fitted.parts, fitted.qualities, strict=True):
@@ -89,7 +87,6 @@ def _outliers(data: Dataset) -> Note | None:
 
 
 def _delayed(fitted: Fitted) -> Note | None:
-    """A warning where the output has a delay that the model has not."""
     if fitted.percent < VISIBLE or fitted.model.delays or is_noise(fitted.train.rmse, fitted.baselines):
         return None
     found = [(record, delay) for record in fitted.data if (delay := delay_of(record)) is not None]
@@ -162,7 +159,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     before, after = samples <= turns[0], samples >= turns[-1]
     code, inside = (Code.INITIAL_STATE, before) if before[int(np.argmax(errors))] else (Code.LAST_HALF_CYCLE, after)
     rest = fitted.rows[worst][~inside]
-    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < _BEGINS * float(np.sqrt(np.mean(rest**2))):
+    if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
     last = code is Code.LAST_HALF_CYCLE
     place, number = _place(record, int(turns[-1 if last else 0]))
@@ -185,3 +182,56 @@ def _place(record: Record, sample: int) -> tuple[str, str]:
         return f"sample {sample}", str(sample)
     number = f"{record.t[sample]:.9g}"
     return f"{number} {record.t_unit}".rstrip(), number
+
+
+ROBUST_LOSS = ("loss", "huber")  # option of a fit in which few large errors count less
+
+SHORT = 0.03  # of the samples of a record
+_LARGER = 5.0  # times the rms error of the other samples
+# Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
+_OUTSIDE, _GAP = 4.0, 4
+
+
+def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
+    """A warning of a short stretch of samples that carries half of the squared error of a record, such as a disturbance of the sensor.
+
+    Args:
+        rows: residuals of the samples that count, for each record.
+        data: the records.
+        robust: the loss was robust.
+    """
+    for row, record in zip(rows, data, strict=True):
+        if not (row.any() and np.isfinite(row).all()):
+            continue
+        first, last = shortest_half(row**2)
+        if first == 0 or last - first + 1 > SHORT * row.size:
+            continue
+        others = float(np.sqrt(np.mean(np.delete(row, slice(first, last + 1)) ** 2)))
+        ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)
+        if ratio < _LARGER:
+            continue
+        far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
+        stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
+        number = np.flatnonzero(record.used)[[min(first, stretch[0]), max(last, stretch[-1])]]
+        remedy = "mark them as missing" + ("" if robust else ", or use a robust loss (loss='huber')")
+        note = warn(
+            Code.SPIKES,
+            f"most of the squared error of {record.name!r} lies in samples {number[0]} to {number[1]} of {len(record)}, where the error "
+            f"is {ratio:.2g} times that of the others: if the sensor was disturbed there, {remedy}",
+        )
+        return note if robust else dataclasses.replace(note, option=ROBUST_LOSS)
+    return None
+
+
+def shortest_half(squares: np.ndarray) -> tuple[int, int]:
+    """First and last of the fewest samples in a row that carry half of a sum of squares, shape (n,)."""
+    count, total = squares.size, np.zeros(squares.size + 1)
+    np.cumsum(squares, out=total[1:])
+    first, fewest = 0, count + 1
+    for begin in range(0, count, BLOCK):
+        starts = np.arange(begin, min(begin + BLOCK, count))
+        stops = np.searchsorted(total, total[starts] + 0.5 * total[-1])
+        length = np.where(stops <= count, stops - starts, count)
+        if length.min() < fewest:
+            first, fewest = begin + int(np.argmin(length)), int(length.min())
+    return first, first + fewest - 1

@@ -198,7 +198,8 @@ def _together(
         capacity = next(size for size in sizes if size >= going.size)
         at = going[np.minimum(np.arange(capacity), going.size - 1)]
         arguments = placed((place[at], lane.rows(at)), device)
-        new = _advance_all(data, *arguments, gain, min(_ROUND, steps), _unroll(device))
+        unroll = 1 if device.platform == "cpu" else _UNROLL
+        new = _advance_all(data, *arguments, gain, min(_ROUND, steps), unroll)
         new = _first(new, going.size)
         lane.put(going, new)
         going = going[~new.ended & (new.steps < steps)]
@@ -208,10 +209,6 @@ def _together(
 def _first(rows: Any, count: int) -> Any:
     """The first rows of arrays, as arrays of NumPy."""
     return jax.tree_util.tree_map(lambda values: np.asarray(values)[:count], rows)
-
-
-def _unroll(device: Any) -> int:
-    return 1 if device.platform == "cpu" else _UNROLL
 
 
 def room(count: int) -> int:

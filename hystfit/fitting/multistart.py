@@ -12,8 +12,6 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.hypercube import spread_points
 
-_SPREAD = 1.5  # in z: a factor of about 4 either way for a positive parameter
-
 
 def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -> np.ndarray:
     """Starting points of shape (count, p): the center first, the others a Latin hypercube within the bounds.
@@ -24,7 +22,8 @@ def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -
     starts = np.tile(center, (max(count, 1), 1))
     if count <= 1:
         return starts
-    spread = spread_points(problem.space.coordinates, center, count - 1, seed, spread=_SPREAD)
+    # In z: a factor of about 4 either way for a positive parameter.
+    spread = spread_points(problem.space.coordinates, center, count - 1, seed, spread=1.5)
     starts[1:] = np.where(problem.space.linear, center, spread)
     return starts
 

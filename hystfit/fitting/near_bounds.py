@@ -6,8 +6,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # loads its subpackages when they are first used
+from jaxtyping import Float
 
-from hystfit.fitting.active_bounds import about_estimate
+from hystfit.fitting.levenberg_marquardt import ROUNDING
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.residuals import FEW
 from hystfit.params.space import ParameterSpace
@@ -114,7 +116,7 @@ class NearBounds(NamedTuple):
         return self._replace(**own)
 
     def deviation(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Means and second moments of the deviations from the estimates (`active_bounds`), with some share of the ridge known, (N, k)."""
+        """Means and second moments of the deviations from the estimates (`about_estimate`), with some share of the ridge known, (N, k)."""
         # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
         unit = np.eye(share.shape[1])
         normal, slope = self.normal + (share * self.ridge)[..., None] * unit, self.slope + share * self.ridge * self.x
@@ -189,3 +191,89 @@ def centered_lengths(linear: Linearization, offsets: np.ndarray) -> np.ndarray:
 def distances_to_bounds(space: ParameterSpace, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances of each parameter to its lower and its upper bound, in the shape of x."""
     return x - space.lower, space.upper - x
+
+
+_PROPAGATIONS, _UNCHANGED, _DAMPED = 60, 1e-5, 0.7
+
+
+def about_estimate(
+    information: Float[np.ndarray, "N p p"],
+    slope: Float[np.ndarray, "N p"],
+    room: Float[np.ndarray, "N p"],
+    side: Float[np.ndarray, " p"],
+) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N p p"]]:
+    """Means E[d] and second moments E[d d'] of N densities exp(-d'I d / 2 - s'd) of deviations d from the estimates, within bounds.
+
+    With the bounds as prior information, the parameters are normal about the unconstrained optimum of the linear model, truncated at the
+    bounds. A standard error is the root mean square distance of this density from the estimate. Moments of the truncated normal follow
+    by expectation propagation (Cunningham, Hennig and Lacoste-Julien 2011, arXiv 1111.6832), which is exact for one bound.
+
+    Args:
+        information: I, about all parameters.
+        slope: s, of the negative log likelihood at the estimate.
+        room: distance to the bound, infinite without one; of the same parameters in all of them.
+        side: 1 for a lower bound, -1 for an upper bound.
+    """
+    near, others = np.flatnonzero(np.isfinite(room[0])), np.flatnonzero(np.isinf(room[0]))
+    count = len(slope)
+    inverse = np.linalg.pinv(information[:, others[:, None], others], rcond=ROUNDING, hermitian=True)
+    follow = np.zeros((count, side.size, near.size))
+    follow[:, near] = np.diag(side[near])
+    follow[:, others] = -inverse @ information[:, others[:, None], near] * side[near]
+    back = follow.swapaxes(1, 2)
+    diagonal = np.einsum("npp->np", information)[:, near]
+    curvature = back @ information @ follow + ROUNDING * diagonal[:, None] * np.eye(near.size)
+    mean, covariance = truncated_moments(curvature, (back @ slope[..., None])[..., 0], -room[:, near])
+    mean = (follow @ mean[..., None])[..., 0]
+    mean[:, others] -= (inverse @ slope[:, others, None])[..., 0]
+    moments = follow @ covariance @ back + mean[:, :, None] * mean[:, None, :]
+    moments[:, others[:, None], others] += inverse
+    return mean, moments
+
+
+def truncated_moments(
+    precision: Float[np.ndarray, "N k k"], slope: Float[np.ndarray, "N k"], low: Float[np.ndarray, "N k"]
+) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k k"]]:
+    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low.
+
+    Args:
+        precision: P, positive semidefinite.
+        slope: s.
+        low: lower limits.
+    """
+    if not slope.size:
+        return slope, precision
+    unit = np.eye(slope.shape[1])
+    scale = 1 / np.maximum(np.sqrt(np.maximum(np.einsum("npp->np", precision), 1e-300)), slope)
+    P, s, low = precision * scale[:, None] * scale[:, :, None] + 1e-8 * unit, slope * scale, low / scale
+    width = np.ones(s.shape)  # of the factors that stand for the bounds: precision, and that times mean
+    shift = low + 1.0
+    moving = np.arange(len(s))
+    for _ in range(_PROPAGATIONS):
+        covariance = np.linalg.inv(P[moving] + width[moving, None] * unit)
+        mean = (covariance @ (shift - s)[moving, :, None])[..., 0]
+        variance = np.einsum("npp->np", covariance)
+        left = np.maximum(1 / variance - width[moving], 1e-12)
+        center = (mean / variance - shift[moving]) / left
+        wanted, spread = _truncated(center, 1 / left, low[moving])
+        new_width = np.maximum(1 / spread - left, 0.0)
+        width[moving] += _DAMPED * (new_width - width[moving])
+        shift[moving] += _DAMPED * (wanted / spread - center * left - shift[moving])
+        moving = moving[~(np.max(np.abs(wanted - mean) / np.sqrt(spread), axis=1) < _UNCHANGED)]
+        if not moving.size:
+            break
+    covariance = np.linalg.inv(P + width[:, None] * unit)
+    mean = (covariance @ (shift - s)[..., None])[..., 0]
+    return scale * mean, covariance * scale[:, None] * scale[:, :, None]
+
+
+def _truncated(mean: np.ndarray, variance: np.ndarray, low: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of normal numbers above a limit."""
+    deviation = np.sqrt(variance)
+    z = np.clip((mean - low) / deviation, -1e70, 1e70)  # whose powers do not overflow
+    far = z < -30  # where the differences below would cancel
+    near, away = np.where(far, 0.0, z), np.where(far, z, -30.0)
+    hazard = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - scipy.special.log_ndtr(near))
+    ratio = np.where(far, -1 / away + 2 / away**3, near + hazard)
+    spread = np.where(far, 1 / away**2 - 6 / away**4, 1 - hazard * (hazard + near))
+    return low + deviation * ratio, variance * np.maximum(spread, 1e-300)

@@ -27,7 +27,6 @@ from hystfit.inference.whitened import Whitened, restricted
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
-_ROUNDS = 4
 _STARTS = (0.2, 1.0, 5.0)  # correlation times tried, relative to that of the residuals
 _INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or the width between two bounds
 
@@ -109,7 +108,7 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
     if "noise_time" in space.names:
         starts[:, space.names.index("noise_time")] += np.log(_STARTS)
     settled, scale = False, problem.space.scale
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         criterion = functools.partial(_restricted_slope, density, jnp.asarray(r), jnp.asarray(J), live)
         best, noise_settled = _fit_noise(criterion, starts)
         values = space.tree(best)
@@ -190,9 +189,7 @@ def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> tuple[A
     return tuple(maximize(value, z))
 
 
-@compiled
-def _rows(whitened: Whitened, r: Array, J: Array) -> Array:
-    return whitened.rows(r, J)
+_rows = compiled(Whitened.rows)
 
 
 def _information_root(whitened: Whitened, r: np.ndarray, J: np.ndarray) -> np.ndarray:

@@ -14,10 +14,11 @@ from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
-from hystfit.fitting.verdict import POOR, residuals_are_white
+from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
+from hystfit.results.accuracy import POOR
 
 
 @dataclasses.dataclass(frozen=True)

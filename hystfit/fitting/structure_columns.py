@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.structure import Structure, falls, interval_of, output_of
@@ -23,7 +24,6 @@ from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
 from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.quality.held_out import HeldOut, Scheme
-from hystfit.quality.loops import SLACK
 from hystfit.quality.slow_lag import SHORT
 
 _DEGREES = (1, 3, 5)

@@ -11,11 +11,10 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
-from hystfit.fitting.verdict import POOR
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise
+from hystfit.results.accuracy import POOR, accuracy_note, exceeded_limits, is_noise
 from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_warnings import warnings_of
@@ -17,16 +18,14 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
-from hystfit.quality.loops import SLACK, clear_reversals
+from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
-from hystfit.results.accuracy import accuracy_note, exceeded_limits, is_noise, is_single_valued_error
+from hystfit.results.accuracy import POOR, USABLE, accuracy_note, exceeded_limits, is_noise, is_single_valued_error
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
 _LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
-POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
-_ROUGH = 3.0  # percent of range above which the fit is checked for signs of a wrong model
 _EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _CYCLED = 4  # reversals: the half cycles after the first one that show whether the model describes the loop
@@ -162,10 +161,10 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
     code, text = Code.POOR_FIT, ""
     if percent > POOR and (unexplained or not is_noise(fitted.train.rmse, baselines)):
         text = f"the error is {percent:.3g} % of the range: the model does not describe this loop"
-    elif percent > _ROUGH and unexplained:
+    elif percent > USABLE and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
         text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
-    elif percent > _ROUGH and _degrading(fitted):
+    elif percent > USABLE and not fitted.model.degrades and _shows_damage(fitted):
         code = Code.MODEL_MISMATCH
         text = f"{_damage(fitted)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
@@ -194,18 +193,12 @@ def _damage(fitted: Fitted) -> str:
 
 
 def _shows_damage(fitted: Fitted) -> bool:
-    """Whether the records show damage."""
     return fitted.thorough and any(quality.degrading for quality in fitted.qualities)
-
-
-def _degrading(fitted: Fitted) -> bool:
-    """Whether the records show damage that the model has no term for."""
-    return not fitted.model.degrades and _shows_damage(fitted)
 
 
 def _noise_notes(fitted: Fitted) -> list[Note]:
     if fitted.percent <= POOR and (
-        fitted.percent <= _ROUGH or not is_single_valued_error(fitted.train.rmse, fitted.baselines)
+        fitted.percent <= USABLE or not is_single_valued_error(fitted.train.rmse, fitted.baselines)
     ):
         return []
     text = (

@@ -12,6 +12,7 @@ from .field_from_induction import FluxSequence as FluxSequence
 from .gradient_correction import GradientCorrection as GradientCorrection
 from .identification import Identification as Identification
 from .identification import as_fit as as_fit
+from .identification import identify as identify
 from .online import BlockVerdict as BlockVerdict
 from .online import identify_online as identify_online
 from .registry import IDENTIFIERS as IDENTIFIERS
@@ -19,7 +20,6 @@ from .remedies import bias_compensated as bias_compensated
 from .remedies import decimate as decimate
 from .remedies import integrated_regression as integrated_regression
 from .rls import Rls as Rls
-from .sequential import identify as identify
 from .smoother import smooth as smooth
 from .staged import Phase as Phase
 from .staged import identify_in_stages as identify_in_stages

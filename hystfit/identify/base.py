@@ -22,9 +22,8 @@ from hystfit.models.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
+from hystfit.results.accuracy import POOR
 from hystfit.results.metrics import Metrics
-
-_POOR = 10.0  # simulation error in percent of the range above which no identification is usable
 
 
 class Sample(NamedTuple):
@@ -258,7 +257,7 @@ def _simulation_problem(metrics: Metrics | None, *, simulated: bool) -> Note | N
         text = "the simulation of the identified model is not finite: it is unstable at this sampling rate"
         return Note(Code.DIVERGED, text, Severity.ERROR) if simulated else None
     percent = metrics.nrmse_percent
-    if percent is None or percent <= _POOR:
+    if percent is None or percent <= POOR:
         return None
     return warn(
         Code.SIMULATION_ERROR,

@@ -19,9 +19,9 @@ import numpy as np
 from hystfit.identify.duhem_regression import DuhemRegressor, Rows
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.quality.faults import CLEAR
 
 _SERIOUS = 0.1  # relative bias of alpha above which a warning is given
-_SIGNIFICANT = 4.0  # standard errors of a correlation of neighbors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,5 +110,5 @@ def _noise_variance(regressor: DuhemRegressor, rows: Rows, theta: np.ndarray) ->
     later, earlier = (0.0 * drive, drive) if regressor.scheme == "explicit" else (0.5 * drive, 0.5 * drive)
     share = np.mean((1 + later[pairs]) * (1 - earlier[pairs + 1]))
     covariance = float(np.mean(e[pairs] * e[pairs + 1]))
-    significant = -covariance > _SIGNIFICANT * float(np.mean(e**2)) / np.sqrt(pairs.size)
+    significant = -covariance > CLEAR * float(np.mean(e**2)) / np.sqrt(pairs.size)
     return -covariance / share if significant and share > 0 else 0.0

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.errors import DataError
+from hystfit.identify.vector_hysteresis import FEWEST
 
 _STOPS, _FINEST, _COARSEST = 8, 3.2e-3, 0.745  # number, and half widths over the saturation: 1.5 to 350 mT of 0.47 T
 _CLIP = 0.995  # of the saturation, at most, where the single-valued curve turns up
-_FEWEST = 20  # samples of a known past
 _AGE = 200.0  # samples after which the known past counts 1/e
 _FADE = (0.02, 0.06, 0.2, 0.6)  # of the saturation: ranges of B after which a wrong initial state is forgotten
 # Histories of one and two turning points, of the saturation.
@@ -56,8 +56,8 @@ class FluxSequence:
             raise DataError(f"B and H must be columns of one length, got {self.b.shape} and {self.h.shape}")
         if not np.isfinite(self.b).all() or not self.dt > 0:
             raise DataError("B must be finite and the sampling interval positive")
-        if np.isfinite(self.h).sum() < _FEWEST:
-            raise DataError(f"at least {_FEWEST} fields must be known, got {int(np.isfinite(self.h).sum())}")
+        if np.isfinite(self.h).sum() < FEWEST:
+            raise DataError(f"at least {FEWEST} fields must be known, got {int(np.isfinite(self.h).sum())}")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -28,7 +28,6 @@ from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.param import as_array
 
-_SLACK = 1e-12  # relative, of the condition on time-varying weights
 _EXCESS = 0.02  # fraction of the response's RMS by which the equation error may exceed that of the batch solution
 
 
@@ -169,7 +168,7 @@ def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.nda
         raise ParameterError("weights must be positive and finite: a parameter of weight zero is never corrected")
     if array.ndim == 2:
         ratio = np.log(array[1:]) - np.log(array[:-1])  # the largest relative decrease is the smallest ratio
-        leads = np.all(ratio <= ratio.min(axis=1, keepdims=True) + _SLACK, axis=0)
+        leads = np.all(ratio <= ratio.min(axis=1, keepdims=True) + 1e-12, axis=0)  # rounding
         if not leads.any():
             raise ParameterError(
                 "time-varying weights: the same weight must have the largest relative decrease at every step, or convergence is not "

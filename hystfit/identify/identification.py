@@ -1,17 +1,23 @@
-"""The result of a sequential identification, and its form as a fit."""
+"""`identify`: from data and the name of an identifier to an identification, and its form as a fit."""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 
+from hystfit.config import verb
 from hystfit.data.dataset import Dataset
-from hystfit.errors import ModelError
+from hystfit.data.record import Record
+from hystfit.errors import ModelError, ParameterError
+from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.duhem import Duhem
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import warn
@@ -20,9 +26,8 @@ from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import accuracy_note, exceeded_limits
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
-from hystfit.results.provenance import provenance
+from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-from hystfit.results.timing import Stopwatch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,3 +180,34 @@ def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitRe
         baselines=baselines,
         provenance=provenance(data, seed, samples=identification.counts),
     )
+
+
+@verb
+def identify(
+    data: Record | Dataset | Sequence[Record],
+    method: Any = "rls",
+    model: Any = None,
+    *,
+    passes: int = 1,
+    **settings: Any,
+) -> Identification:
+    """Identify a model sample by sample.
+
+    Args:
+        data: one record or several, run one after another.
+        method: name of an identifier ("rls", "gradient-correction", "ukf"), my_file.py:MyIdentifier, or a class.
+        model: gives the orders, the scheme and, with start="model", the starting values; a `Duhem` with f of order 3 and g
+            of order 2 by default.
+        passes: number of runs over the data.
+        **settings: of the identifier, see `Rls.of`, `GradientCorrection.of` and `Ukf.of`.
+
+    Raises:
+        HystfitError: an unknown method or setting, a model that the method cannot identify, or unusable data.
+    """
+    identifier = IDENTIFIERS.find(method)
+    known = [name for name in inspect.signature(identifier.of).parameters if name not in ("model", "data")]
+    unknown = [name for name in settings if name not in known]
+    if unknown:
+        raise ParameterError(f"method {method!r} has no setting {unknown[0]!r}; it has {', '.join(known) or 'none'}")
+    data = Dataset.of(data)
+    return identifier.of(Duhem() if model is None else model, data, **settings).fit(data, passes=passes)

@@ -20,8 +20,7 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.units import MU0
 
 _FIRST, _LAST = 0.3, 2.5  # of the mean pinning field that a loop shows: those of the cells from which a fit starts
-_FEWEST = 20  # samples of a record
-_SATURATED = 1.15  # ratio of the saturation to the largest polarization, from which a fit starts
+FEWEST = 20  # samples of a record
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,8 +41,8 @@ class VectorRecord:
     def __post_init__(self) -> None:
         if self.h.shape != self.b.shape or self.h.ndim != 2 or self.h.shape[1] not in (2, 3):
             raise DataError(f"H and B must have one shape (T, 2) or (T, 3), got {self.h.shape} and {self.b.shape}")
-        if len(self.h) < _FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
-            raise DataError(f"a record needs at least {_FEWEST} samples, all finite")
+        if len(self.h) < FEWEST or not (np.isfinite(self.h).all() and np.isfinite(self.b).all()):
+            raise DataError(f"a record needs at least {FEWEST} samples, all finite")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,7 +134,7 @@ class VectorHysteresis:
         )
         pinning = _mean_pinning(records)
         spread = np.geomspace(_FIRST, _LAST, cells) if cells > 1 else np.ones(1)
-        begin = np.concatenate([np.log([_SATURATED * top, pinning]), np.log(pinning * spread), np.zeros(cells - 1)])
+        begin = np.concatenate([np.log([1.15 * top, pinning]), np.log(pinning * spread), np.zeros(cells - 1)])
         found = least_squares(
             lambda z: (predict(z) - flux) / top, begin, lambda z: slopes(z) / top, x_scale="jac", method="lm"
         )
@@ -185,13 +184,9 @@ def _length(x: Array) -> Array:
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
 
 
-@compiled
-def _flux(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, Array]:
-    """Flux density, shape (T, d), and dissipated energy, shape (T,)."""
-    return _run(js, a, kappa, w, h)
-
-
 def _run(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, Array]:
+    """Flux density, shape (T, d), and dissipated energy, shape (T,)."""
+
     def polarization(dragged: Array) -> Array:
         size = _length(dragged)
         return js * langevin(size / a) * dragged / jnp.where(size > 0, size, 1.0)
@@ -207,6 +202,9 @@ def _run(js: Array, a: Array, kappa: Array, w: Array, h: Array) -> tuple[Array, 
     return jax.lax.scan(step, jnp.zeros((kappa.size, h.shape[1])), h)[1]
 
 
+_flux = compiled(_run)
+
+
 def _parameters(z: Array, cells: int) -> tuple[Array, Array, Array, Array]:
     """Js, a, kappa and w of a vector: logarithms, and of the weights those of their ratios to the last."""
     share = jax.nn.softmax(jnp.concatenate([z[2 + cells :], jnp.zeros(1)]))
@@ -217,9 +215,5 @@ def _stacked(z: Array, cells: int) -> Array:
     return jnp.concatenate([jnp.atleast_1d(part) for part in _parameters(z, cells)])
 
 
-def _of_vector(z: Array, h: Array, cells: int) -> Array:
-    return _jitted(z, h, cells)
-
-
-_jitted = jax.jit(lambda z, h, cells: _run(*_parameters(z, cells), h)[0], static_argnums=2)
+_of_vector = jax.jit(lambda z, h, cells: _run(*_parameters(z, cells), h)[0], static_argnums=2)
 _slopes = jax.jit(lambda z, h, cells: jax.jacfwd(lambda v: _run(*_parameters(v, cells), h)[0])(z), static_argnums=2)

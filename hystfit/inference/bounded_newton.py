@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
-from jaxtyping import Array, Float
 
 from hystfit.inference.newton import LONGEST
 from hystfit.inference.problem import Problem
@@ -193,6 +192,4 @@ def _step(point: Point, damping: float, low: np.ndarray, high: np.ndarray, movin
     return step
 
 
-@compiled
-def _normal(whitened: Whitened, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> tuple[Array, Array, Array]:
-    return whitened.normal_of(r, J)
+_normal = compiled(Whitened.normal_of)

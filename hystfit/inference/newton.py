@@ -13,10 +13,8 @@ from hystfit.models.shapes import Scalar
 
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 LONGEST = 2.0  # step in z, infinity norm
-_HALVINGS = 30
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
 _NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
-_DIFFERENCE = 1e-4  # in z, before any curvature is known
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
 # do not look like curvature.
@@ -110,7 +108,7 @@ def maximize(
 
         def worse(carry: tuple[Array, Array, Array]) -> Array:
             _, new, k = carry
-            return ~(new > value) & (k < _HALVINGS)
+            return ~(new > value) & (k < 30)
 
         def halve(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             t, _, k = carry
@@ -149,7 +147,7 @@ def maximize(
         value=jnp.asarray(-jnp.inf),
         hessian=jnp.zeros((d, d)),
         axes=jnp.eye(d),
-        width=jnp.full(d, _DIFFERENCE),
+        width=jnp.full(d, 1e-4),  # in z, before any curvature is known
         phase=jnp.asarray(_CLIMBING),
         count=jnp.asarray(0),
         near=jnp.zeros((), bool),

@@ -151,14 +151,8 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
     return r * jnp.sqrt(ratio)
 
 
-@compiled
-def _linearize(objective: Objective, x: Array, directions: Array | None) -> tuple[Array, Array]:
-    return objective.linearize(x, directions)
-
-
-@compiled
-def _linearize_own(objective: Objective, x: Array) -> tuple[Array, Array]:
-    return objective._own_runs(x)
+_linearize = compiled(Objective.linearize)
+_linearize_own = compiled(Objective._own_runs)
 
 
 def linearized(

@@ -28,7 +28,7 @@ _SMALLEST = 1e-6  # of noise, over that of the residuals, that is plausible
 _LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the residuals
 _TURNS = 8  # reversals of the input needed to detect a repeating error
 _ENOUGH = 240  # samples needed for the same
-_TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
+TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
 _DRAWS = 20_000
 FEW = 60  # parameters up to which errors use the covariance of the noise; for more they grow by its correlation time
 
@@ -220,7 +220,7 @@ def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
             "too small"
         )
         findings.append(Note(Code.CORRELATED_RESIDUALS, text))
-    if kurtosis > _TAILS:
+    if kurtosis > TAILS:
         text = (
             f"residuals have heavy tails (excess kurtosis {number(kurtosis, '.2g')}): there are outliers, or the model errs most at a "
             "few places"

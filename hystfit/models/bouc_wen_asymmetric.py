@@ -106,7 +106,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         return legendre_series(self.b, (u - self.center) / self.half, first=2)
 
     def _moved(self, h: Array, dv: Array, bounds: tuple[Array, Array]) -> Array:
-        """h after the input moved by dv."""
         s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
         m = self.mu * self.c
         total = self.tau * (1 + self.rho)

@@ -11,8 +11,6 @@ from jaxtyping import Array, Bool
 
 from hystfit.models.shapes import Scalar
 
-_MOST = 100
-
 
 class Root(NamedTuple):
     """Result of a bracketed search.
@@ -99,5 +97,5 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
             settled | narrow | (value == 0) | ((trial == s.x) & ~refused),
         )
 
-    found = jax.lax.while_loop(lambda s: ~s.done & (s.trials < _MOST), body, search)
+    found = jax.lax.while_loop(lambda s: ~s.done & (s.trials < 100), body, search)
     return Root(found.best, found.rising)

@@ -31,7 +31,6 @@ _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
-_ROUNDING = 1e-10  # of the mean of a normal matrix's diagonal, added to it: weights may be collinear
 _DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
 _LONGEST = 2**13  # samples of a record by which strain and time constant of the start are chosen
 
@@ -175,7 +174,7 @@ class Damper(AbstractHysteresis):
         centered = np.concatenate(rows)
         gram = centered.T @ centered
         A, b = gram[:-1, :-1], gram[:-1, -1]
-        A[np.diag_indices_from(A)] += _ROUNDING * np.trace(A) / b.size
+        A[np.diag_indices_from(A)] += 1e-10 * np.trace(A) / b.size  # weights may be collinear
         w, _ = solve_nonnegative(A, b, bounded)
         return float(gram[-1, -1] - 2 * b @ w + w @ A @ w)
 

@@ -19,7 +19,6 @@ _POINTS = 128
 _SPREAD = 2.0  # in z: a factor of 7 either way of the natural size for a positive parameter
 _TESTED = 40  # points tested for the influence of every parameter
 _NUDGE, _LEAST = 0.3, 1e-3  # change of z in that test, and the least change of the output as a part of its range
-_RECORDS = 4  # of several records, the ones simulated
 
 
 def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
@@ -28,7 +27,8 @@ def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
     Linear parameters are solved for at every point, and are not part of the hypercube. Points at which one of the others has no
     influence on the output (a play wider than the input's range) come last: no solver finds a way from there.
     """
-    chosen = [records[k] for k in np.unique(np.linspace(0, len(records) - 1, _RECORDS).astype(int))]
+    few = np.unique(np.linspace(0, len(records) - 1, 4).astype(int))
+    chosen = [records[k] for k in few]
     short = thinned(chosen, 200) if model.allows_thinning else chosen
     space = ParameterSpace.of(model, scales=scales_of(Dataset(tuple(records))))
     free = {space.leaves[number].index for number, _, _ in space.sources}

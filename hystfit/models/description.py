@@ -9,8 +9,6 @@ import equinox as eqx
 import jax
 import numpy as np
 
-_SHOWN = 4  # elements of an array that are shown one by one
-
 
 def format_model(model: Any) -> str:
     """`BoucWen(c=0.15 y/u, mu=0.5, ...)`: parameters in the units of input u, output y and time s, and changed settings."""
@@ -34,7 +32,7 @@ def _values(value: Any) -> str:
     if isinstance(value, jax.core.Tracer) or not isinstance(value, jax.Array | np.ndarray):
         return eqx.tree_pformat(value)
     array = np.asarray(value)
-    if array.size > _SHOWN:
+    if array.size > 4:
         return f"{array.size} values from {array.min():.4g} to {array.max():.4g}"
     if array.ndim == 0:
         return f"{array:.6g}"

@@ -23,10 +23,8 @@ from hystfit.models.simulation import drive
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
-from hystfit.quality.recursions import recursion
+from hystfit.quality.lag import recursion
 from hystfit.quality.summary import delay_of, dynamics_of
-
-_ROOM = 1.2  # length of the line of a delay over the delay with which a fit starts
 
 
 class Delay(AbstractHysteresis):
@@ -78,7 +76,7 @@ class Delay(AbstractHysteresis):
         """The delay that the records show, one sample where they show none; the line becomes long enough for it."""
         found = [delay.samples for record in records if (delay := delay_of(record)) is not None]
         lag = float(np.median(found)) if found else 1.0
-        return type(self)(lag=lag, longest=max(self.longest, math.ceil(_ROOM * lag)))
+        return type(self)(lag=lag, longest=max(self.longest, math.ceil(1.2 * lag)))  # the line of the delay may grow
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """Refused: see `no_inverse`."""

@@ -20,8 +20,8 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.simulation import run
 from hystfit.models.starting import output_range
 from hystfit.params.host_arrays import compiled
+from hystfit.quality.resonance import EXCITED
 
-_EXCITED = 1e-3  # fraction of the largest power of the input from which a spectral line counts as excited
 # Values of a, r_load and r_unl. A spring that saturates has a basin of its own, which no start with a milder spring reaches: the best
 # start of either grid is fitted, whatever their costs before the fit.
 _MILD = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
@@ -29,7 +29,6 @@ _SATURATING = tuple(itertools.product((0.2, 0.4, 0.6), (1.5, 3.0), (0.0, 0.6, 1.
 _MILD_STARTS, _SATURATING_STARTS = 2, 1
 # Stiffness at small amplitude over that of the linear fit, which a saturating spring lowers.
 _SOFTENED = 1.8
-_LONGEST = 2**15  # samples of each record that the grid simulates
 
 
 class Started(NamedTuple):
@@ -56,7 +55,7 @@ def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
     stiffer = linear._replace(K=_SOFTENED * stiffness, Z=np.sqrt(_SOFTENED) * force)
     points = [linear._replace(a=a, r_load=load, r_unl=unload) for a, load, unload in _MILD]
     points += [stiffer._replace(a=a, r_load=load, r_unl=unload) for a, load, unload in _SATURATING]
-    batch = Batch.of(Dataset(tuple(record.take(slice(0, _LONGEST)) for record in records)))
+    batch = Batch.of(Dataset(tuple(record.take(slice(0, 2**15)) for record in records)))
     table = jnp.asarray(points, dtype=jnp.result_type(float))
     costs, offsets = (np.asarray(v) for v in _costs(model, table, batch))
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
@@ -115,7 +114,7 @@ def _spectra(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     U, Y = spectrum(u), spectrum(y)
     power = np.abs(U) ** 2
     power[0] = 0.0
-    kept = power >= _EXCITED * power.max()
+    kept = power >= EXCITED * power.max()
     kept[0] = False
     w = 2 * np.pi * np.fft.rfftfreq(len(record), (even[-1] - even[0]) / (len(record) - 1) or 1.0)
     return w[kept], U[kept], Y[kept]

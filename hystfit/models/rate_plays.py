@@ -23,9 +23,6 @@ from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
-_SMOOTH = 3.0  # sampling intervals over which the rate is averaged
-_FIRST = 0.02  # of the input's range: growth of the thresholds at the largest rate, from which a fit starts
-
 
 class RateDependentPlays(AbstractHysteresis):
     """Weighted plays with thresholds r_j + kappa q, where q is the speed of the input behind a first-order lag:
@@ -130,11 +127,11 @@ class RateDependentPlays(AbstractHysteresis):
             "low": place.low,
             "high": place.high,
             "speed": largest,
-            "tau": _SMOOTH * sampling_interval(records),
+            "tau": 3.0 * sampling_interval(records),  # the rate is averaged over three intervals
         }
         w = np.full(self.w.shape, 0.2 * out.half / self.w.size)
         return dataclasses.replace(
-            self, **ranges, w=w, gain=1.6 * out.half, kappa=_FIRST, offset=out.center - 0.8 * out.half
+            self, **ranges, w=w, gain=1.6 * out.half, kappa=0.02, offset=out.center - 0.8 * out.half
         )
 
     def reach(self) -> tuple[float, float]:

@@ -41,7 +41,6 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
 
 
 def _composed(expression: str) -> AbstractHysteresis:
-    """The model of an expression."""
     if ".py:" in expression:
         path, _, name = expression.rpartition(":")
         return _made(class_from_file(path, name, AbstractHysteresis, ModelError))

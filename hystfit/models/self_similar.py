@@ -20,13 +20,13 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import drive
 from hystfit.models.starting import output_range
 from hystfit.params.param import element_places, param
+from hystfit.quality.loops import APART
 from hystfit.quality.needs import Needs
 
 _THRESHOLDS = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the stops, as fractions of the largest input so far
 POWERS = (1, 3, 5)  # of the backbone: odd
 _RENEWED = 8  # exponent of the growth of the peak with which the path of the fading part is forgotten
 _FLOOR = 0.02  # largest input from which the loop scales, as a fraction of that of the records
-_APART = 1.05  # least ratio of neighboring peaks
 
 
 class SelfSimilarStops(AbstractHysteresis):
@@ -179,7 +179,7 @@ class SelfSimilarStops(AbstractHysteresis):
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the input goes beyond the peaks of the weights, or has one peak only."""
         largest, last = float(np.max(np.abs(u))), float(self.peaks[-1])
-        if largest <= _APART * last:
+        if largest <= (1 + APART) * last:
             return ()
         return (
             f"the input reaches {largest / last:.2g} times the largest peak of the fit: the loop there is that at the largest peak, scaled",
@@ -196,7 +196,7 @@ class SelfSimilarStops(AbstractHysteresis):
             if count > 1
             else np.array([largest])
         )
-        if (peaks[1:] < _APART * peaks[:-1]).any():  # few peaks: evenly, down to a tenth of the largest
+        if (peaks[1:] < (1 + APART) * peaks[:-1]).any():  # few peaks: evenly, down to a tenth of the largest
             peaks = np.geomspace(0.1 * largest, largest, count)
         out = output_range(records)
         w = np.full(self.w.shape, 0.02 * out.half)

@@ -188,7 +188,6 @@ def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = No
 
 @compiled
 def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) -> tuple[Array, ...]:
-    """`run`, compiled."""
     y, end = run(model, u, dt, resume)
     return y, *end
 

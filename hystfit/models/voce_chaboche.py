@@ -109,7 +109,6 @@ class VoceChaboche(AbstractHysteresis):
         return new, self.offset + self.E * (u1 - new[0])
 
     def _moved(self, state: State, u1: Scalar) -> State:
-        """The state at the strain u1."""
         back = state[2:]
         trial = self.E * (u1 - state[0])
         s = jnp.where(trial < jnp.sum(back), -1.0, 1.0)

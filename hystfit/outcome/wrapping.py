@@ -13,10 +13,16 @@ _HANG = 0.7  # part of the width behind which the last column of a table is no p
 _COMMAND = re.compile(r"\s*(?:\$ )?(?:hystfit|cc|printf) ")  # whole, to be copied
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], separator: str = ", ") -> str:
     """The first names of a list, and how many more there are."""
     more = len(names) - NAMED
-    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+    return separator.join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def shortened(lines: Sequence[str], most: int, rest: str = "and {} more") -> list[str]:
+    """The first lines of a list, and one that counts those beyond the first `most`."""
+    more = len(lines) - most
+    return [*lines[:most], rest.format(more)] if more > 0 else list(lines)
 
 
 def within(text: str, width: int) -> str:

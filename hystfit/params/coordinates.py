@@ -145,64 +145,63 @@ class Coordinates(eqx.Module):
         NumPy values are set on the host: operations of JAX outside compiled code would take a hundred times longer. `place` then makes
         the leaves of the arrays; `np.asarray` leaves them on the host.
         """
-        host = isinstance(x, np.ndarray)
         leaves, start = list(self.leaves), 0
+        if isinstance(x, np.ndarray):
+            for index, rows in self._rows(x[None], record).items():
+                leaves[index] = place(rows[0])
+            return self.treedef.unflatten(leaves)
         for index, rows in zip(self.constant_at, self.constants, strict=True):
-            leaves[index] = place(np.asarray(rows)[record]) if host else jnp.take(rows, jnp.asarray(record), axis=0)
+            leaves[index] = jnp.take(rows, jnp.asarray(record), axis=0)
         for index, positions, per_record in self.layout:
             count = len(positions)
+            values = x[start : start + count]
             if per_record:
                 block = x[start : start + count * self.n_records].reshape(self.n_records, count)
-                values = block[record] if host else jnp.take(block, jnp.asarray(record), axis=0)
-                start += count * self.n_records
-            else:
-                values = x[start : start + count]
-                start += count
-            leaf = np.asarray(leaves[index]) if host else jnp.asarray(leaves[index])
-            flat = leaf.reshape(-1)
-            if count == flat.size:
-                flat = values
-            elif host:
-                flat = flat.copy()
-                flat[list(positions)] = values
-            else:
-                flat = flat.at[np.asarray(positions)].set(values)
-            leaves[index] = (place if host else jnp.asarray)(flat.reshape(leaf.shape))
+                values = jnp.take(block, jnp.asarray(record), axis=0)
+            start += count * (self.n_records if per_record else 1)
+            leaf = jnp.asarray(leaves[index])
+            flat = values if count == leaf.size else leaf.reshape(-1).at[np.asarray(positions)].set(values)
+            leaves[index] = flat.reshape(leaf.shape)
         for index, k, source, j, factor, constant in self.ties:
-            xp = np if host else jnp
-            value = factor * xp.asarray(leaves[source]).reshape(-1)[j] + constant
-            flat = xp.array(leaves[index]).reshape(-1)
-            if host:
-                flat[k] = value
-            else:
-                flat = flat.at[k].set(value)
-            leaves[index] = (place if host else jnp.asarray)(flat.reshape(xp.shape(leaves[index])))
-        return jax.tree_util.tree_unflatten(self.treedef, leaves)
+            leaf, value = jnp.asarray(leaves[index]), factor * jnp.asarray(leaves[source]).reshape(-1)[j] + constant
+            leaves[index] = leaf.reshape(-1).at[k].set(value).reshape(leaf.shape)
+        return self.treedef.unflatten(leaves)
 
     def assemble_rows(self, x: Float[np.ndarray, "N p"]) -> Iterator[Any]:
         """`assemble` of many parameter vectors of one record on the host: the leaves of all are set together."""
-        yield from (self.treedef.unflatten(row) for row in zip(*self._leaves_of(x), strict=True))
+        leaves = jax.tree_util.tree_leaves(self.assemble_stacked(x))
+        yield from (self.treedef.unflatten(row) for row in zip(*leaves, strict=True))
 
     def assemble_stacked(self, x: Float[np.ndarray, "N p"]) -> Any:
         """The trees of `assemble_rows` as one, whose arrays have a leading axis."""
-        return self.treedef.unflatten(self._leaves_of(x))
+        rows = self._rows(x, 0)
+        same = lambda leaf: np.broadcast_to(leaf, (len(x), *np.shape(leaf)))
+        return self.treedef.unflatten([rows[k] if k in rows else same(leaf) for k, leaf in enumerate(self.leaves)])
 
-    def _leaves_of(self, x: Float[np.ndarray, "N p"]) -> list[np.ndarray]:
-        leaves = list(self.leaves)
-        for index, rows in zip(self.constant_at, self.constants, strict=True):
-            leaves[index] = np.asarray(rows)[0]
-        sizes = [np.size(leaf) for leaf in leaves]
-        leaves = [np.broadcast_to(leaf, (len(x), *np.shape(leaf))) for leaf in leaves]
-        flat = {k: leaves[k].reshape(len(x), sizes[k]).copy() for k in {row[0] for row in (*self.layout, *self.ties)}}
-        start = 0
-        for index, positions, _ in self.layout:
-            flat[index][:, list(positions)] = x[:, start : start + len(positions)]
-            start += len(positions)
+    def _rows(self, x: Float[np.ndarray, "N p"], record: int) -> dict[int, np.ndarray]:
+        """The leaves that depend on x or on the record, by index, each with a leading axis."""
+        rows, start = dict[int, np.ndarray](), 0
+        for index, values in zip(self.constant_at, self.constants, strict=True):
+            rows[index] = np.asarray(values)[[record] * len(x)]
+        for index, positions, per_record in self.layout:
+            count, leaf = len(positions), np.asarray(self.leaves[index])
+            first = start + (count * record if per_record else 0)
+            values = x[:, first : first + count]
+            if count < leaf.size:
+                flat = np.tile(leaf.reshape(-1), (len(x), 1))
+                flat[:, list(positions)] = values
+                values = flat
+            rows[index] = values.reshape(len(x), *leaf.shape)
+            start += count * (self.n_records if per_record else 1)
         for index, k, source, j, factor, constant in self.ties:
-            flat[index][:, k] = (
-                factor * flat.get(source, leaves[source].reshape(len(x), sizes[source]))[:, j] + constant
+            flat, other = (
+                rows[at].reshape(len(x), -1) if at in rows else np.tile(np.ravel(self.leaves[at]), (len(x), 1))
+                for at in (index, source)
             )
-        return [flat[k].reshape(leaf.shape) if k in flat else leaf for k, leaf in enumerate(leaves)]
+            flat = flat.copy()
+            flat[:, k] = factor * other[:, j] + constant
+            rows[index] = flat.reshape(len(x), *np.shape(self.leaves[index]))
+        return rows
 
     def tree(self, z: Float[Array, " p"], record: Any = 0) -> Any:
         """The tree at unconstrained coordinates z, with the parameters of record number `record`."""

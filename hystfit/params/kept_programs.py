@@ -103,7 +103,6 @@ def _program(
 
 @functools.cache
 def _setting() -> str:
-    """Source of hystfit, versions, platform, and settings of JAX."""
     package = Path(sys.modules["hystfit"].__path__[0])
     source = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):

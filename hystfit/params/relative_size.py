@@ -7,6 +7,8 @@ import numpy as np
 from hystfit.params.coordinates import BOTH, REAL
 from hystfit.params.space import ParameterSpace
 
+OPEN = 1.0  # standard error over this size, from which a direction or a quantity is undetermined
+
 
 def relative_size(space: ParameterSpace, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.

@@ -24,7 +24,7 @@ from hystfit.sampling.sample import sample
 
 _WIDER = 3.0  # of the prior of a device's own draws over the spread of the population, so that its tails are drawn too
 _TRIED = 200  # draws whose likelihood is computed
-_DRAWS = 2000  # of a device's own posterior, at most
+DRAWS = 2000  # of a device's own posterior, at most
 
 
 @dataclasses.dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Device:
         priors = common.priors(mean, _WIDER * sd)
         posterior = sample(self.result, "nuts", noise=self.noise, priors=priors, seed=seed)
         flat = posterior.draws.reshape(-1, len(posterior.names))[:, common.at]
-        flat = flat[np.linspace(0, len(flat) - 1, min(_DRAWS, len(flat))).astype(int)]
+        flat = flat[np.linspace(0, len(flat) - 1, min(DRAWS, len(flat))).astype(int)]
         z = common.z_of(flat)
         return Pool(z, -0.5 * np.sum(((z - mean) / (_WIDER * sd)) ** 2, axis=1))
 

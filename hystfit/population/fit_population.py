@@ -19,6 +19,7 @@ from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.population.devices import Common, Device, effects_of
 from hystfit.population.hierarchy import Hierarchy, Pool, draw_hierarchy
 from hystfit.population.population_fit import PopulationFit
@@ -30,7 +31,6 @@ Progress = Callable[[str, float], object]
 _FIT = (Status.OK, Status.ROUGH)  # statuses of devices that take part
 _CURVED = 0.3  # effective fraction of draws below which the likelihood of a device is not normal enough
 _THINNED = (1, 4, 8)  # steps for each draw, tried in turn
-_NAMED = 6  # devices that a note names
 
 
 @verb
@@ -152,7 +152,6 @@ def _fitted(
 
 
 def _device(loop: str, by: Any) -> str:
-    """The device of a loop."""
     if by is None:
         return loop
     if isinstance(by, Mapping):
@@ -176,8 +175,7 @@ def _common(results: dict[str, FitResult], left_out: dict[str, str]) -> Common:
     Raises:
         DataError: too few devices.
     """
-    reasons = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:_NAMED])
-    without = f"; left out: {reasons}" if left_out else ""
+    without = f"; left out: {_reasons(left_out)}" if left_out else ""
     if len(results) < 2:
         raise DataError(f"a population needs several devices, and {len(results)} has a usable fit{without}")
     first = next(iter(results.values()))
@@ -243,21 +241,20 @@ def _pools(
 
 
 def _flat(draws: np.ndarray) -> np.ndarray:
-    """Chains end to end."""
     return draws.reshape(-1, *draws.shape[2:])
 
 
 def _notes(left_out: dict[str, str], sampled: list[str]) -> list[Note]:
     notes = []
     if left_out:
-        shown = [f"{name}: {reason}" for name, reason in list(left_out.items())[:_NAMED]]
-        more = f" and {len(left_out) - _NAMED} more" if len(left_out) > _NAMED else ""
-        notes.append(warn(Code.LEFT_OUT, f"devices without a usable fit are left out: {'; '.join(shown)}{more}"))
+        notes.append(warn(Code.LEFT_OUT, f"devices without a usable fit are left out: {_reasons(left_out)}"))
     if sampled:
-        others = " and others" if len(sampled) > _NAMED else ""
-        text = f"the likelihood is not normal for {', '.join(sampled[:_NAMED])}{others}: sampled by NUTS"
-        notes.append(Note(Code.CHOICE, text))
+        notes.append(Note(Code.CHOICE, f"the likelihood is not normal for {listed(sampled)}: sampled by NUTS"))
     return notes
+
+
+def _reasons(left_out: dict[str, str]) -> str:
+    return listed([f"{name}: {reason}" for name, reason in left_out.items()], "; ")
 
 
 def _converged(

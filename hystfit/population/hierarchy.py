@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-_NU = 2.0  # degrees of freedom of the half-t: correlations are uniform
-_SCALE = 1.0  # of the half-t: a factor e between devices, or a natural scale of the data
+_NU = 2.0  # degrees of freedom of the half-t, whose scale is a factor e between devices or a natural scale: correlations are uniform
 _BURN = 0.25  # of the draws, before the first one that is kept
 _STEP = 0.7  # of the logarithm of a standard deviation that is scaled together with the deviations
 _RIDGE = 1e-9  # relative to the precision of the population, for directions that a device's data do not determine
@@ -154,7 +153,7 @@ class _Chains:
         diagonal = np.arange(p)
         away = self.z - self.design @ self.effects
         shape = (_NU + p) / 2
-        rate = _NU * np.linalg.inv(self.covariance)[:, diagonal, diagonal] + _SCALE**-2
+        rate = _NU * np.linalg.inv(self.covariance)[:, diagonal, diagonal] + 1
         scale = away.swapaxes(1, 2) @ away
         scale[:, diagonal, diagonal] += 2 * _NU * self._each(lambda rng: rng.gamma(shape, size=p)) / rate
         # Bartlett's decomposition of the Wishart matrix, a tenth of the time of scipy.stats.invwishart.
@@ -191,7 +190,7 @@ class _Chains:
             gain = (1 - _NU - p) * steps[:, k]
             gain -= np.sum(move * (slope[:, :, k] + 0.5 * move * curvature[:, k, k]), axis=1)
             own = _NU * inverse[:, k, k]
-            gain += 0.5 * (_NU + p) * np.log((own + _SCALE**-2) / (own / c**2 + _SCALE**-2))
+            gain += 0.5 * (_NU + p) * np.log((own + 1) / (own / c**2 + 1))
             if self.pools:
                 shrunk = np.ones_like(steps)
                 shrunk[:, k] = 1 / c

@@ -14,6 +14,7 @@ from jaxtyping import Array
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Column, Note, Status, Table, WithStatus
+from hystfit.outcome.wrapping import shortened
 from hystfit.population.devices import Device, marginal
 from hystfit.population.population_fit import PopulationFit
 from hystfit.population.preposterior import Beliefs
@@ -27,7 +28,6 @@ COLUMNS = (
     "variance: expected change, in the mean over the aim; sd: error of the standard deviations; correlation: error of the correlations; "
     "mean: error of the mean device over the standard deviation; medians over the parameters."
 )
-_SHOWN = 12  # candidates in the table
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,10 +121,8 @@ class PopulationDesign(WithStatus):
         lines = [f"{self.population.model}: next measurement for the {self.goal} of {', '.join(self.aim)}"]
         lines.append(f"proposed: {self.best.label}")
         lines.append("errors now, and expected after one more measurement, best first:")
-        lines += self.table(_SHOWN).lines()
-        if (more := len(self.candidates) - _SHOWN) > 0:
-            lines.append(f"and {more} more")
-        lines.append(COLUMNS)
+        table = self.table().lines()
+        lines += [*shortened(table, len(table) - len(self.candidates) + 12), COLUMNS]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
     __repr__ = __str__
@@ -240,7 +238,6 @@ def _signals(
     samples: int,
     seed: int,
 ) -> dict[str, np.ndarray]:
-    """Inputs to be compared."""
     if given is not None:
         signals = {name: np.asarray(u, dtype=float) for name, u in given.items()}
         if bad := [name for name, u in signals.items() if u.ndim != 1 or u.size < 2 or not np.isfinite(u).all()]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from hystfit.errors import ParameterError
 from hystfit.params.units import axis_label
@@ -14,7 +15,7 @@ from hystfit.results.labels import use_available_fonts
 
 _ACROSS = 4  # panels in a row
 _NAMED = 40  # devices up to which each one is named
-_REACH = 1.645  # standard deviations of an interval of 90 %
+_REACH = ndtri(0.95)  # standard deviations of an interval of 90 %
 
 
 def draw(population: PopulationFit, kind: str) -> Any:

@@ -13,9 +13,9 @@ import dataclasses
 import numpy as np
 from jaxtyping import Float
 
+from hystfit.population.devices import DRAWS
 from hystfit.population.hierarchy import Hierarchy
 
-_DRAWS = 2000  # of the population that are weighted
 _ESTIMATES = 400  # drawn for each candidate, from as many of those draws
 _LEAST = 0.02  # effective fraction of the draws below which an expected fall is not known
 
@@ -55,7 +55,7 @@ class Beliefs:
         """
         p = means.shape[1]
         effects, covariance = drawn.effects.reshape(-1, *drawn.effects.shape[2:]), drawn.covariance.reshape(-1, p, p)
-        kept = np.linspace(0, len(effects) - 1, min(_DRAWS, len(effects))).astype(int)
+        kept = np.linspace(0, len(effects) - 1, min(DRAWS, len(effects))).astype(int)
         effects, covariance = effects[kept], covariance[kept]
         sd = np.sqrt(np.einsum("nii->ni", covariance))
         below = np.tril_indices(p, -1)

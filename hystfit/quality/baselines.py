@@ -12,16 +12,16 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.quality.faults import noise_rms, rounding_rms
 
-_DEGREE = 7  # of the single-valued curve
+DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
 BLOCK = 2**16  # samples looked at together
 _Part = tuple[np.ndarray, np.ndarray]
 _SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
 
 # Rows that the descriptions share (see `_rows`), and which of them each one takes beside the offsets.
-_ROWS = 1 + _DEGREE + _PLAYS
-_LINE, _CURVE = (0,), tuple(range(1, 1 + _DEGREE))
-_PLAYED = (0, 2, 3, *range(1 + _DEGREE, _ROWS))
+_ROWS = 1 + DEGREE + _PLAYS
+_LINE, _CURVE = (0,), tuple(range(1, 1 + DEGREE))
+_PLAYED = (0, 2, 3, *range(1 + DEGREE, _ROWS))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _rows(x: np.ndarray, before: tuple[float, np.ndarray] | None) -> np.ndarray:
     rows, inside = np.empty((_ROWS, x.size)), np.clip(x, -1.0, 1.0)
     # Constant beyond the fitted range, where a polynomial of high degree would diverge.
     rows[0], rows[1], one = x, inside, np.ones(x.size)
-    for n in range(1, _DEGREE):
+    for n in range(1, DEGREE):
         rows[n + 1] = ((2 * n + 1) * inside * rows[n] - n * (rows[n - 1] if n > 1 else one)) / (n + 1)
     radii, positions = np.linspace(0.0, 1.0, _PLAYS + 2)[1:-1], rows[-_PLAYS:].T
     if before is None:

@@ -14,6 +14,7 @@ from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
+from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
@@ -120,9 +121,8 @@ class QualityReport:
         if several:
             lines.append(f"  ... and {len(self.records) - len(shown)} more records")
         lines += ["", "Findings"]
-        lines += [f"  - {note}" for note in self.findings[:_MOST_FINDINGS]] or ["  - no problems found"]
-        if len(self.findings) > _MOST_FINDINGS:
-            lines.append(f"  ... and {len(self.findings) - _MOST_FINDINGS} more")
+        findings = [f"  - {note}" for note in self.findings] or ["  - no problems found"]
+        lines += shortened(findings, _MOST_FINDINGS, "  ... and {} more")
         if self.determines:
             lines += ["", "What these data determine", *self.table().lines("  ")]
         if self.traits:

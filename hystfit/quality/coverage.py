@@ -7,9 +7,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, warn
-from hystfit.quality.loops import APART, SLACK, distinct, strokes
+from hystfit.quality.loops import APART, distinct, strokes
 
 
 @dataclasses.dataclass(frozen=True)

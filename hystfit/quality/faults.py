@@ -1,4 +1,4 @@
-"""Small-scale faults of one column: noise, resolution, spikes, clipping and holds."""
+"""Small-scale faults of one column: noise, resolution, spikes, clipping, holds, and noise that reverses an input."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import collections
 import math
 
 import numpy as np
+
+from hystfit.data.preparation import smooth
 
 FEWEST_SAMPLES = 16  # below which no noise is known and no loop is described
 MAD_TO_RMS = 1.4826  # of a normal distribution
@@ -45,7 +47,8 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
     sizes, differences = [], np.diff(values)
     for order in range(2, 7):
         differences = np.diff(differences)
-        sizes.append(MAD_TO_RMS * _median_size(differences) / math.sqrt(math.comb(2 * order, order)))
+        size = float(np.median(np.abs(differences), overwrite_input=True))
+        sizes.append(MAD_TO_RMS * size / math.sqrt(math.comb(2 * order, order)))
     step, least = resolution(values) or 0.0, min(sizes)
     precision = float(np.finfo(float).eps * np.max(np.abs(values)))
     floor = max(precision, _PRINTED * step)
@@ -88,10 +91,6 @@ def _finite(values: np.ndarray) -> np.ndarray:
     values = np.asarray(values, dtype=float)
     finite = np.isfinite(values)
     return values if finite.all() else values[finite]
-
-
-def _median_size(values: np.ndarray) -> float:
-    return float(np.median(np.abs(values), overwrite_input=True))
 
 
 def runs(mask: np.ndarray) -> np.ndarray:
@@ -243,3 +242,36 @@ def _stands_out(values: np.ndarray, k: int, factor: float) -> bool:
     steps = np.abs(np.concatenate([np.diff(values[max(k - _STEPS, 0) : k]), np.diff(values[k + 1 : k + _STEPS + 1])]))
     least = min(abs(values[k] - values[k - 1]), abs(values[k] - values[k + 1]))
     return bool(least > factor * np.nanmax(steps, initial=0.0))
+
+
+MOST = 5.0  # percent of the steps that may go backward
+_LENGTHS = (5, 7, 9, 11, 15, 21, 31, 41, 61, 81, 101)
+
+
+def chatter(u: np.ndarray, branches: np.ndarray) -> float:
+    """Share of the samples at which the input steps back against its branch [%].
+
+    Args:
+        u: input, shape (T,).
+        branches: first and last sample of each monotonic branch, shape (K, 2).
+    """
+    backward = sum(
+        int((np.sign(u[b] - u[a]) * np.diff(u[a : b + 1]) < 0).sum()) for a, b in branches if b > a and u[b] != u[a]
+    )
+    return 100 * backward / max(u.size - 1, 1)
+
+
+def smoothing_length(u: np.ndarray, branches: np.ndarray) -> int | None:
+    """Shortest smoothing filter that leaves acceptable chatter [samples]; None where there is no chatter, or no filter removes it.
+
+    A filter may be as long as a quarter of the median branch, so that it does not round the reversals off.
+
+    Args:
+        u: input, shape (T,).
+        branches: as for `chatter`.
+    """
+    if chatter(u, branches) <= MOST:
+        return None
+    longest = min(u.size, float(np.median(np.diff(branches))) / 4)
+    fitting = (length for length in _LENGTHS if length <= longest)
+    return next((length for length in fitting if chatter(smooth(u, length), branches) <= MOST), None)

@@ -9,10 +9,9 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
-from hystfit.quality.chatter import MOST
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
-from hystfit.quality.faults import CLEAR
+from hystfit.quality.faults import CLEAR, MOST
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
 

@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
-from hystfit.quality.loops import SLACK, clear_reversals, distinct
+from hystfit.quality.loops import clear_reversals, distinct
 
 # Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
 FOLDS = 5

@@ -10,7 +10,6 @@ import numpy as np
 
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ
-SLACK = 0.01  # of a range, which noise and rounding may make up
 _CROWDED = 0.25  # of the samples in one bin; even steps have 0.02, and ten a decade over four decades 0.3
 _BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
 

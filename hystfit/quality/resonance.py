@@ -14,11 +14,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from hystfit.quality.baselines import play_positions
-from hystfit.quality.lag import unexplained
-from hystfit.quality.recursions import lagged, recursion
+from hystfit.quality.lag import lagged, recursion, unexplained
 
 FEWEST, _MOST = 200, 12_000  # samples used
-_EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
+EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
 _BANDS = 6  # bands of the frequency response per octave
 _APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
@@ -178,7 +177,7 @@ def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
     cross = answer * np.conj(spectrum)
     total = np.bincount(band, cross.real) + 1j * np.bincount(band, cross.imag)
     middle = np.bincount(band, number * np.abs(spectrum) ** 2) / np.maximum(power, 1e-300) / x.size
-    excited = (power > _EXCITED * power.max()) & (np.abs(total) > 0)
+    excited = (power > EXCITED * power.max()) & (np.abs(total) > 0)
     ratio = total[excited] / power[excited]
     return _Response(middle[excited], np.abs(ratio), np.degrees(np.unwrap(np.angle(ratio))))
 

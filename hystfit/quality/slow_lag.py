@@ -6,12 +6,10 @@ import numpy as np
 
 from hystfit.quality.baselines import play_positions
 from hystfit.quality.delay import MOST, REMAINS
-from hystfit.quality.lag import unexplained
-from hystfit.quality.recursions import lagged
+from hystfit.quality.lag import lagged, unexplained
 from hystfit.quality.resonance import FEWEST, explains
 
 SHORT = 6.0  # samples up to which a lag is short
-_LAGS = 10  # that are tried
 _LONGEST = 0.25  # of a branch
 _RADII = np.geomspace(0.03, 1.0, 8)  # of plays, for an input from -1 to 1
 
@@ -44,7 +42,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     without = error(0.0)
     if not explains(0.0, without):
         return None
-    lags = np.geomspace(SHORT, longest, _LAGS)
+    lags = np.geomspace(SHORT, longest, 10)
     errors = np.array([error(lag) for lag in lags])
     best = int(np.argmin(errors))
     found = explains(errors[best], without) and errors[best] < REMAINS * errors[0]

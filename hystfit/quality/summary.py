@@ -14,10 +14,18 @@ import numpy as np
 from hystfit.data.preparation import CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
-from hystfit.quality.chatter import chatter, smoothing_length
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
-from hystfit.quality.faults import bridged, clipped_samples, holds, noise_rms, resolution, spikes
+from hystfit.quality.faults import (
+    bridged,
+    chatter,
+    clipped_samples,
+    holds,
+    noise_rms,
+    resolution,
+    smoothing_length,
+    spikes,
+)
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.record_quality import (
     SOFTER,
@@ -203,7 +211,6 @@ def _threshold(column: Column) -> float:
 
 
 def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndarray, list[geometry.Loop]]:
-    """Motion of the input, its turning points, cycles and closed loops."""
     u, y = record.u, record.y
     threshold = _threshold(column)
     turns = geometry.reversals(u, threshold)

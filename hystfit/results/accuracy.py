@@ -9,18 +9,18 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import number
+from hystfit.outcome.table import ROUNDING, number
 from hystfit.quality.baselines import Baselines
 from hystfit.results.metrics import Metrics
 
-_STRICT, _USABLE = 1.0, 3.0  # percent of range between which the limit of the rms error lies,
+_STRICT, USABLE = 1.0, 3.0  # percent of range between which the limit of the rms error lies,
 _TIMES_PLAYS = 5.0  # this many times the error of ten plays
+POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
 _NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
 _LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
-_ROUNDING = 1e-9  # of the range
 _LASTING = 3  # samples; a shorter one is an outlier of the measurement
-_NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
+NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
 _SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
 
 
@@ -35,15 +35,15 @@ class Limits(NamedTuple):
         """1 to 3 %: five times the error of ten plays; at least twice the noise."""
         percent = lambda value: 100 * value / baselines.span if baselines.span > 0 else 0.0
         noise = percent(baselines.noise or 0.0)
-        usable = _USABLE
+        usable = USABLE
         if baselines.plays is not None:
-            usable = float(np.clip(_TIMES_PLAYS * percent(baselines.plays), _STRICT, _USABLE))
-        return cls(max(usable, _NOISY * noise), max(_LARGEST, _PEAKS * noise))
+            usable = float(np.clip(_TIMES_PLAYS * percent(baselines.plays), _STRICT, USABLE))
+        return cls(max(usable, NOISY * noise), max(_LARGEST, _PEAKS * noise))
 
 
 def is_noise(rmse: float, baselines: Baselines) -> bool:
     """Whether the noise of the output explains an rms error [y]."""
-    return baselines.noise is not None and rmse <= _NOISY * baselines.noise
+    return baselines.noise is not None and rmse <= NOISY * baselines.noise
 
 
 def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
@@ -97,7 +97,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
 
 def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
     """The rms error over noise, straight line, single-valued curve and ten plays; None where one is unknown or a rounding error."""
-    over = lambda value: metrics.rmse / value if value and value > _ROUNDING * baselines.span else None
+    over = lambda value: metrics.rmse / value if value and value > ROUNDING * baselines.span else None
     return {name: over(getattr(baselines, name)) for name in ("noise", "line", "curve", "plays")}
 
 

@@ -65,7 +65,6 @@ def _contents(result: FitResult) -> dict[str, Any]:
 
 
 def _cells(texts: Any) -> np.ndarray:
-    """Texts as a cell array."""
     return np.array([*texts], dtype=object)
 
 

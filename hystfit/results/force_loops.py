@@ -8,23 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Column, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
+from hystfit.outcome.wrapping import shortened
 from hystfit.quality.damage import FAILED
 from hystfit.quality.faults import noise_rms
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import SAME_LEVEL, reversals
 from hystfit.results.loop_kinds import STRUCTURAL, LoopKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_TURN = 0.01  # of the range of the displacement: smallest reversal that ends a half cycle
-_NEW = 1.02  # ratio to the largest displacement before, above which a peak is a new one
 _SAME = 1.1  # ratio of displacements up to which peaks repeat one another
-_SHOWN = 12  # rows of the table of cycles that are printed
 FAILURE = f"failure ({100 * FAILED:.0f} % of the largest force)"
 
 
@@ -116,9 +115,9 @@ class ForceLoops:
 
     def text(self) -> str:
         """The first cycles, the backbone and the failure, for a terminal."""
-        lines = list(self.table().lines())
-        if (more := len(self.cycles) - _SHOWN) > 0:
-            lines = [*lines[:-more], f"... and {more} more cycles (--out writes all of them)"]
+        table = self.table().lines()
+        most = len(table) - len(self.cycles) + 12
+        lines = shortened(table, most, "... and {} more cycles (--out writes all of them)")
         lines += ["", "backbone", *self.backbone_table().lines(), ""]
         for direction, words in ((True, "positive"), (False, "negative")):
             at = self.failure[direction]
@@ -200,7 +199,7 @@ def _of_record(record: Record) -> ForceLoops | None:
     (u, f), units = columns if kind is LoopKind.DISPLACEMENT_DRIVEN else tuple(pair[::-1] for pair in columns)
     if u.size == 0 or not np.ptp(u) > 0:
         return None
-    turns = reversals(u, _TURN * float(np.ptp(u)))
+    turns = reversals(u, SLACK * float(np.ptp(u)))
     noise, is_bound = noise_rms(f)
     cycles = _cycles(u, f, turns, None if is_bound else noise)
     if not cycles:
@@ -257,7 +256,7 @@ def _backbone(u: np.ndarray, f: np.ndarray, turns: np.ndarray, sign: float) -> t
     points, largest = [], 0.0
     for number, (a, b) in enumerate(halves):
         size = sign * u[b]
-        if size <= _NEW * largest:
+        if size <= (1 + SAME_LEVEL) * largest:
             continue
         largest = size
         repeats = [half for half in halves[number + 1 :] if size / _SAME <= sign * u[half[1]] <= _SAME * size]

@@ -8,16 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.held_out import correlation_length
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import SAME_LEVEL, reversals
 
 TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
-_LARGE = 0.9  # of the input's range that a branch of the largest loops covers
-_GAP = 0.1  # of the output's range: between the two ends of a loop that counts as closed
-_STEP = 0.02  # of the input's range: the same of the inputs, where 0.08 hides 13 % of the area of a loop that grows
-_CLEAR = 4.0  # standard errors from which an area is no chance, and standard deviations of the noise that a sample may be off
-_WITHIN = 0.9  # of the largest input that both branches reach, within which they are compared
+_LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
+GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
 _GRID = 400  # inputs of that comparison
 
 
@@ -47,7 +45,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     if (
         len(parts) > 2
         and first.rises == last.rises
-        and abs(u[-1] - u[0]) <= _GAP * span
+        and abs(u[-1] - u[0]) <= GAP * span
         and first not in large
         and last not in large
     ):
@@ -64,7 +62,7 @@ def turns_of(u: np.ndarray) -> np.ndarray:
 
 def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
     """Whether the output of two branches ends where it began."""
-    return bool(abs(other.y[-1] - one.y[0]) <= _GAP * float(np.ptp(y)))
+    return bool(abs(other.y[-1] - one.y[0]) <= GAP * float(np.ptp(y)))
 
 
 def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pair]:
@@ -74,22 +72,22 @@ def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pa
     """
     middle, span = 0.5 * float(u.max() + u.min()), float(np.ptp(u))
     closed = [pair for pair in pairs if closes(*pair, y)]
-    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= _STEP * span]
+    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= SAME_LEVEL * span]
     return exact or _between_passages(u, y, middle, span) or closed
 
 
 def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) -> list[Pair]:
     """Cycles over the whole range of the input that begin and end at its middle."""
-    clear = np.flatnonzero(np.abs(u - middle) > _STEP * span)
+    clear = np.flatnonzero(np.abs(u - middle) > SAME_LEVEL * span)
     side = np.sign(u - middle)
     for end, inner in ((0, clear[0]), (-1, clear[-1])):  # a record that begins or ends in the middle passes it there
-        if abs(u[end] - middle) <= _STEP * span:
+        if abs(u[end] - middle) <= SAME_LEVEL * span:
             side[end] = -side[inner]
     found = []
     for way in (1, -1):
         passages = np.flatnonzero((side[:-1] * way < 0) & (side[1:] * way >= 0)) + 1
         for a, b in itertools.pairwise(passages.tolist()):
-            if np.ptp(u[a:b]) >= (1 - _STEP) * span:
+            if np.ptp(u[a:b]) >= (1 - SAME_LEVEL) * span:
                 ends = [float(np.interp(middle, *_rising(u[k - 1 : k + 1], y[k - 1 : k + 1]))) for k in (a, b)]
                 inputs, outputs = (
                     np.pad(u[a:b], 1, constant_values=middle),
@@ -146,7 +144,7 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
 def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
     error = area_error(pairs[0], sigma) or 0.0
-    return bool(abs(np.median([area(*pair) for pair in pairs])) > _CLEAR * error / np.sqrt(len(pairs)))
+    return bool(abs(np.median([area(*pair) for pair in pairs])) > CLEAR * error / np.sqrt(len(pairs)))
 
 
 def crossing(
@@ -164,8 +162,8 @@ def crossing(
         return None
     k = int(passed[len(passed) // 2])
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
-    near = np.flatnonzero(np.abs(level) <= _CLEAR * (sigma or 0.0))
-    if near.size < 5 or abs(step) > _CLEAR * (sigma or 0.0):
+    near = np.flatnonzero(np.abs(level) <= CLEAR * (sigma or 0.0))
+    if near.size < 5 or abs(step) > CLEAR * (sigma or 0.0):
         error = of_values if sigma is None else sigma * abs(run / step)
         if error is not None:
             curved = (
@@ -223,7 +221,7 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
-    most = _WITHIN * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    most = _LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None
     grid = np.linspace(-most, most, _GRID)

@@ -17,6 +17,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
@@ -41,7 +42,6 @@ from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
-_SIDE = 0.02  # of the range that a demagnetization curve may pass beyond its quadrant
 
 
 @dataclasses.dataclass(frozen=True)
@@ -320,7 +320,7 @@ def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | No
     kinds = quantity(record.u_unit), quantity(record.y_unit)
     named = {record.u_name[:1].upper(), record.y_name[:1].upper()} in ({"H", "B"}, {"H", "J"}, {"H", "M"})
     magnetic = kinds[0] in ("field", "induction") and kinds[1] in ("induction", "magnetization", "moment")
-    slack, largest = _SIDE * float(np.abs(u).max()), float(np.abs(y).max())
+    slack, largest = SAME_LEVEL * float(np.abs(u).max()), float(np.abs(y).max())
     rest = int(np.argmin(np.abs(u)))
     if not (magnetic or named) or abs(y[rest]) < REMANENT_PART * largest:
         return ()
@@ -328,7 +328,7 @@ def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | No
     order = np.argsort(field, kind="stable")
     field, flux = field[order], flux[order]
     found = []
-    if field[-1] > slack and flux[-1] <= _SIDE * largest:
+    if field[-1] > slack and flux[-1] <= SAME_LEVEL * largest:
         found_at = crossing(flux, field, sigma) or (float(field[-1]), None)
         label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
         found.append(LoopValue("coercive_input", label, *found_at, record.u_unit))

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from hystfit.params.units import MU0
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.loop_branches import Branch, closes, crossing, loss
 from hystfit.results.magnetic_loop import MagneticLoop
 from hystfit.results.measured_value import LoopValue
@@ -20,7 +21,6 @@ from hystfit.results.measured_value import LoopValue
 _HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically hard (IEC 60404-1); soft ones have no energy product
 _KNEE = 0.9  # of Jr, at the knee field Hk
 _RAYLEIGH = 0.3  # of the coercivity, up to which the first curve follows the Rayleigh law
-_REST = 0.02  # of the ranges, within which a record begins demagnetized
 REMANENT_PART = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
 _NEIGHBORS = 7  # samples of a local quadratic of a switching field distribution, at least
 _LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at least
@@ -52,7 +52,7 @@ def _opposing(level: np.ndarray, field: np.ndarray, noise: float | None) -> Foun
     found = crossing(level, field, noise)
     if found is None:
         last = int(np.argmin(field))  # a curve that was taken or listed up to its zero has no sample beyond
-        ends = field[last] < 0 and 0 <= level[last] <= _REST * float(np.abs(level).max())
+        ends = field[last] < 0 and 0 <= level[last] <= SAME_LEVEL * float(np.abs(level).max())
         return (-float(field[last]), None) if ends else None
     near = np.argsort(np.abs(field - found[0]), kind="stable")[:_NEIGHBORS]
     slope = np.polyfit(field[near] - found[0], level[near], 1)[0] if np.ptp(field[near]) > 0 else 0.0
@@ -167,7 +167,7 @@ def quadrant_values(loop: MagneticLoop, field_unit: tuple[str, float], output_un
     h, j = loop.h, loop.j
     rest = float(j[np.argmin(np.abs(h))])
     branch = Branch(np.sign(rest) * h, np.sign(rest) * j)
-    if abs(rest) < REMANENT_PART * np.abs(j).max() or branch.u.min() >= -_REST * np.abs(h).max():
+    if abs(rest) < REMANENT_PART * np.abs(j).max() or branch.u.min() >= -SAME_LEVEL * np.abs(h).max():
         return ()
     return _of_branches(loop, [branch], [False], field_unit, output_unit)
 
@@ -241,7 +241,7 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
         yield LoopValue(
             "mu_a", "amplitude permeability at the tip", float(np.mean(values)), None, "", len(values), spread=spread
         )
-    if abs(loop.h[0]) > _REST * np.ptp(loop.h) or abs(flux[0]) > _REST * np.ptp(flux) or not width:
+    if abs(loop.h[0]) > SAME_LEVEL * np.ptp(loop.h) or abs(flux[0]) > SAME_LEVEL * np.ptp(flux) or not width:
         return
     rising = loop.h[-1] if not loop.branches else loop.h[int(np.argmax(np.abs(loop.h)))]
     sign = 1.0 if rising > 0 else -1.0

@@ -109,7 +109,6 @@ def _read(places: Sequence[Path], folder: Path, names: Sequence[str], allow_edit
 
 
 def _listed(places: Sequence[Path], folder: Path) -> dict[str, str]:
-    """Checksums by name."""
     try:
         stored = json.loads(_bytes(places, MANIFEST))
         if stored["schema"] != _SCHEMA:

@@ -9,6 +9,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
 from hystfit.params.units import parse_unit
+from hystfit.results.loop_branches import GAP
 from hystfit.results.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
@@ -16,14 +17,13 @@ _FEWEST = 3  # samples on each side of a tip
 # Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
 # start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
 _START, _OFF_CENTER = 0.02, 0.1
-_BACK = 0.1  # of the range of the input, up to which a record that ends there has come back to its first input
 
 
 def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
     """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
     u, y = record.u[record.used], record.y[record.used]
     middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
-    if abs(y[0]) > _START * size or abs(u[0]) > _BACK * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
+    if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
         return record, ()
     text = (
         f"the output is counted from the start of the record: coercivity and remanence are those about the middle of its range "
@@ -53,7 +53,7 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
     for side, which in (("rising", "largest"), ("falling", "lowest")):
         label = f"polarization at the {which} voltage"
         yield LoopValue(f"polarization_tip_{side}", label, tips[side], noise, record.y_unit)
-    if abs(u[-1] - u[0]) <= _BACK * np.ptp(u) and abs(u[-1]) <= _BACK * np.ptp(u):
+    if abs(u[-1] - u[0]) <= GAP * np.ptp(u) and abs(u[-1]) <= GAP * np.ptp(u):
         first, last = float(y[0]), float(y[-1])
         switched = max((tip - first for tip in tips.values()), key=abs)
         error = None if noise is None else noise * float(np.sqrt(2))

@@ -1,7 +1,8 @@
-"""Pictures of Preisach models and of reversal curves, as the field draws them; each function takes axes and returns them."""
+"""Pictures of Preisach models, reversal curves and FORC diagrams, as the field draws them; each function takes axes and returns them."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,11 +11,12 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.forc_diagram import ForcDiagram
+from hystfit.models.preisach.forc_numbers import ForcNumbers, forc_numbers
 from hystfit.models.preisach.model import Preisach
 from hystfit.params.units import axis_label
+from hystfit.results.colors import MODEL, SECOND
 from hystfit.results.labels import column_label
-
-_CONTOURS = 5
 
 
 def plot_density(
@@ -69,9 +71,7 @@ def contours(ax: Any, x: np.ndarray, y: np.ndarray, density: np.ndarray, top: fl
     share = gaussian_filter(known.astype(float), 1.0)
     smooth = np.ma.masked_where(~known, blurred / np.maximum(share, 1e-9))
     if smooth.max() > 0.2 * top:
-        ax.contour(
-            x, y, smooth, levels=top * np.arange(1, _CONTOURS + 1) / (_CONTOURS + 1), colors="0.35", linewidths=0.5
-        )
+        ax.contour(x, y, smooth, levels=np.linspace(0, top, 7)[1:-1], colors="0.35", linewidths=0.5)
 
 
 def _hatch(ax: Any, model: Preisach, reach: np.ndarray) -> None:
@@ -128,3 +128,114 @@ def axes_or_new(ax: Any) -> Any:
     import matplotlib.pyplot as plt
 
     return plt.subplots(layout="constrained")[1]
+
+
+_SHARE = 0.99  # of the points above it that the picture holds: isolated ones at the edge are noise
+
+
+def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[str, str] | None = None) -> Any:
+    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative.
+
+    A dashed line surrounds what is above three standard errors, where they are known.
+
+    Args:
+        diagram: the distribution.
+        ax: matplotlib axes; new ones if None.
+        units: of the input "u" and the output "y".
+    """
+    ax = axes_or_new(ax)
+    u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
+    top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
+    far, half = _extent(diagram, top)
+    h, m = np.linspace(0, far, 241), np.linspace(-half, half, 241)
+    x, y = np.meshgrid(h, m)
+    density = diagram.at(x, y)
+    mesh = ax.pcolormesh(h, m, density, cmap="RdBu_r", vmin=-top, vmax=top, shading="nearest", rasterized=True)
+    ax.figure.colorbar(mesh, ax=ax, label=axis_label("FORC distribution", per_area(unit, u)))
+    contours(ax, x, y, density, top)
+    if diagram.stderr is not None:
+        ratio = dataclasses.replace(diagram, density=diagram.density / diagram.stderr).at(x, y)
+        ax.contour(x, y, np.ma.masked_invalid(ratio), levels=[3.0], colors="0.2", linewidths=0.6, linestyles="--")
+    ax.axhline(0, color="0.5", lw=0.6)
+    ax.set(xlabel=axis_label("coercivity (H - Hr) / 2", u), ylabel=axis_label("interaction (H + Hr) / 2", u))
+    return ax
+
+
+def _extent(diagram: ForcDiagram, top: float) -> tuple[float, float]:
+    """Largest coercivity and interaction of the picture [u]."""
+    shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
+    x, y = (axis[shown] if shown.any() else axis.ravel() for axis in (diagram.coercivity, np.abs(diagram.interaction)))
+    return 1.2 * float(np.quantile(x, _SHARE)), 1.2 * float(np.quantile(y, _SHARE))
+
+
+def plot_profiles(
+    numbers: ForcNumbers, axes: Sequence[Any], *, units: Mapping[str, str] | None = None
+) -> Sequence[Any]:
+    """The coercivity distribution with its median and the central ridge, and the profiles along both axes, with two standard errors.
+
+    Args:
+        numbers: of a diagram.
+        axes: three matplotlib axes.
+        units: of the input "u" and the output "y".
+    """
+    u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
+    heads = {
+        "coercivity": ("coercivity", "integral", _per_unit(y, u)),
+        "peak coercivity": ("coercivity, at the interaction of the peak", "distribution", per_area(y, u)),
+        "peak interaction": ("interaction, at the coercivity of the peak", "distribution", per_area(y, u)),
+    }
+    for ax, (name, (x_label, y_label, unit)) in zip(axes, heads.items(), strict=True):
+        _draw(ax, numbers, name, MODEL)
+        ax.axhline(0.0, color="black", lw=0.7)
+        ax.set(xlabel=axis_label(x_label, u), ylabel=axis_label(y_label, unit))
+    if "central ridge" in numbers.profiles:
+        _draw(axes[0], numbers, "central ridge", SECOND)
+    if (median := numbers.values["median_coercivity"]) is not None:
+        axes[0].axvline(median, color="0.4", lw=0.9, ls="--", label="median")
+        axes[0].legend(frameon=False)
+    return axes
+
+
+def plot_compared(
+    diagrams: Mapping[str, ForcDiagram], figure: Any, *, units: Mapping[str, str] | None = None
+) -> tuple[list[Any], Any]:
+    """Diagrams found in different ways beside each other, over their coercivity distributions with two standard errors.
+
+    Args:
+        diagrams: by how they were found; at most two.
+        figure: an empty matplotlib figure.
+        units: of the input "u" and the output "y".
+
+    Returns:
+        The axes of the diagrams, and those of the distributions.
+    """
+    u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
+    grid = figure.add_gridspec(2, len(diagrams))
+    panels, below = [figure.add_subplot(grid[0, k]) for k in range(len(diagrams))], figure.add_subplot(grid[1, :])
+    for ax, (name, diagram), color in zip(panels, diagrams.items(), (SECOND, MODEL), strict=False):
+        plot_forc_diagram(diagram, ax, units=units)
+        ax.set_title(name)
+        _draw(below, forc_numbers(diagram), "coercivity", color, name)
+    for ax in panels[1:]:  # one frame, so that the pictures can be laid over each other
+        ax.set(xlim=panels[0].get_xlim(), ylim=panels[0].get_ylim())
+    below.axhline(0.0, color="black", lw=0.7)
+    below.set(
+        xlabel=axis_label("coercivity", u), ylabel=axis_label("integral", _per_unit(y, u)), xlim=panels[0].get_xlim()
+    )
+    below.legend(frameon=False)
+    return panels, below
+
+
+def _draw(ax: Any, numbers: ForcNumbers, name: str, color: str, label: str = "") -> None:
+    one = numbers.profiles[name]
+    known = np.isfinite(one.values)
+    x, values = one.x[known], one.values[known]
+    ax.plot(x, values, color=color, lw=1.2, label=label or name)
+    if one.stderr is not None:
+        band = 2 * one.stderr[known]
+        ax.fill_between(x, values - band, values + band, color=color, alpha=0.25, lw=0)
+
+
+def _per_unit(y: str, u: str) -> str:
+    """Unit of a density over an axis; "" where a unit is unknown."""
+    return "" if not (y and u) else f"{y}/{u}" if u.isalpha() else f"{y}/({u})"

@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params.relative_size import relative_size
+from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.loop_branches import turns_of
@@ -28,10 +29,7 @@ from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
-_WHOLE = 0.01  # gap to the fitted range, in parts of it, within which a measured cycle covers it
-_INPUTS = 2001  # of the branches of a measured cycle
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
-_OPEN = 1.0  # a quantity is undetermined when its standard error is its natural size
 
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
@@ -89,7 +87,7 @@ def _estimate(
         return made(None, None, Unknown.NOT_DETERMINED)
     slope = np.where(without, 0.0, change / size)
     error = float(np.sqrt(max(slope @ np.where(np.isfinite(covariance), covariance, 0.0) @ slope, 0.0)))
-    if error > _OPEN * natural:
+    if error > OPEN * natural:
         return made(None, None, Unknown.NOT_DETERMINED)
     return made(value, error, None)
 
@@ -201,7 +199,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
     are no loop.
     """
     excitation = Excitation.of(data)
-    inputs = np.linspace(excitation.low, excitation.high, _INPUTS)
+    inputs = np.linspace(excitation.low, excitation.high, 2001)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
     first = 0.0  # duration of the first loop
     for record in data.map(from_turning_point):
@@ -238,7 +236,7 @@ def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) 
     """The measured output at inputs between two turning points; None where the branch does not cover them."""
     kept = first + np.flatnonzero(record.used[first : last + 1])
     kept = kept[np.argsort(record.u[kept], kind="stable")]
-    u, slack = record.u[kept], _WHOLE * float(inputs[-1] - inputs[0])
+    u, slack = record.u[kept], SLACK * float(inputs[-1] - inputs[0])
     if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:
         return None
     return np.interp(inputs, u, record.y[kept])

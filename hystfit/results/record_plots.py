@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 
 CYCLES = {"first": MODEL, "last": THIRD, "largest error": SECOND}  # of many, those that a picture shows
 _POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
-_BEYOND = 2.0  # times the largest residual fitted, beyond which a few residuals not fitted are not drawn
-_OUTLIER = 3.0  # times the 99.5 % quantile of the residuals fitted, beyond which a few of them are not drawn
-_FEW_OUTLIERS = 0.005  # fraction beyond that quantile
 _MANY_CYCLES = 4  # above which the loop shows some of them
 _TURN = 0.3  # of the input's range: stroke of a cycle
-_STRETCH = 0.1  # of a record: length of the stretch around the largest error; two cycles where there are many
 
 
 class Trace:
@@ -156,7 +152,7 @@ def draw_worst(traces: list[Trace], ax: Axes) -> None:
     trace, error = max(zip(traces, errors, strict=True), key=lambda pair: float(pair[1].max()))
     middle, size = int(np.argmax(error)), error.size
     turns = [part.stop - part.start for _, part in _selected_cycles(trace).values()]
-    half = max(20, turns[-1] if turns else int(_STRETCH * size / 2))
+    half = max(20, turns[-1] if turns else size // 20)
     part = slice(max(middle - half, 0), min(middle + half + 1, size))
     at = part.start + thin(_POINTS, trace.y[part], trace.predicted[part])
     ax.plot(trace.axis[at], trace.y[at], color=MEASURED, lw=2.6, label="measured")
@@ -228,7 +224,8 @@ def draw_residuals_over_input(traces: list[Trace], ax: Axes) -> None:
 def _frame(ax: Axes, traces: list[Trace]) -> None:
     """Limit the axis where a few residuals are so large that they would flatten the others, and say how many are not shown."""
     seen, held = (np.abs(np.concatenate([t.residual[getattr(t, k)] for t in traces])) for k in ("seen", "held"))
-    usual = _OUTLIER * float(np.quantile(seen, 1 - _FEW_OUTLIERS)) if seen.size else 0.0
+    # A few residuals beyond three times the 99.5 % quantile, or not fitted and beyond twice the largest fitted, are not drawn.
+    usual = 3.0 * float(np.quantile(seen, 0.995)) if seen.size else 0.0
     outliers = np.concatenate([seen, held])
     outliers = outliers[outliers > usual]
     if usual > 0 and (seen > usual).any() and outliers.size <= 0.01 * (seen.size + held.size):
@@ -238,7 +235,7 @@ def _frame(ax: Axes, traces: list[Trace]) -> None:
             f"{outliers.size} {'outlier lies' if outliers.size == 1 else 'outliers lie'} outside (up to {outliers.max():.3g})",
         )
         return
-    limit = _BEYOND * np.max(seen, initial=0.0)
+    limit = 2.0 * np.max(seen, initial=0.0)
     beyond = held > limit
     if limit > 0 and 0 < beyond.sum() <= 0.05 * held.size:
         ax.set_ylim(-limit, limit)

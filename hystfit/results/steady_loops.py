@@ -21,7 +21,6 @@ from hystfit.quality.loops import cycles
 from hystfit.results.loop_kinds import LoopKind
 
 _CYCLES, _POINTS = 3, 400
-_MOST_CYCLES = 50
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
 _NO_CREEP = 1e-6  # % a decade
@@ -190,7 +189,7 @@ def creeps(percent: np.ndarray) -> bool:
 def _cycles_of_path(data: Dataset, span: float) -> int:
     """Cycles over a range that run at most the longest path of a record up to its last sample that counts."""
     path = max(float(np.abs(np.diff(record.u[: np.flatnonzero(record.used)[-1] + 1])).sum()) for record in data)
-    return int(np.clip(path / (2 * span), _CYCLES, _MOST_CYCLES)) if span > 0 else _CYCLES
+    return int(np.clip(path / (2 * span), _CYCLES, 50)) if span > 0 else _CYCLES
 
 
 def _waveform(data: Dataset) -> tuple[float, bool, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_type_hints
 
 import jax
 import numpy as np
@@ -14,6 +14,7 @@ from hystfit.inference.problem import LOSSES, Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
+from hystfit.outcome.table import ROUNDING
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
@@ -24,7 +25,17 @@ from hystfit.results.user_code import allow, noise_file
 
 SCHEMA = "hystfit.fit/3"
 COVARIANCE_AS_TEXT = 200  # parameters up to which result.json has the covariance
-_CLOSE = 1e-9  # relative, of a parameter in result.json to that of the model
+# Sections of result.json: the field of the result by the name of each member.
+_SECTIONS = {
+    "residuals": {
+        "sigma": "sigma",
+        "correlation_time_samples": "correlation_time",
+        "error_ratio_to_iid": "error_ratio",
+    },
+    "identifiability": {"rank": "rank", "condition": "condition"},
+    "method": {"name": "method", "starts": "starts", "in_best_basin": "in_best_basin"},
+    "timing": {"compile_s": "compile_s", "run_s": "run_s"},
+}
 
 
 def content_of(result: FitResult) -> dict[str, Any]:
@@ -32,6 +43,10 @@ def content_of(result: FitResult) -> dict[str, Any]:
     covariance = None
     if len(result.covariance) <= COVARIANCE_AS_TEXT:  # null for what is not finite, which JSON cannot represent
         covariance = np.where(np.isfinite(result.covariance), result.covariance, np.array(None)).tolist()
+    sections = {
+        name: {key: getattr(result, field) for key, field in members.items()} for name, members in _SECTIONS.items()
+    }
+    sections["identifiability"]["free"] = len(result.free_names)
     return {
         "schema": SCHEMA,
         "model": result.name,
@@ -50,20 +65,13 @@ def content_of(result: FitResult) -> dict[str, Any]:
             "test": verdict_dict(result.test, result.test_baselines),
             "left_out": result.left_out,
         },
-        "residuals": {
-            "sigma": result.sigma,
-            "correlation_time_samples": result.correlation_time,
-            "error_ratio_to_iid": result.error_ratio,
-        },
-        "identifiability": {"rank": result.rank, "free": len(result.free_names), "condition": result.condition},
-        "method": {"name": result.method, "starts": result.starts, "in_best_basin": result.in_best_basin},
+        **sections,
         "problem": {
             "loss": result.problem.objective.loss,
             "fixed": [p.name for p in result.parameters if p.fixed],
             "tied": result.problem.space.expressions,
             "noise": {"name": result.noise.name, "parameters": result.noise.parameters},
         },
-        "timing": {"compile_s": result.compile_s, "run_s": result.run_s},
         "provenance": result.provenance,
     }
 
@@ -97,8 +105,12 @@ def result_of(
     values = dict(zip(space.names, x, strict=True)) | {name: value for name, value, _ in space.fixed()}
     values |= {tie.name: value for tie, value, *_ in space.tied(x)}
     _refuse_mixture(stored, parameters, values)
-    metrics, residuals, rank = (stored.part(key) for key in ("metrics", "residuals", "identifiability"))
-    method, timing, verdict = (stored.part(key) for key in ("method", "timing", "verdict"))
+    metrics, verdict, kinds = stored.part("metrics"), stored.part("verdict"), get_type_hints(FitResult)
+    fields = {
+        field: stored.part(name).get(key, kinds[field])
+        for name, members in _SECTIONS.items()
+        for key, field in members.items()
+    }
     train, baselines = _metrics(metrics.optional_part("train")), _baselines(verdict, "train")
     if train is None or baselines is None:
         raise DataError(
@@ -116,16 +128,7 @@ def result_of(
         joint=None if covariance is None else covariance[1],
         train=train,
         test=_metrics(metrics.optional_part("test")),
-        sigma=residuals.get("sigma", float),
-        correlation_time=residuals.get("correlation_time_samples", float),
-        error_ratio=residuals.get("error_ratio_to_iid", float),
-        rank=rank.get("rank", int | None),
-        condition=rank.get("condition", float | None),
-        method=method.get("name", str),
-        starts=method.get("starts", int),
-        in_best_basin=method.get("in_best_basin", int),
-        compile_s=timing.get("compile_s", float | None),
-        run_s=timing.get("run_s", float | None),
+        **fields,
         noise=noise,
         baselines=baselines,
         test_baselines=_baselines(verdict, "test"),
@@ -198,7 +201,7 @@ def _refuse_mixture(stored: Stored, parameters: tuple[ParameterEstimate, ...], v
     if set(values) != {p.name for p in parameters}:
         raise DataError(f"{stored.place}: the parameters are not those of the model; restore the folder, or fit again")
     for p in parameters:
-        if not np.isclose(p.value, values[p.name], rtol=_CLOSE, atol=0.0):
+        if not np.isclose(p.value, values[p.name], rtol=ROUNDING, atol=0.0):
             raise DataError(
                 f"{stored.place}: {p.name} is {p.value!r}, and {float(values[p.name])!r} in the model: the files belong to different "
                 "fits; restore the folder, or fit again"

@@ -23,7 +23,6 @@ Task = Callable[[Any], Any]
 Outcome = tuple[int, Any]
 # Seconds to wait for a scheduler and for a running worker; a killed worker is restarted sooner.
 _PATIENCE = 30.0
-_PAUSE = 0.2  # seconds between two looks at tasks on their way
 _RESUMES = "the same call resumes where it was given a folder"
 
 
@@ -92,7 +91,7 @@ def _finished(client: Client, waiting: set[Future], address: str) -> Iterator[Fu
     """Yield tasks as they end; a scheduler without running workers for long is an error."""
     alone = time.monotonic()
     while waiting:
-        time.sleep(_PAUSE)
+        time.sleep(0.2)
         running = client.status == "running" and _running(client)
         if any(task.cancelled() for task in waiting):  # a client's tasks go with its connection
             raise DataError(f"the Dask scheduler at {address!r} was lost; {_RESUMES}")

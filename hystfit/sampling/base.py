@@ -6,58 +6,18 @@ import abc
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from hystfit.errors import ParameterError
-from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior
-from hystfit.inference.problem import Problem
 from hystfit.outcome import Note
 from hystfit.results.result import FitResult
-from hystfit.sampling.setup import prepare
+from hystfit.sampling.setup import Prepared, prepare
 
 Progress = Callable[[str, float], None]
-
-
-class Prepared(Protocol):
-    """A posterior that a sampler has prepared."""
-
-    @property
-    def problem(self) -> Problem:
-        """Model and data as they were fitted, with the noise model."""
-        ...
-
-    @property
-    def noise(self) -> str:
-        """The choice of the noise model, as users write it."""
-        ...
-
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """What was chosen, and why."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
-        ...
-
-    @property
-    def dependence(self) -> Dependence | None:
-        """Of the priors on each other; None where they are independent."""
-        ...
-
-    @property
-    def priors(self) -> Mapping[str, AbstractPrior]:
-        """Priors by name."""
-        ...
-
-    def physical(self, z: np.ndarray) -> np.ndarray:
-        """Physical parameters of draws, shape (chains, draws, d)."""
-        ...
 
 
 class Evidence(NamedTuple):

@@ -13,7 +13,6 @@ from hystfit.outcome.note import warn
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
 _APART = 1.1  # R-hat above which chains are not merely short
-_MORE = 20.0  # factor in the number of draws above which more draws are not a remedy
 
 
 def split(draws: np.ndarray) -> np.ndarray:
@@ -123,7 +122,7 @@ class Convergence:
         least = int(np.argmin(both))
         if both[least] < GOOD_ESS:
             times = GOOD_ESS / max(both[least], 1)
-            more = f": draw about {times:.1f} times as many" if times < _MORE else ""
+            more = f": draw about {times:.1f} times as many" if times < 20 else ""  # beyond, more draws are no remedy
             text = f"too few effective draws: {both[least]:.0f} for {names[least]} ({GOOD_ESS} are needed){more}"
             notes.append(warn(Code.CHAINS, text))
         return notes

@@ -27,9 +27,6 @@ from hystfit.inference.density import Density
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import leaves_of
 
-_HALVINGS = 16  # of the search for b, until it is known to a hundredth
-_NEWTONS = 4  # steps from there to all digits
-
 
 class NoiseCoordinates(eqx.Module):
     """The map between z and coordinates w that have (a, c) in the places of the logarithms of (w, s).
@@ -129,8 +126,8 @@ def _ratio(c: Array, t: Array, count: Array) -> Array:
         return jnp.where(above, ends[0], middle), jnp.where(above, middle, ends[1])
 
     improve = lambda _, b: b - (b + _distance(b, t, count) - c) / (1 + _by_ratio(b, t, count))
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))
-    return jax.lax.fori_loop(0, _NEWTONS, improve, 0.5 * (low + high))
+    low, high = jax.lax.fori_loop(0, 16, halve, (low, high))  # until b is known to a hundredth
+    return jax.lax.fori_loop(0, 4, improve, 0.5 * (low + high))  # to all digits
 
 
 @_ratio.defjvp

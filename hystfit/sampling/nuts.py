@@ -29,7 +29,6 @@ from hystfit.sampling.target import Target
 from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
-_ROUNDS = 3  # of covariance and shear
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
@@ -235,7 +234,7 @@ class _Adaptation:
         """Covariance from positions in the coordinates of a target, and the step size; `plain` is the target before any whitening."""
         for _ in range(1 + _AGAIN):
             v = target.v_of(positions[len(positions) // 10 :], np)
-            for _ in range(_ROUNDS):  # the covariance depends on the shear, and the shear on the covariance
+            for _ in range(3):  # the covariance depends on the shear, and the shear on the covariance
                 target = plain.sheared(np.asarray(target.factor) @ _spread(target.q_of(v, np)))
             q, size, positions, diverges = self.steps(target, to_device(target.q_of(v[-1], np)), 0.7, 1)
             if not diverges:

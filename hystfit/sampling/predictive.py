@@ -2,7 +2,7 @@
 
 They include the uncertainty of the parameters; for a record that was not fitted, the spread of per-record parameters (the offset) over
 the fitted records; and the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
-records (`hystfit.inference.noise.innovations`), and a recurring error as the residuals determine it. Where a fit held out groups of
+records (`hystfit.inference.noise.base`), and a recurring error as the residuals determine it. Where a fit held out groups of
 samples to choose its regularization, the noise over a record that was not fitted is widened by the part of their error that it does not
 explain: many weights absorb part of the model's error at the fitted loops. Beyond that, no error of the model at amplitudes,
 frequencies or levels that were not fitted is included.
@@ -11,6 +11,7 @@ frequencies or levels that were not fitted is included.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -30,8 +31,6 @@ from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
-
-_LEAST = 1e-12  # variance of noise, over that of the error on held-out groups, below which it is rounding
 
 
 @eqx.filter_jit
@@ -90,12 +89,10 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     new = dataclasses.replace(new, weight=jnp.ones_like(new.weight))  # unmeasured samples have noise too
     key = jax.random.key(seed)
     if problem.closed_form:
-        residual, jacobian = problem.linearize(result.x)
-        away = rows[:, : len(result.free_names)] - result.x
-        noise = _noise_about(problem.density, new, jnp.asarray(rows), residual, jacobian, away, key)
+        density, about = problem.density, (*problem.linearize(result.x), result.x)
     else:
-        noise = _noise_of_draws(problem.trimmed().density, new, jnp.asarray(rows), key)
-    noise = np.asarray(noise)[:, : len(record)]
+        density, about = problem.trimmed().density, None
+    noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), key, about))[:, : len(record)]
     if result.left_out is not None and not is_fitted(result, record):
         noise = noise * _widening(result.left_out, problem.held_out.count, y, noise, seed)[:, None]
     return result.to_unit_of(given, y + noise)
@@ -121,31 +118,29 @@ def _widening(left_out: float, groups: int, y: np.ndarray, noise: np.ndarray, se
     explained = float(np.mean(noise**2))
     missing = max(left_out**2 - float(np.mean(np.var(y, axis=0))) - explained, 0.0)
     scale = groups / np.random.default_rng(seed).chisquare(groups, size=len(noise))
-    return np.sqrt(1 + missing / max(explained, _LEAST * left_out**2) * scale)
+    return np.sqrt(1 + missing / max(explained, 1e-12 * left_out**2) * scale)  # 1e-12: rounding
 
 
 @eqx.filter_jit
-def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array) -> Array:
+def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array, about: Any = None) -> Array:
+    """Noise over a new record from each draw; `about`: residuals and their derivatives at a point, of a model that is linear."""
+
     def one(at: tuple[Array, Array]) -> Array:
         x, key = at
-        return _noise(density, new, x, density.objective.residual(x[: density.p]), key)
+        residual = residual_at(density, x, about)
+        return density.noise.assemble(x[density.p :]).predictive(new, key, density.setting, -residual)[0]
 
     return jax.lax.map(one, (rows, jax.random.split(key, rows.shape[0])))
 
 
-@eqx.filter_jit
-def _noise_about(
-    density: Density, new: Setting, rows: Array, residual: Array, jacobian: Array, away: Array, key: Array
-) -> Array:
-    """`_noise_of_draws` of a model that is linear in all parameters, from its residuals at one point and the draws' distances to it."""
+def residual_at(density: Density, x: Array, about: Any = None) -> Array:
+    """Prediction less measurement of a draw, shape (R, T): by simulation, or linear about a point.
 
-    def one(at: tuple[Array, Array, Array]) -> Array:
-        x, move, key = at
-        return _noise(density, new, x, residual + jacobian @ move, key)
-
-    return jax.lax.map(one, (rows, away, jax.random.split(key, rows.shape[0])))
-
-
-def _noise(density: Density, new: Setting, x: Array, residual: Array, key: Array) -> Array:
-    """Noise over a new record from one draw; `residual` is prediction less measurement over the fitted ones."""
-    return density.noise.assemble(x[density.p :]).predictive(new, key, density.setting, -residual)[0]
+    Args:
+        x: parameters of model and noise.
+        about: residuals at a point, their derivatives there, and the point; None simulates the model.
+    """
+    if about is None:
+        return density.objective.residual(x[: density.p])
+    residual, jacobian, start = about
+    return residual + jacobian @ (x[: density.p] - start)

@@ -29,10 +29,11 @@ from hystfit.results.folders import alone
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import claim
-from hystfit.sampling.base import AbstractSampler, Prepared, Progress
+from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
+from hystfit.sampling.setup import Prepared
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information

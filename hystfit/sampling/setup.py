@@ -36,24 +36,21 @@ _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
 _OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
-_ROUNDS = 10  # of that correction, each by at most a factor of ten
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
 @dataclasses.dataclass(frozen=True)
-class Setup:
-    """A posterior prepared for sampling.
+class Prepared:
+    """A posterior prepared for a sampler.
 
     Attributes:
         problem: model and data as they were fitted, with noise model and priors.
         noise: the choice of the noise model, as users write it.
-        target: centered on the posterior's mode and whitened by the curvature there.
         notes: what was chosen, and why.
     """
 
     problem: Problem
     noise: str
-    target: Target
     notes: tuple[Note, ...]
 
     @property
@@ -74,6 +71,13 @@ class Setup:
     def physical(self, z: np.ndarray) -> np.ndarray:
         """x of draws z, shape (chains, draws, d)."""
         return np.asarray(_physical(self.problem.density, to_device(z.reshape(-1, z.shape[-1])))).reshape(z.shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup(Prepared):
+    """A posterior over the coordinates of `target`, which is centered on the mode and whitened by the curvature there."""
+
+    target: Target
 
 
 @compiled
@@ -158,7 +162,7 @@ def prepare(
     if not np.isfinite(value):
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
-    return Setup(problem, NOISES.label(choice), target, tuple(notes))
+    return Setup(problem, NOISES.label(choice), tuple(notes), target)
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
@@ -204,7 +208,7 @@ def checked(target: Target) -> Target:
 
     Curvature at a kink, or on a plateau that ends, does not give this distance: its mass matrix may be wrong by orders of magnitude.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(10):  # each by at most a factor of ten
         fall = np.nan_to_num(np.asarray(_fall(target)), nan=np.inf)
         times = np.clip(np.sqrt(0.5 / np.maximum(fall, 1e-12)), 0.1, 10.0)
         times = np.where(np.maximum(times, 1 / times) > _OFF, times, 1.0)

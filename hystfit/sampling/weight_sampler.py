@@ -19,17 +19,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.errors import ParameterError
+from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
+from hystfit.inference.residuals import analyze, diagnose
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import has, warn
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.setup import Prepared
 from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import WeightEquations
-from hystfit.sampling.weight_setup import WeightSetup
+from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
@@ -176,3 +182,63 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     return {
         "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior, "log_prior": prior,
     }  # fmt: skip
+
+
+_KNOWN = ("iid", "ou")
+
+
+@dataclasses.dataclass(frozen=True)
+class WeightSetup(Prepared):
+    """The posterior of linear weights; the noise model of its problem is for predictions.
+
+    Attributes:
+        chosen: priors of the weights without a penalty, and the user's own.
+        equations: of the weights.
+        grid: of the noises.
+        size: of the output in the equations.
+    """
+
+    chosen: dict[str, AbstractPrior]
+    equations: WeightEquations
+    grid: NoiseGrid
+    size: float
+
+    @classmethod
+    def of(
+        cls, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
+    ) -> WeightSetup:
+        """Prepare the weights of a fit.
+
+        Raises:
+            ParameterError: another noise model than iid and ou; see `weight_equations`.
+        """
+        if isinstance(priors, CorrelatedPriors):
+            raise ParameterError("sampler='weights' takes independent priors: use sampler='nuts'")
+        problem = result.problem.with_loss("linear")
+        residuals = analyze(problem, result.x)
+        diagnosis = diagnose(residuals)
+        label = NOISES.label(noise) if noise != "auto" else "ou" if residuals.correlated else "iid"
+        if label not in _KNOWN:
+            raise ParameterError(f"sampler='weights' knows the noise models {' and '.join(_KNOWN)}, got {label}")
+        notes = [Note(Code.NOISE_MODEL, f"noise model {label}: {'; '.join(note.text for note in diagnosis.findings)}")]
+        if has(diagnosis.findings, Code.REPEATING_RESIDUALS):
+            text = "part of the residuals recurs every loop: the model is incomplete, and its weights are biased by more than chance"
+            notes.append(warn(Code.INCOMPLETE, text))
+        grid = NoiseGrid.about(residuals.slow if label == "ou" else None)
+        chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
+        equations = weight_equations(problem, result.x, grid, chosen, size)
+        return cls(problem.with_noise(NOISES.make(label)), label, tuple(notes), chosen, equations, grid, size)
+
+    @property
+    def priors(self) -> dict[str, AbstractPrior]:
+        """Those of single weights."""
+        return self.chosen
+
+    def parameters(self, draws: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Physical parameters of model and noise from draws of the chains, shape (chains, draws, d)."""
+        noise = self.grid.parameters(draws["number"], draws["variance"] * self.size**2)
+        return np.concatenate([draws["w"] * self.size, noise], axis=-1)
+
+    def physical(self, z: np.ndarray) -> np.ndarray:
+        """The draws are physical."""
+        return z

@@ -29,8 +29,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.folders import alone
-from hystfit.uncertainty.replicate_pool import collect
-from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, typical_noise
+from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, collect, typical_noise
 
 SCHEMA = "hystfit.calibrate/1"
 _FEWEST = 20  # replicates below which no conclusion is possible

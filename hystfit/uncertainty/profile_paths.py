@@ -12,11 +12,8 @@ from hystfit.inference.bounded_newton import BoundedNewton, Point
 
 # Deviation of the root statistic from that of the curvature, relative, up to which one descent is enough.
 _ORDINARY = 0.2
-_SPREAD = 8  # further starts of a refit that ends a path
-_STEPS = 24  # points on each side at most
 _STRIDE = 0.6  # target rise of the root statistic from point to point
 _JUMP = 1.5  # rise of the root statistic above which a step is shortened
-_SHORTER = 5  # times a step is shortened at most
 _FAR = 12.0  # distance in z beyond which a side counts as open: a factor of 160 000, or within 6e-6 of a bound
 _BACK = 8.0  # |z| at the other bound of a parameter that starts on one
 _FAR_LINEAR = 1e4  # the same for a linear parameter, in its scale
@@ -90,13 +87,13 @@ class Walk:
         linear = self.newton.linear[self.k]
         step = float(np.clip(_STRIDE * self._error, 1e-6, 10.0 if linear else 1.0))
         far = _FAR_LINEAR if linear else max(_FAR, abs(start) + _BACK)
-        while len(points) <= _STEPS:
+        while len(points) <= 24:  # on each side
             value = float(np.clip(points[-1].v[self.k] + sign * step, low, high))
             if value == points[-1].v[self.k]:
                 break
             point = self._best_refit(value, points[-1])
             rise = self.root(point) - before
-            if rise > _JUMP and shorter < _SHORTER:
+            if rise > _JUMP and shorter < 5:  # times
                 step, shorter = 0.3 * step, shorter + 1
                 continue
             points.append(point)
@@ -147,7 +144,7 @@ class Walk:
             return [self.optimum.v]
         space = newton.problem.space
         center = space.unconstrained(newton.physical(self.optimum.v))
-        return [newton.coordinates(space.physical(z)) for z in spread_starts(newton.problem, center, _SPREAD, 0)]
+        return [newton.coordinates(space.physical(z)) for z in spread_starts(newton.problem, center, 8, 0)]
 
     def _refit(self, value: float, *others: np.ndarray, steps: int = 8) -> Point:
         """The best refit with the parameter at a value, from several starts of the other parameters."""

@@ -1,9 +1,11 @@
-"""One replicate of a calibration: parameters from the prior, data from them, a posterior from the data, the rank of the truth in it."""
+"""Replicates of a calibration: parameters from the prior, data from them, a posterior, the rank of the truth in it; kept in chunks."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import equinox as eqx
@@ -20,7 +22,10 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior, priors_around
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.storage import to_json
 from hystfit.params.space import ParameterSpace
+from hystfit.runs.chunks import claim, keep, load
+from hystfit.runs.pool import computed
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.target import Target
 from hystfit.sampling.transitions import Tuning, advance
@@ -30,7 +35,6 @@ CHUNK = 10  # replicates in one compiled call and one file
 RANKS = 79  # posterior draws among which the truth is ranked: eighty places, of which intervals of 90 and 95 % hold whole numbers
 REASONS = {1: "the mode was not found", 2: "the posterior is not finite", 3: "its chunk broke"}
 _THIN, _WARM, _DEPTH = 3, 60, 6  # of NUTS: transitions between two draws, for adaptation, and doublings at most
-_STEPS = 300  # of emcee, after which the last place of each walker is a draw
 _AWAY = 3.0  # standard deviations of the places where its walkers begin: they must find the posterior by themselves
 
 
@@ -190,5 +194,60 @@ def _by_emcee(target: Target, truth: Any, priors: tuple[AbstractPrior, ...], key
     first_state = start(whitened, RANKS + 1, seed, _AWAY)
     if not np.isfinite(first_state.log_prob).all():
         return jnp.zeros(d, int), jnp.full(d, jnp.nan), reason
-    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, _STEPS, skip_initial_state_check=True)
+    # The last place of each walker after 300 steps is a draw.
+    last: Any = walk(whitened, RANKS + 1).run_mcmc(first_state, 300, skip_initial_state_check=True)
     return *_rank(x, whitened, jnp.asarray(last.coords[:RANKS])), reason
+
+
+Chunk = dict[str, np.ndarray]
+
+
+def collect(
+    study: Study,
+    count: int,
+    folder: str | Path | None,
+    workers: int,
+    scheduler: str | None,
+    progress: Callable[[str], None] | None,
+) -> tuple[list[Chunk], list[str]]:
+    """`count` chunks in order, and a sentence on each that broke; a chunk that broke is not kept, so that the same call tries it again.
+
+    Raises:
+        DataError: the folder holds another study.
+        HystfitError: settings that cannot be used, or a missing extra.
+    """
+    place = None if folder is None else _claim(Path(folder), study)
+    done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
+    missing = [k for k in range(count) if k not in done]
+    broken = []
+    for number, outcome in computed(partial(run_chunk, study), missing, workers, scheduler):
+        k = missing[number]
+        if isinstance(outcome, Exception):
+            broken.append(f"chunk {k} broke: {type(outcome).__name__}: {outcome}")
+            done[k] = broken_chunk(study)
+        else:
+            done[k] = outcome
+            if place is not None:
+                keep(_file(place, k), outcome)
+        if progress:
+            progress(f"{len(done)} of {count} chunks of {CHUNK} replicates")
+    return [done[k] for k in sorted(done)], broken
+
+
+def _file(place: Path, k: int) -> Path:
+    return place / f"chunk-{k:05d}.npz"
+
+
+def _load(file: Path) -> Chunk | None:
+    """A stored chunk; None where there is none, or a damaged one."""
+    outcome = load(file)
+    return outcome if outcome is not None and set(outcome) == {"ranks", "errors", "reason"} else None
+
+
+def _claim(folder: Path, study: Study) -> Path:
+    """The folder of a study, new or of the same one."""
+    values = {k: np.asarray(v).tolist() for k, v in vars(study.truth).items() if hasattr(v, "shape")}
+    described = {k: getattr(study, k) for k in ("assumed", "method", "spread", "fix", "free", "seed")}
+    priors = {k: v.exact() for k, v in study.priors.items()}
+    described = {"model": to_json(study.model), "truth": [study.truth.name, values], "priors": priors, **described}
+    return claim(folder, "study.json", described | {"inputs": [record.digest() for record in study.data]})

@@ -133,7 +133,6 @@ def _span(values: Sequence[float] | np.ndarray) -> str | None:
 
 
 def _typical(ratio: np.ndarray) -> float:
-    """Geometric mean of those that are known."""
     known = ratio[np.isfinite(ratio) & (ratio > 0)]
     return float(np.exp(np.mean(np.log(known)))) if known.size else float("nan")
 

@@ -12,8 +12,8 @@ import numpy as np
 import hystfit as hf
 from hystfit.models.preisach.forc_diagram import forc_diagram
 from hystfit.models.preisach.forc_numbers import NUMBERS, forc_numbers
-from hystfit.results.forc_plots import plot_compared, plot_forc_diagram, plot_profiles
-from hystfit.sampling.forc_density import sampled_density
+from hystfit.results.preisach_plots import plot_compared, plot_forc_diagram, plot_profiles
+from hystfit.sampling.derived import sampled_density
 
 hf.enable_x64()
 rng = np.random.default_rng(0)

@@ -15,7 +15,8 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
-_EVEN = 1e-9  # largest relative difference between steps that are even
+from hystfit.outcome.table import ROUNDING
+
 _BLOCK = 2**14  # frequencies summed at once
 _PRODUCTS = 2**22  # largest number of products of rows that are kept
 # The same of fits whose noise is sought side by side: memory of this size is used again. Four times as much is mapped anew in each step:
@@ -49,7 +50,7 @@ class EvenRows:
         record.
         """
         steps, n = gap[1:], gap.size
-        if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= _EVEN * steps.min():
+        if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= ROUNDING * steps.min():
             return None
         angle = np.pi * np.arange(n) / n
         first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)

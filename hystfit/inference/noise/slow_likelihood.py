@@ -24,7 +24,6 @@ POINTS = 12  # inducing points of curves over the input
 _RATIOS = (1e-2, 1.0, 1e2)  # of white to slow variance, tried before the search
 _LEAST, _MOST = 1e-6, 1e6  # of that ratio
 _SHORTEST = 0.2  # correlation time, samples
-_VAGUE = 1.0  # prior standard deviation of the log variance of the shapes
 _STENCIL = 0.15 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
 _PARTS = (1.0, 0.4, 2.0)  # of a Newton step, of which the best is taken
 _NEWTONS, _NO_GAIN = 20, 1e-4  # steps, and decrease of -2 log likelihood below which they end
@@ -221,7 +220,7 @@ class Contrasts:
         left = inner[..., 0, 0, None] - np.sum(strength[..., None] * score**2 / shrunk, axis=-1)
         square = np.maximum(left, 1e-300) / (n - p)
         value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=-1) + log_det[..., None]
-        value = value + (np.log(strength * square / self.expected[..., None, None]) / _VAGUE) ** 2
+        value = value + np.log(strength * square / self.expected[..., None, None]) ** 2  # a factor e either way
         least = value.min(axis=-1)
         share = np.exp(-0.5 * (value - least[..., None]))
         share /= share.sum(axis=-1, keepdims=True)

@@ -13,7 +13,6 @@ from hystfit.errors import DataError
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.staircase import compile_input
 
-_ROUNDS = 5000  # of projections at most
 _NEAR = 0.05  # of the levels' range: an input so close to the lowest level has come back to it
 
 
@@ -187,7 +186,7 @@ def _monotone(X: np.ndarray) -> np.ndarray:
     """Dykstra's alternating projections on "falls with beta" and "rises with alpha", from 0 on the diagonal."""
     n = X.shape[0]
     Y, kept = X.copy(), [np.zeros_like(X), np.zeros_like(X)]
-    for _ in range(_ROUNDS):
+    for _ in range(5000):
         before = Y
         for k in (0, 1):
             trial = Y + kept[k]

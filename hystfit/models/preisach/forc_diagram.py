@@ -11,12 +11,12 @@ import scipy.sparse
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
+from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.reversal_curves import reversal_curves
 
 _TERMS = 6  # coefficients of a polynomial of second degree in two variables
 _FEWEST = 9  # points of a local fit
 _FINEST = 8.0  # fields for each step of the reversals at most: more cost memory, and a window averages over all of them
-_MEDIAN_CHI2 = 0.4549  # median of chi-squared with one degree of freedom
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,7 +189,7 @@ class _LocalFits:
         own = self.middle[np.arange(self.rows.size), self.rows]
         freedom = 1 - np.asarray(own).ravel()
         left = known[self.rows] - self.middle @ known
-        return float(np.sqrt(np.median(left**2 / np.maximum(freedom, 1e-12)) / _MEDIAN_CHI2))
+        return float(MAD_TO_RMS * np.sqrt(np.median(left**2 / np.maximum(freedom, 1e-12))))
 
     def _placed(self, values: np.ndarray) -> np.ndarray:
         table = np.full(self.shape, np.nan)

@@ -12,7 +12,6 @@ from hystfit.errors import DataError, ModelError
 from hystfit.quality.reversal_curves import ReversalFamily
 
 Spacing = Literal["quantile", "square", "uniform", "steep", "reversal-curves", "given"]
-_BINS = 400  # of the input's range, in which slopes are averaged
 
 
 def choose_levels(
@@ -81,7 +80,7 @@ def steep_levels(records: Sequence[Record], n: int, center: float | None, *, rel
     low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
     if low == high:
         raise DataError(f"the input is constant ({low:g}): it gives no range for thresholds")
-    axis = np.linspace(low, high, _BINS + 1)
+    axis = np.linspace(low, high, 401)
     branches = [part for sign in (1, -1) if (part := _slopes(records, axis, sign))[0].size]
     branches = branches or [(np.zeros(0), np.zeros(0))]  # no slope that the samples show: levels at even distances
     if center is not None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.model import Preisach
@@ -18,7 +19,6 @@ from hystfit.quality.loops import SAME_LEVEL
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
 CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
 HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-_ALIKE = 0.01  # difference of two inputs, as a fraction of their range, up to which branches end at the same input
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
@@ -139,7 +139,7 @@ def congruency(record: Record) -> list[Congruency]:
         the same history twice agree for any memory: their differences are repeatability.
     """
     u, y = record.u, record.y
-    span, reach = float(np.nanmax(y) - np.nanmin(y)) or 1.0, _ALIKE * float(np.ptp(u))
+    span, reach = float(np.nanmax(y) - np.nanmin(y)) or 1.0, SLACK * float(np.ptp(u))
     corners = _corners(u)
     groups: dict[int, list[np.ndarray]] = {}
     ends: dict[int, tuple[float, float]] = {}

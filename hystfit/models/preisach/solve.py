@@ -1,4 +1,4 @@
-"""Weights of a Preisach model from any records: convex, non-negative, smooth, the smoothness chosen on data left out."""
+"""Weights of a Preisach model from any records, or from reversal curves: convex, non-negative, smooth, by data left out."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.forc_diagram import ForcDiagram
+from hystfit.models.preisach.model import Elements, Preisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, fit_smooth
 from hystfit.models.preisach.smooth_system import Offsets, SmoothSystem
+from hystfit.quality.reversal_curves import reversal_curves
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,7 +29,6 @@ class PreisachFit:
         offsets: of every record, shape (R,).
         nrmse_percent: error on the samples that counted, percent of the output's range.
         smoothness: strength that blocks left out chose.
-        left_out_percent: error on those blocks, percent of the output's range; None where one strength was given.
         reach: part of each weight's cells that the data switched, shape (weights,).
         notes: one sentence each.
     """
@@ -35,7 +37,6 @@ class PreisachFit:
     offsets: np.ndarray
     nrmse_percent: float
     smoothness: float
-    left_out_percent: float | None
     reach: np.ndarray
     notes: tuple[str, ...]
 
@@ -84,13 +85,55 @@ def fit_preisach(
         for r, constant in zip(records, constants, strict=True)
     ]
     span = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or np.nan
-    error = None if fit.error is None else 100 * fit.error
     return PreisachFit(
         fitted,
         constants,
         100 * float(np.sqrt(np.mean(np.concatenate(residuals) ** 2))) / span,
         fit.smoothness,
-        error,
         system.reach[: model.w.size],
         system.notes(),
     )
+
+
+def fit_forc(
+    data: Dataset | Sequence[Record],
+    n: int = 60,
+    *,
+    nonnegative: bool = True,
+    elements: Elements = "cells",
+    smoothness: Sequence[float] = SMOOTHNESS[2:7],
+) -> PreisachFit:
+    """Preisach masses from first-order reversal curves, on levels denser where the output is steep (see `levels_of_family`).
+
+    Args:
+        data: one record per curve, the reversal point first.
+        n: cells, or relay levels, along each axis.
+        nonnegative: bound masses and slopes from below; signed masses follow the data closer, and have no inverse.
+        elements: cells, or point relays.
+        smoothness: strengths to choose among, by curves left out.
+
+    Returns:
+        The fit; its model starts from saturation.
+
+    Raises:
+        DataError: see `hystfit.quality.reversal_curves.reversal_curves`.
+    """
+    family = reversal_curves(data)
+    model = Preisach.of(n, elements=elements, spacing="reversal-curves")
+    fit = fit_preisach(family.curves, model, nonnegative=nonnegative, smoothness=smoothness)
+    return dataclasses.replace(fit, notes=(*family.notes, *fit.notes))
+
+
+def density_of(model: Preisach, *, rising: bool = True) -> ForcDiagram:
+    """The density of a fitted model as a diagram over the middles of its cells.
+
+    Args:
+        model: of cells, not of point relays.
+        rising: the curves rise from their reversals, as those of `forc_diagram` that begin at positive saturation.
+    """
+    levels, (i, j) = np.asarray(model.levels), cells(model.n)
+    width, middle = np.diff(levels), 0.5 * (levels[1:] + levels[:-1])
+    area = width[:, None] * width[None, :] * np.where(np.eye(model.n, dtype=bool), 0.5, 1.0)
+    density, at = np.full(area.shape, np.nan), (j, i) if rising else (i, j)
+    density[at] = np.asarray(model.masses()) / area[at]
+    return ForcDiagram(middle, middle, density, area)

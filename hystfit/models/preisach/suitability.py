@@ -22,7 +22,7 @@ from hystfit.models.preisach.properties import (
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.models.preisach.staircase import Rest
 from hystfit.outcome.status import Status
-from hystfit.outcome.wrapping import listed
+from hystfit.outcome.wrapping import NAMED, listed
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
@@ -32,7 +32,6 @@ _MAJOR = 0.95  # fraction of the input's range from which a loop is the major on
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _CELLS = 20  # along an axis, of the model whose errors are split by order
 _FIRST = 1  # reversals that the memory holds on a first-order curve
-_MOST_GROUPS = 8  # of equal texts in the text of a data set
 
 
 @dataclasses.dataclass(frozen=True)
@@ -206,12 +205,12 @@ class PreisachChecks:
         groups: dict[str, list[str]] = {}
         for one in tested or self.checks:
             groups.setdefault(one.text(), []).append(one.record)
-        for text, names in list(groups.items())[:_MOST_GROUPS]:
+        for text, names in list(groups.items())[:NAMED]:
             lines += [f"  {listed(names)}", text]
         if self.outcome == "untested":
             lines.append(f"  not tested: {Status.UNTESTED.advice('check')}")
-        if len(groups) > _MOST_GROUPS:
-            lines.append(f"  ({len(groups) - _MOST_GROUPS} more groups of records are in result.json)")
+        if len(groups) > NAMED:
+            lines.append(f"  ({len(groups) - NAMED} more groups of records are in result.json)")
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:

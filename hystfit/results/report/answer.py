@@ -14,6 +14,8 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, rounded
+from hystfit.outcome.wrapping import NAMED
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, reversals
 from hystfit.reading import datasets
@@ -23,7 +25,6 @@ from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
 
-_NAMED = 4  # parameters named one by one
 _SAMPLED = 40  # parameters that a sampler still takes
 # Notes that may propose another fit: of a window, or with a robust loss.
 _REMEDIED = (
@@ -35,7 +36,6 @@ _REMEDIED = (
     Code.SPIKES,
     Code.HEAVY_TAILS,
 )
-_LAGS = 3.0  # standard errors from which a lag is reported
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,7 +152,7 @@ def _lag(record: Record) -> tuple[str, str] | None:
         return None
     turns = reversals(record.u, SAME_LEVEL * float(np.ptp(record.u)))
     found = estimate_lag(record.u, record.y, record.sampling_interval, turns)
-    if found is None or abs(found.samples) < _LAGS * found.stderr:
+    if found is None or abs(found.samples) < CLEAR * found.stderr:
         return None
     clock = "" if found.seconds is None else f" ({abs(found.seconds):.3g} {record.t_unit})"
     what = "Lag" if found.samples > 0 else "Lead"
@@ -162,8 +162,8 @@ def _lag(record: Record) -> tuple[str, str] | None:
 def _undetermined(result: FitResult) -> str:
     names = [p.name for p in result.parameters if p.identifiable is False and p.at_bound is None]
     bounded = sum(p.at_bound is not None for p in result.parameters)
-    text = "nothing" if not names else ", ".join(names[:_NAMED])
-    if len(names) > _NAMED:
+    text = "nothing" if not names else ", ".join(names[:NAMED])
+    if len(names) > NAMED:
         count = f"{len(names)} of {len(result.free_names)} parameters"
         text = f"{count}, such as {names[0]}; predictions within the fitted range do not need them"
     return text + (f"; {bounded} at a bound" if bounded else "")

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     Data = Record | Dataset | Sequence[Record]
 
-_DPI = 150
 _CAPTIONS = {
     "loop": "Measured loop and model",
     "cycle-errors": "Residuals (measured minus model) of these cycles over the input",
@@ -47,7 +46,6 @@ _CAPTIONS = {
     "test": "Test data (not fitted): loop",
     "test-series": "Test data (not fitted): output",
 }
-_LONG = 600  # samples above which the stretch with the largest error has its own picture
 
 
 def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool = False) -> dict[str, Figure]:
@@ -55,7 +53,7 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     from matplotlib.figure import Figure
 
     kinds = ["loop", "cycle-errors"] if selects_cycles(result) else ["loop"]
-    kinds += ["series", "worst"] if sum(map(len, result.data)) > _LONG else ["series"]
+    kinds += ["series", "worst"] if sum(map(len, result.data)) > 600 else ["series"]  # samples that one picture shows
     kinds += ["residuals", "residuals-input", "autocorrelation", "parameters"]
     kinds += ["weights"] if result.model.plays() else []
     kinds += ["density"] if result.model.plane() is not None else []
@@ -72,11 +70,9 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     return figures
 
 
-def html_report(
-    result: FitResult, *, test: Data | None = None, refit_offset: bool = False, wording: Wording | None = None
-) -> str:
+def html_report(result: FitResult, *, wording: Wording | None = None) -> str:
     """One self-contained HTML page with its pictures."""
-    return _page(result, _captioned(pictures(result, test=test, refit_offset=refit_offset)), wording or Wording())
+    return _page(result, _captioned(pictures(result)), wording or Wording())
 
 
 def notebook_view(result: FitResult) -> str:
@@ -111,7 +107,7 @@ def _write_png(figure: Figure, path: Path) -> None:
     """A figure as PNG: the canvas draws it once, `savefig` twice."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    figure.dpi = _DPI
+    figure.dpi = 150
     FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 1})
     figure.dpi = 100
 

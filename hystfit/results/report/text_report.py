@@ -10,7 +10,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number, rounded
-from hystfit.outcome.wrapping import PROSE, within
+from hystfit.outcome.wrapping import PROSE, shortened, within
 from hystfit.results.loop_values import MEASURED
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.report.answer import Wording, answer
@@ -19,8 +19,6 @@ from hystfit.results.result import FitResult
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
-_MOST_LINES = 60  # of their table
-_MOST_ITEMS = 16  # of a list
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}
 _VERDICT = frozenset(
     {
@@ -56,11 +54,8 @@ def headline(result: FitResult) -> str:
 
 def verdict(result: FitResult) -> list[Note]:
     """The notes on which the status rests, and those that limit it: also quantities in which model and measured loop differ."""
-    return [*(note for note in result.notes if note.code in _VERDICT), *map(_difference, _differing(result))]
-
-
-def _differing(result: FitResult) -> list[QuantityEstimate]:
-    return [one for one in result.quantities if one.differs]
+    notes = [note for note in result.notes if note.code in _VERDICT]
+    return notes + [_difference(one) for one in result.quantities if one.differs]
 
 
 def _difference(one: QuantityEstimate) -> Note:
@@ -109,12 +104,15 @@ def facts(result: FitResult) -> dict[str, list[str]]:
     for record in source.get("records", []):
         digest = record.get("file_sha256") or record.get("data_sha256")
         files.setdefault(digest, []).append(record.get("source") or record.get("name"))
-    for digest, names in list(files.items())[:5]:
-        shared = f" and {len(names) - 1} more records" if len(names) > 1 else ""
-        origin.append(f"{names[0]}{shared}, SHA-256 {digest}")
-    if len(files) > 5:
-        origin.append(f"and {len(files) - 5} more files (result.json has their checksums)")
-    return {"Residuals": spread, "Fit": fit, "Data": _shortened(data), "Provenance": origin}
+    more = lambda names: f" and {len(names) - 1} more records" if len(names) > 1 else ""
+    known = [f"{names[0]}{more(names)}, SHA-256 {digest}" for digest, names in files.items()]
+    origin += shortened(known, 5, "and {} more files (result.json has their checksums)")
+    return {
+        "Residuals": spread,
+        "Fit": fit,
+        "Data": shortened(data, 16, "and {} more (result.json and records.npz)"),
+        "Provenance": origin,
+    }
 
 
 def _extent(values: np.ndarray, unit: str) -> str:
@@ -133,16 +131,6 @@ def _columns_of(record: Record) -> list[str]:
     if record.t is not None:
         ranges.append(f"{record.t[-1] - record.t[0]:.4g} {record.t_unit}".rstrip() + " long")
     return ranges
-
-
-def _shortened(items: list[str]) -> list[str]:
-    more = len(items) - _MOST_ITEMS
-    return items if more <= 0 else [*items[:_MOST_ITEMS], f"and {more} more (result.json and records.npz)"]
-
-
-def _shown(lines: list[str]) -> list[str]:
-    more = len(lines) - _MOST_LINES
-    return lines if more <= 0 else [*lines[:_MOST_LINES], f"  and {more} more (result.json)"]
 
 
 def text_report(result: FitResult, wording: Wording | None = None, width: int = PROSE) -> str:
@@ -164,7 +152,7 @@ def text_report(result: FitResult, wording: Wording | None = None, width: int = 
     if result.quantities:
         lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
     if any(result.measured.rows.values()):
-        lines += ["", MEASURED, *_shown(result.measured.table().lines("  "))]
+        lines += ["", MEASURED, *shortened(result.measured.table().lines("  "), 60, "  and {} more (result.json)")]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
     lines += [f"  {words}" for words in (fixed_words(result), unit_words(result)) if words]
     if notes := remarks(result):
