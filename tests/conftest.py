@@ -17,7 +17,7 @@ from hypothesis import settings
 
 from hystfit.config import enable_x64
 
-from . import FAST_TO_COMPILE
+from . import compile_fast
 from .sparing import Pictures, ShapeChecks
 
 enable_x64()
@@ -60,7 +60,7 @@ LONGEST = (
 def pytest_configure(config: pytest.Config) -> None:
     """The flags are read at the first computation, and the rooms that are checked are imported, after this."""
     if config.option.markexpr == "not slow":
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FAST_TO_COMPILE}"
+        compile_fast()
         jaxtyping.jaxtyped = ShapeChecks(jaxtyping.jaxtyped)
 
 

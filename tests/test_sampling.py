@@ -97,13 +97,18 @@ def test_noise_slower_than_the_record_is_left_to_the_offset(fitted):
     assert "40" in str(setup.problem.priors[setup.names.index("noise_time")])
 
 
+def each(function):
+    """A function of one row for all rows, in one program."""
+    return jax.jit(jax.vmap(function))
+
+
 def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_the_tails():
     bend = Bend(jnp.asarray([True, False]), jnp.zeros(2))
     v = np.linspace(-4.5, 4.5, 181)
-    rows = jnp.asarray(np.stack([v, v], 1))
-    z = np.asarray(jax.vmap(bend.unbent)(rows))
+    rows = np.stack([v, v], 1)
+    z = np.asarray(each(bend.unbent)(rows))
     np.testing.assert_array_equal(z[:, 1], v)
-    np.testing.assert_allclose(np.asarray(jax.vmap(bend.bent)(jnp.asarray(z))), rows, atol=1e-9)
+    np.testing.assert_allclose(each(bend.bent)(z), rows, atol=1e-9)
     part = scipy.special.expit(z[:, 0])  # of the interval
     inside = np.abs(v) < 1.0
     np.testing.assert_allclose(part[inside], v[inside] / 4 + 0.5, atol=1e-3)
@@ -111,20 +116,20 @@ def test_coordinates_for_sampling_are_linear_inside_two_bounds_and_logistic_in_t
     np.testing.assert_allclose(
         np.diff(z[tail, 0]) / np.diff(v[tail]), 5.0, rtol=0.01
     )  # exponential in v, as far as z goes
-    slopes = [float(bend.log_slope(row)) for row in rows[1:-1]]
+    slopes = each(bend.log_slope)(rows)[1:-1]
     np.testing.assert_allclose(np.exp(slopes), (z[2:, 0] - z[:-2, 0]) / (v[2:] - v[:-2]), rtol=0.01)
 
 
 def test_coordinates_of_weights_are_linear_above_their_bound_and_exponential_next_to_it():
     bend = Bend(jnp.asarray([False]), jnp.asarray([0.3]))
-    v = jnp.linspace(-40.0, 10.0, 501)[:, None]
-    z = jax.vmap(bend.unbent)(v)
-    np.testing.assert_allclose(jax.vmap(bend.bent)(z), v, atol=1e-9)
-    weight = np.exp(np.asarray(z[:, 0]))  # in its scale
+    v = np.linspace(-40.0, 10.0, 501)[:, None]
+    z = np.asarray(each(bend.unbent)(v))
+    np.testing.assert_allclose(each(bend.bent)(z), v, atol=1e-9)
+    weight = np.exp(z[:, 0])  # in its scale
     np.testing.assert_allclose(np.diff(weight[v[:, 0] > 5]), 0.3 * 0.1, rtol=0.01)
     np.testing.assert_allclose(np.diff(np.log(weight[v[:, 0] < -5])), 0.1, rtol=0.01)
-    slopes = np.exp([float(bend.log_slope(row)) for row in v[1:-1]])
-    np.testing.assert_allclose(slopes, np.asarray(z[2:, 0] - z[:-2, 0]) / 0.2, rtol=0.01)
+    slopes = np.exp(each(bend.log_slope)(v)[1:-1])
+    np.testing.assert_allclose(slopes, (z[2:, 0] - z[:-2, 0]) / 0.2, rtol=0.01)
 
 
 CORRELATED = np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [1.8, 0.3, 0.5]]) @ np.diag([1.0, 1.0, 0.7])
@@ -136,14 +141,14 @@ def test_shear_keeps_straight_ridges_straight_up_to_a_bound():
     shear = Shear.of(bend, center, CORRELATED)
     assert list(shear.order) == [2, 1]
     y = center + np.random.default_rng(0).normal(size=(50, 3)) @ CORRELATED.T
-    v = shear.sheared(jnp.asarray(y))
+    v = eqx.filter_jit(shear.sheared)(y)
     np.testing.assert_allclose(shear.sheared(y, np), v, atol=1e-12)
-    np.testing.assert_allclose(shear.unsheared(v), y, atol=1e-12)
-    np.testing.assert_allclose(jnp.linalg.det(jax.vmap(jax.jacfwd(shear.sheared))(jnp.asarray(y))), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(eqx.filter_jit(shear.unsheared)(v), y, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(each(jax.jacfwd(shear.sheared))(y)), 1.0, rtol=1e-12)
     # A line along the regressions on the bounded one: x stays on it, with x that of a linear coordinate.
     cover = CORRELATED @ CORRELATED.T
     slopes = cover[:, 2] / cover[2, 2]
-    v = np.asarray(shear.sheared(jnp.asarray(center + np.linspace(0, 4, 40)[:, None] * slopes)))
+    v = shear.sheared(center + np.linspace(0, 4, 40)[:, None] * slopes, np)
     x = np.column_stack([v[:, 0], straight(v[:, 1], np), straight(v[:, 2], np)])
     assert x[-1, 2] > 1.99
     np.testing.assert_allclose(x[:, :2] - center[:2], (x[:, 2:] - center[2]) * slopes[:2], atol=0.02)
