@@ -101,6 +101,22 @@ def test_numbers_of_runs_tell_curves_apart(tmp_path: Path) -> None:
     assert [record.u.size for record in data] == [N, N]
 
 
+@pytest.mark.parametrize(
+    "names", [("q_1", "current_1", "moment_1"), ("q", "moment", "current"), ("Position", "Current", "Torque")]
+)
+def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp_path: Path) -> None:
+    """What the controller computes ahead follows from the position without hysteresis; the position that was reached drives."""
+    noise = np.random.default_rng(3).standard_normal((3, N))
+    q, force = np.round(0.02 * U, 6), np.round(Y + np.sign(np.gradient(U)), 3)
+    columns = [0.008 * np.arange(N), q, np.round(q + 1e-4 * noise[0], 6), Y, force, np.round(2 * Y, 3)]
+    mark = "_" if names[0].islower() else ""
+    part, other, ahead = names
+    header = ["timestamp", f"target{mark}{part}", f"actual{mark}{part}"]
+    header += [f"target{mark}{other}", f"actual{mark}{other}", f"target{mark}{ahead}"]
+    record = one(tmp_path, ",".join(header) + "\n" + rows(",", *columns))
+    assert (record.u_name, record.y_name) == (header[2], header[4])
+
+
 def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
     is_pair(one(tmp_path, "FIC101.SP,FIC101.PV,FIC101.OP\n" + rows(",", np.full(N, 50), Y, U)))
 
@@ -285,6 +301,105 @@ def test_a_pickle_is_named(tmp_path: Path) -> None:
 
 def test_pressures_by_their_letter() -> None:
     assert [column_quantity(name) for name in ("p (kPa)", "P [bar]", "p (kN)")] == ["pressure", "pressure", "force"]
+
+
+@pytest.mark.parametrize(
+    ("header", "pair"),
+    [
+        ("Shear Rate [1/s],Shear Stress [Pa],Viscosity [Pa·s],Torque [µNm]", (0, 1)),  # thixotropy
+        ("lambda_11,lambda_22,P11_kPa,Temp_C", (0, 2)),  # stretches of tissue
+        ("ShearStress(kPa),ShearStrain(%),NormalStress(kPa),VertStrain(%)", (1, 0)),
+        ("Vert_Force_kN,Hor_Force_X_kN,Hor_Force_Y_kN,Disp_X_mm,Disp_Y_mm", (3, 1)),
+        ("input_shaft_deg,output_shaft_deg,input_torque_Nm", (0, 1)),
+        ("Axial Strain (%),Mean Stress (kPa),Deviator Stress (kPa),Eff. Axial Stress (kPa)", (0, 2)),
+        ("Valve Position (%),Flow Rate (GPM),Ambient Temp (C)", (0, 1)),
+        ("Stage (m),Discharge (m3/s)", (0, 1)),
+        ("vwc_m3m3,matric_potential_kPa,soil_temp_C", (1, 0)),
+        ("J1_pos,J2_pos,J1_trq,J2_trq", (0, 2)),
+        ("slip_ratio,sinkage_mm,drawbar_pull_N,torque_Nm", (0, 2)),
+    ],
+)
+def test_columns_beside_each_other_in_tables_of_devices(header: str, pair: tuple[int, int], tmp_path: Path) -> None:
+    names = header.split(",")
+    others = {k: np.round(5 + 0.1 * U**0.5 + 0.01 * (k + 1) * Y, 4) for k in range(len(names))}
+    table = rows(",", *({**others, pair[0]: U, pair[1]: Y}[k] for k in range(len(names))))
+    record = one(tmp_path, f"{header}\n{table}")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == (names[pair[0]], names[pair[1]])
+
+
+@pytest.mark.parametrize("names", [["q1_mm", "tip_x_mm", "tip_y_mm"], ["Fx (N)", "Fy (N)", "Fz (N)", "Mx (Nm)"]])
+def test_of_columns_of_one_quantity_the_user_chooses(names: list[str], tmp_path: Path) -> None:
+    columns = (np.round(U + k * Y**0.5, 3) for k in range(len(names)))
+    with pytest.raises(DataError, match="nothing in the file tells"):
+        one(tmp_path, ",".join(names) + "\n" + rows(",", *columns))
+
+
+def test_variables_of_a_plot_file(tmp_path: Path) -> None:
+    head = 'variables = "time" "alpha" "CL" "CM"\nzone t="run 12"\n'
+    record = one(tmp_path, head + rows(" ", 0.1 * np.arange(N), U, Y, np.round(0.2 * U**0.5, 4)), "stall.dat")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("alpha", "CL")
+
+
+def test_a_flow_is_the_rate_of_a_volume(tmp_path: Path) -> None:
+    record = one(tmp_path, "Paw_cmH2O,Flow_L_s,Volume_L\n" + rows(",", U, np.round(np.gradient(Y), 4), Y))
+    is_pair(record)
+
+
+def test_a_monitor_counts_less_only_beside_the_quantity_itself(tmp_path: Path) -> None:
+    rate = np.round(np.gradient(U), 3)
+    is_pair(one(tmp_path, "HV monitor [kV],Current [uA],Laser [um]\n" + rows(",", U, rate, Y)))
+    is_pair(one(tmp_path, "HV monitor [kV],HV [kV],Laser [um]\n" + rows(",", U + 0.3 * rate, U, Y)))
+
+
+def test_what_a_controller_reached_has_words_of_its_own(tmp_path: Path) -> None:
+    noisy = np.round(U + 0.01 * np.random.default_rng(4).standard_normal(N), 3)
+    is_pair(one(tmp_path, "P_des_bar,P_meas_bar,Length_mm\n" + rows(",", U, noisy, Y)), u=noisy)
+
+
+def test_names_of_units_in_columns(tmp_path: Path) -> None:
+    record = one(tmp_path, "millis,angle_deg,moment_Nm_kg\n" + rows(",", 7 * np.arange(N), U, Y))
+    is_pair(record)
+    assert (record.t_unit, record.y_unit) == ("ms", "Nm/kg")
+    force = one(tmp_path, "Force,Distance,Time\ng,mm,sec\n" + rows(",", Y, U, 0.1 * np.arange(N)))
+    is_pair(force)
+    flow = one(tmp_path, "SSC_mgL,Q_cms\n" + rows(",", Y, U))
+    assert flow.y_unit == "m3/s"
+    assert column_quantity("P_11") == column_quantity("P")
+    assert column_quantity("Ta_C") == "temperature"
+
+
+def test_a_table_of_a_dynamometer(tmp_path: Path) -> None:
+    """Names of which one has a bracket, and units under all but the first."""
+    head = "Side: Right\nmSec  TORQUE  POSITION  POS (ANAT)  VELOCITY\n       N-M     DEGREES   DEGREES   DEG/SEC\n"
+    record = one(tmp_path, head + rows("  ", 10 * np.arange(N), Y, U, U + 90, np.round(np.gradient(U), 2)), "test.txt")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit, record.t_unit) == ("DEGREES", "", "mSec")
+
+
+def test_points_of_a_calibration_with_their_durations(tmp_path: Path) -> None:
+    """A duration in seconds goes up and down, and is no clock; deviations of counts are no answer."""
+    names = "index,reference_force_n,raw_adc_mean,raw_adc_stddev,sample_count,duration_s,residual_force_n"
+    noise = np.round(np.random.default_rng(5).uniform(1, 2, (3, N)), 4)
+    columns = (np.arange(1, N + 1), U, Y, noise[0], 120 + 0 * U, 12 + noise[1], noise[2])
+    record = one(tmp_path, f"{names}\n{rows(',', *columns)}\n\nconstexpr float Slope = 0.00226f;\n")
+    is_pair(record)
+    assert record.t is None
+
+
+def test_a_header_with_rows_of_settings_is_no_table(tmp_path: Path) -> None:
+    """The calibration of channels and the protocol above the data of a muscle lever."""
+    head = (
+        "Sample Frequency (Hz): 100\nCalibration Data:\nChannel\tAI0\tAI1\nUnits\tmm\tmN\nScale (units/V)\t0.5\t50.0\n"
+    )
+    head += "Offset (volts)\t0.0\t0.0\nTADs\t0\t0\n\n*** Protocol ***\nTime (ms)\tControl Function\tOptions\n0.0\tSine\t1 Hz\n\n"
+    record = one(
+        tmp_path, f"{head}Test Data in Volts:\nSample\tAI0\tAI1\n" + rows("\t", np.arange(N), U, Y), "work.ddf"
+    )
+    is_pair(record, u=0.5 * U, y=50 * Y)
+    assert record.t is not None
+    np.testing.assert_allclose(record.t, 0.01 * np.arange(N))
 
 
 @pytest.mark.parametrize("names", ["y (mm),p (kN/m)", "y (mm),F (kN)", "Drift (mm),v (kN/m)"])

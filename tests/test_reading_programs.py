@@ -290,6 +290,61 @@ def test_sensors_with_words_of_their_own_share_a_record(tmp_path: Path) -> None:
     is_pair(record)
 
 
+@pytest.mark.parametrize("kind", ["one block", "a block for each value", "several nodes", "captions"])
+def test_blocks_of_a_simulation_for_each_time(kind: str, tmp_path: Path) -> None:
+    """Data files and the log of FEBio, and those of CalculiX: settings or a caption above the rows of nodes, for every time."""
+    steps = []
+    for k, (t, u, y) in enumerate(zip(T, U, Y, strict=True), 1):
+        begin = f"*Step  = {k}\n*Time  = {t}\n*Data  = "
+        if kind == "one block":
+            steps.append(f"{begin}ux;Rx\n7 {u} {y}\n")
+        elif kind == "captions":
+            end = f" for set TOP and time  {t:.7E}\n\n        12  "
+            steps.append(f"\n displacements (vx,vy,vz){end}{u} 0.0 0.0\n\n forces (fx,fy,fz){end}{y} 1.0E-6 0.0\n")
+        elif kind == "several nodes":
+            steps.append(f"{begin}ux;Rx\n1,0,{y}\n2,{u},0\n")
+        else:
+            log = f"===== beginning time step {k} : {t} =====\n convergence norms : 1.0 2.0\n\n"
+            plain = begin.replace("*", "")
+            steps.append(
+                f"{log}Data Record #1\n{plain}x-displacement\n7 {u}\n\nData Record #2\n{plain}x reaction force\n1 {y}\n\n"
+            )
+    record = one(written(tmp_path, "".join(steps), "run.log"))
+    is_pair(record)
+    assert record.t is not None
+    np.testing.assert_array_equal(record.t, T)
+
+
+@pytest.mark.parametrize("answers", [("R1", "D1"), ("stress", "strain")])
+def test_columns_that_elements_above_a_matrix_name(answers: tuple[str, str], tmp_path: Path) -> None:
+    """Recorders of OpenSees write the answers of each column in elements before the numbers."""
+    head = "".join(
+        f'<Output nodeTag="{k}" coord1="0">\n<ResponseType>{answer}</ResponseType>\n</Output>\n'
+        for k, answer in enumerate(("time", *answers))
+    )
+    start = '<?xml version="1.0"?>\n<OpenSees xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n'
+    record = one(written(tmp_path, f"{start}{head}<Data>\n{rows(' ', T, Y, U)}</Data>\n</OpenSees>\n", "node.xml"))
+    is_pair(record)
+    assert record.t is not None
+    np.testing.assert_array_equal(record.t, T)
+
+
+def test_a_row_for_each_change_of_a_value(tmp_path: Path) -> None:
+    """The history of home automation: each entity writes where it changes, one after the other, and words of a switch among numbers."""
+    level, way = np.round(20 + np.arange(N) % 16 / 10, 1), np.arange(N) // 8 % 2 == 0
+    stamp = lambda k: f"2024-03-01T{k // 60:02d}:{k % 60:02d}:00.000Z"
+    lines = [f"sensor.room_temperature,{value},{stamp(k)}\n" for k, value in enumerate(level)]
+    lines.insert(5, f"sensor.room_temperature,unavailable,{stamp(4)}\n")
+    lines += [
+        f"switch.heater,{'on' if way[k] else 'off'},{stamp(k)}\n" for k in range(N) if k == 0 or way[k] != way[k - 1]
+    ]
+    record = one(written(tmp_path, "entity_id,state,last_changed\n" + "".join(lines)))
+    assert (record.u_name, record.y_name) == ("switch.heater", "sensor.room_temperature")
+    is_pair(record, u=way.astype(float), y=level)
+    assert record.t is not None
+    np.testing.assert_array_equal(record.t, 60.0 * np.arange(N))
+
+
 def test_a_row_for_each_value_of_each_sensor(tmp_path: Path) -> None:
     lines = "".join(f"{t},disp [mm],{u}\n{t},force [kN],{y}\n" for t, u, y in zip(T, U, Y, strict=True))
     record = one(written(tmp_path, "time,sensor,value\n" + lines))

@@ -17,6 +17,7 @@ from hystfit.fitting.structure_search import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
+from hystfit.quality.baselines import play_positions
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.summary import summarize
 
@@ -256,6 +257,39 @@ def test_a_hysteresis_of_a_thousandth_is_seen_above_less_noise() -> None:
     noisy = hf.Record(u, y + 0.003 * NOISE[:121])
     assert not has(examined(noisy).findings, Code.SINGLE_VALUED)
     assert has(examined(hf.Record(u, 0.04 * u + 0.003 * NOISE[:121])).findings, Code.SINGLE_VALUED)
+
+
+def test_check_advises_for_a_loop_as_faint_as_the_noise() -> None:
+    """A fit describes it with white residuals; the error on held-out samples tells it from a curve."""
+    u = 5 * np.sin(np.linspace(0, 4 * np.pi, 100))
+    p = play_positions(u, np.array([1.0]))[:, 0]
+    report = hf.check(hf.Record(u, u + 0.02 * (p - 0.8 * u) + 0.015 * NOISE[:100]))
+    assert report.advice is not None
+    assert not has(report.findings, Code.SINGLE_VALUED)
+
+
+def test_an_input_that_is_switched_is_named_and_has_no_crossings() -> None:
+    """The heater of a thermostat: noise crosses the middle at one value of the input."""
+    way = np.arange(240) // 40 % 2
+    y = np.convolve(way, np.exp(-np.arange(240) / 30) / 30)[:240] + 0.005 * NOISE[:240]
+    record = hf.Record(1500.0 * way, y, t=60.0 * np.arange(240), u_unit="W", y_unit="degC")
+    assert "exchange" in next(note.text for note in examined(record).findings if note.code is Code.MINOR_LOOPS)
+    assert all(np.isfinite(value.value) for values in hf.quantities(record).rows.values() for value in values)
+
+
+@pytest.mark.parametrize("wanders", [True, False])
+def test_a_load_that_was_controlled_drives(wanders: bool) -> None:
+    """Ratcheting under a load of one amplitude; a displacement of one amplitude that wanders loads to levels that wander as well."""
+    t = np.arange(1200) / 20
+    load = 40 * np.sin(np.pi * t)
+    strain = load / 300 + 0.05 * play_positions(load / 40, np.array([0.2]))[:, 0] + 0.01 * t * wanders
+    found = examined(hf.Record(strain, load + 0.1 * NOISE[:1200], t=t)).findings
+    assert has(found, Code.COLUMN_CHOICE) == wanders
+    assert not has(found, Code.DYNAMICS)  # no resonance at two periods of the record
+    wandering = examined(
+        hf.Record(load + 2 * t, 30 * (load + 2 * t) + play_positions(load + 2 * t, np.array([9.0]))[:, 0], t=t)
+    )
+    assert not has(wandering.findings, Code.COLUMN_CHOICE)
 
 
 def test_the_advice_is_a_model_that_the_samples_determine() -> None:

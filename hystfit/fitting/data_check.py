@@ -20,7 +20,7 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
 from hystfit.quality.determination import Verdict, count
-from hystfit.quality.held_out import held_out
+from hystfit.quality.held_out import equal_errors, held_out
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
 
@@ -49,7 +49,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     shown = _traits(records, every) if every else ()
     screened = () if damaged or all(record.single_valued for record in report.records) else every
     advice = _advice(records, screened) if screened else None
-    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING)
+    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
@@ -94,9 +94,10 @@ def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]
 def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
     baselines = Baselines.of(records)
-    best = best_screened(screened, sum(int(record.used.sum()) for record in records), baselines.span)
+    samples = sum(int(record.used.sum()) for record in records)
+    best = best_screened(screened, samples, baselines.span)
     percent = 100 * best.error / baselines.span
-    if is_noise(baselines.curve, baselines) or best.error >= baselines.curve:  # a single-valued curve describes them
+    if best.error * equal_errors(samples) >= baselines.curve:  # a single-valued curve describes them
         return None
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
     return Advice(best.name, reason)

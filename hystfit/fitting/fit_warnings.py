@@ -15,7 +15,8 @@ from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK
 from hystfit.quality.damage import fails_at
 from hystfit.quality.faults import MOST, clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, chatter_note, place_of
+from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, place_of
+from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
@@ -26,9 +27,10 @@ _TURNS = 6  # reversals without which a drift cannot be told from a loop that do
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
-    """Warnings of a fit that the status does not carry: another family, an end of the record, samples left out, a delay, a drift."""
+    """Warnings of a fit that the status does not carry: another family or pair, an end of the record, samples left out, a delay."""
     found = (
         better_family_warning(fitted.train, fitted.baselines),
+        CONTROLLED if any(controls_output(r.u, r.y, clear_reversals(r.u)) for r in fitted.data) else None,
         _failed(fitted),
         _at_an_end(fitted),
         _clipped(fitted.data),

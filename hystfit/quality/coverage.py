@@ -20,11 +20,13 @@ class Coverage:
     Attributes:
         low, high: extent of the input [unit of u].
         strokes: different strokes, largest first [unit of u].
+        switched: whether the input takes no other values than `low` and `high`.
     """
 
     low: float
     high: float
     strokes: tuple[float, ...]
+    switched: bool = False
 
     @classmethod
     def of(cls, records: Iterable[Record]) -> Coverage:
@@ -33,7 +35,8 @@ class Coverage:
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
         least = APART * (high - low)
         found = np.concatenate([strokes(u, least) for u in inputs])
-        return cls(low, high, distinct(found[found > least], least))
+        switched = all(((u == low) | (u == high)).all() for u in inputs)
+        return cls(low, high, distinct(found[found > least], least), switched)
 
 
 def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> tuple[Note, ...]:
@@ -54,6 +57,13 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
     asked = Coverage.of(others) if others else None
     notes = []
     if len(known.strokes) == 1 and (asked is None or min(asked.strokes, default=0.0) < (1 - APART) * known.strokes[0]):
+        if known.switched:
+            text = (
+                "the input is switched between two values: these data show how the output follows in time, and no loop between the values; "
+                "measure ramps of the input. If the input answers to the output, as the heater of a thermostat does, exchange the columns "
+                "(input=, output=)"
+            )
+            return (warn(Code.MINOR_LOOPS, text),)
         smaller = "" if asked is None or not asked.strokes else f" down to {size(asked.strokes[-1])}"
         notes.append(
             warn(

@@ -18,6 +18,11 @@ from hystfit.quality.resonance import Dynamics
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
+CONTROLLED = warn(
+    Code.COLUMN_CHOICE,
+    "the output turns at the same levels while those of the input wander: the test controlled the output, such as the load of a "
+    "cyclic triaxial or ratcheting test; exchange the two (input=, output=), as a model is driven by what was controlled",
+)
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
     "the time of evenly spaced samples"
@@ -123,6 +128,8 @@ def _response(record: RecordQuality) -> Iterator[Note]:
             Code.FALLING,
             "the output falls as the input rises: loops are judged with the input mirrored, and models are fitted with negate+ in front",
         )
+    if record.output_controlled:
+        yield CONTROLLED
     if y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
         yield Note(
             Code.RATE,

@@ -112,6 +112,7 @@ class RecordQuality:
         correlation: of output and input; 0 where one of them is constant.
         sign_of_rate: mean product of the signs of the output and of the input's rate, over samples at which the input moves: near +-1
             for the current of a capacitor, which charges and discharges with the voltage.
+        output_controlled: whether the test controlled the output, see `load_control`.
         whole_until, fails_at: see `damage`, where the record is examined by itself.
     """
 
@@ -137,6 +138,7 @@ class RecordQuality:
     slow_lag: float | None = None
     delay: PureDelay | None = None
     sign_of_rate: float = 0.0
+    output_controlled: bool = False
     whole_until: float | None = None
     fails_at: float | None = None
 

@@ -159,7 +159,10 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     without = min(columns.error_behind(_DELAYS, lags), columns.error_corrected(static))
     if without <= VISIBLE:
         return None
-    error, frequency, damping = columns.best_resonance(_Response(*map(np.frombuffer, response)))
+    band = _Response(*map(np.frombuffer, response))
+    error, frequency, damping = columns.best_resonance(band)
+    if frequency <= band.frequency[0]:  # at the bound of the search: what it follows there is a drift of the input
+        return None
     # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before
     # the turns of the input.
     behind, ahead = (columns.error_corrected(_filtered(static[::way], frequency, damping)[::way]) for way in (1, -1))

@@ -27,6 +27,7 @@ from hystfit.quality.faults import (
     spikes,
 )
 from hystfit.quality.lag import estimate_lag
+from hystfit.quality.load_control import controls_output
 from hystfit.quality.record_quality import (
     SOFTER,
     SPEEDS_APART,
@@ -169,6 +170,7 @@ def _summarize(record: Record) -> RecordQuality:
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
         slow_lag=slow_lag,
+        output_controlled=controls_output(u, y, turns),
     )
 
 

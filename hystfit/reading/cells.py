@@ -20,8 +20,9 @@ _MISSING_WORDS = frozenset(
     """nan +nan -nan nan(ind) -nan(ind) na n/a #n/a #na null none nil - -- --- ---- . .. ... ? * ** *** **** missing
     #value! #div/0! #ref! #num! #name? #null! 1.#qnan -1.#qnan 1.#ind -1.#ind 1.#nan ol +ol -ol o.l. over +over -over
     overflow underflow overload overrange overrun ovf +ovf -ovf ovl ovld ovrflw ovr sat saturated err error bad invalid
-    nodata n.d. nd n.v.""".split()
+    nodata n.d. nd n.v. unavailable unknown""".split()
 ) | {""}
+_SWITCH = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0}  # states among numbers
 _BLANKED = re.compile(r"[-.*#?]+")  # ---.-- and #####
 _INFINITE = {"inf": np.inf, "infinity": np.inf, "∞": np.inf, "1.#inf": np.inf}
 
@@ -199,6 +200,7 @@ def _parse_unusual(cell: str, decimal: str) -> tuple[float, str]:
     """Number (NaN where there is none) and kind of a cell that is not a plain number; the same words occur again and again."""
     cell = clean(cell)
     value = number(cell, decimal)
+    value = _SWITCH.get(cell.lower()) if value is None else value
     if value is not None:
         return value, NUMBER
     return np.nan, MISSING if is_missing(cell) else TEXT

@@ -18,6 +18,7 @@ _WORDS, _ROLES = (
 _LETTERS: dict[str, str] = _VOCABULARY["letters"]
 _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _DRIVERS = frozenset(_VOCABULARY["drivers"].split())
+_MEASURED = frozenset(_VOCABULARY["measured"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
@@ -32,6 +33,8 @@ _OF_DRAIN = re.compile(
 )  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+# Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
+_ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -43,8 +46,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if base == "T" and by_unit in ("charge", "capacitance"):
-        return "temperature"  # degrees Celsius without their sign
+    if re.fullmatch(r"T[a-z0-9]*", base) and by_unit in ("charge", "capacitance"):
+        return "temperature"  # T or Ta in degrees Celsius without their sign
     if base in ("p", "P") and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress
     base = _field(base)
@@ -60,19 +63,21 @@ def column_quantity(name: str, unit: str = "") -> str:
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
+    if by_unit == "stress" and "potential" in _words(base):
+        return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
             return strong
     for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
-    named = kinds[-1] if kinds else ""
+    named = _WORDS.get(_joined(base)) or (kinds[-1] if kinds else "")
     if named == "charge" and (unit or unit_of_name) and not by_unit:
         return ""  # Q in m3/s is a flow
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
-    if named == "wavelength" and base.lower() in ("λ", "lambda"):
-        return "strain"  # of a magnetostrictive material
+    if named == "wavelength" and base.lower().startswith(("λ", "lambda")):
+        return "strain"  # of a magnetostrictive material, or a stretch
     return by_unit or named or ("velocity" if base == "v" else "")
 
 
@@ -105,11 +110,17 @@ def is_drain(name: str) -> bool:
 @_of_names
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
+    if entity := _ENTITY.fullmatch(name):
+        return "input" if entity[1] else "output"
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
-    roles = {_ROLES[word] for word in _words(base) if word in _ROLES}
-    if roles == {"output"} and _DRIVERS.intersection(_words(base)):
+    first = base.lower().partition("_")[0]
+    words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
+    roles = {_ROLES[word] for word in words if word in _ROLES}
+    if roles == {"input"} and _MEASURED.intersection(words):
+        return ""  # what supplies a controller that reports its input voltage
+    if roles == {"output"} and _DRIVERS.intersection(words):
         return "input"
     return roles.pop() if len(roles) == 1 else ""
 
@@ -118,6 +129,23 @@ def column_role(name: str) -> str:
 def is_bare_role(name: str) -> bool:
     """Whether the name of a column says which role it has and nothing of its quantity ("Sensor output")."""
     return column_role(name) != "" and not _named_quantities(split_unit(name)[0].strip())
+
+
+@_of_names
+def without_role(name: str) -> str:
+    """A name without the words that say whether it is commanded or measured: q_1 of target_q_1 and of actual_q_1."""
+    words = re.split(r"[\W_]+|(?<=[a-z])(?=[A-Z])", _field(split_unit(name)[0].strip()))
+    return " ".join(word.lower() for word in words if word.lower() not in _ROLES and word.lower() not in _MEASURED)
+
+
+@_of_names
+def parts_of(name: str) -> frozenset[str]:
+    """Words, letters and numbers in a name that tell which part of a device or axis it is of: x of Disp_X_mm, joint and 1 of joint_1."""
+    return frozenset(
+        re.findall(
+            r"[a-z]{2,}|(?<![a-z])[a-z](?![a-z])|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", split_unit(name)[0]).lower()
+        )
+    )
 
 
 @_of_names
@@ -147,4 +175,9 @@ def _words(base: str) -> list[str]:
     """Words in a column's name, in lower case: the whole name, its parts between underscores, and those of CamelCase."""
     tokens = [token.strip() for token in base.lower().split("_")]
     camel = [part.lower() for part in re.findall(r"[A-Z]?[a-z]{2,}|(?!NO[\dx])[A-Z]{2,}(?![a-z])", base)]
-    return [base.lower(), *tokens, *camel]
+    return [base.lower(), _joined(base), *tokens, *camel]
+
+
+def _joined(base: str) -> str:
+    """A whole name as one word: shear_rate of "Shear Rate"."""
+    return base.lower().replace(" ", "_")

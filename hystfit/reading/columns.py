@@ -28,6 +28,7 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
+_FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
@@ -137,6 +138,8 @@ def choose(
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
     named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
+    # A duration that goes up and down is no clock, unless its name is that of a time.
+    named = [k for k in named if k in table.stamps or _is_clock(table, k)]
     if not named and len(free) + given > 2:
         # The abscissa of a report of Abaqus is its X.
         named = [k for k in free[:2] if table.names[k] in ("s", "X") and (np.diff(table.columns[k]) > 0).all()]
@@ -173,6 +176,12 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     return None
 
 
+def _is_clock(table: Table, k: int) -> bool:
+    """Whether a column of times has the name of a time, or never decreases, or always."""
+    ways = np.sign(np.diff(table.columns[k]))
+    return column_quantity(split_unit(table.names[k])[0]) == "time" or not {1.0, -1.0} <= {*ways.tolist()}
+
+
 def _guess_pair(
     table: Table, free: list[int], kinds: dict[int, str], given: dict[str, int], clock: int | None, notes: list[Note]
 ) -> None:
@@ -187,9 +196,16 @@ def _guess_pair(
             kinds[k] = "time"
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
-    near = [reading for reading in ordered[1:] if best.points - reading.points < TIE]
+    alike = _one_quantity(table, free, kinds, best) if not given else set()
+    near = [
+        reading
+        for reading in ordered[1:]
+        if best.points - reading.points < TIE or {reading.input, reading.output} <= alike
+    ]
     if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
-        raise _undecided(table, best, other)
+        equal = [best, other, *(one for one in near if one is not other)]
+        apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
+        raise _undecided(table, *(apart if len(apart) > 1 else equal)[:2])
     nameless = not (table.named or given)
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
@@ -208,6 +224,19 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _one_quantity(table: Table, free: Sequence[int], kinds: Mapping[int, str], best: Reading) -> set[int]:
+    """Three or more columns of the quantity of both columns of a reading, such as coordinates of a tip; none where names tell them apart.
+
+    Which of them drives another is open, unless they are the columns of a matrix, which are samples of loops; of voltages and currents the
+    waves tell.
+    """
+    roles = any(column_role(table.names[k]) for k in (best.input, best.output))
+    alike = {k for k in free if kinds[k] == kinds[best.input] == kinds[best.output] != ""}
+    matrix = table.names[best.input].endswith("]")
+    electric = kinds[best.input] in ("voltage", "current")
+    return alike if len(alike) > 2 and not (roles or matrix or electric) else set()
 
 
 def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int | None) -> DataError:
@@ -232,11 +261,15 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         many: whether there are more columns than a pair.
     """
     among = lambda *names: any(kinds[k] in names for k in free)
+    if among("strain"):
+        kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
     if among("displacement"):  # v beside x is a velocity
         kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
-    if not among("field", "induction", "voltage", "electric field"):  # q beside a torque is an angle of a joint
+    if not among(
+        "field", "induction", "voltage", "electric field"
+    ):  # q beside a torque or current is an angle of a joint
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
-        if among("force"):
+        if among("force", "current"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
     if {"X", "Y"} <= {split_unit(name)[0] for name in table.names} and among(*_SWEPT):  # of a lock-in amplifier
         kinds.update({k: "" for k in free if table.names[k] == "X"})
@@ -334,11 +367,12 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of the first such column, as v in x, v, F, and a V that is the rate of D."""
-    first, *others = [k for k in free if kinds[k] == "" and not column_role(table.names[k])] or [-1]
-    for k in others if len(others) > 1 else ():
-        if _is_rate(table.columns[k], table.columns[first]):
-            kinds[k] = "velocity"
+    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
+    unknown = [k for k in free if kinds[k] in ("", "flow") and not column_role(table.names[k])][:_FEW_UNKNOWN]
+    if len(unknown) > 2 or len(free) > len(unknown) > 1:
+        for k, of in itertools.permutations(unknown, 2):
+            if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
+                kinds[k] = "velocity"
     bare = {table.names[k]: k for k in free if not table.units[k]}
     if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
         kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}

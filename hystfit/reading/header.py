@@ -33,7 +33,8 @@ _LISTED = re.compile(
     r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3}|(?<![A-Za-z])first)(?: column:\s*|(?:\s*[:=).]\s*|\t\s*)(?!\d))(?P<name>.*[A-Za-z].*)"
 )
 _TITLED = re.compile(
-    r"\W*(?P<word>columns?|fields?|names|channels?|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)", re.IGNORECASE
+    r"\W*(?P<word>columns?|fields?|names|channels?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
+    re.IGNORECASE,
 )
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
 _NAME_CELL = re.compile(
@@ -163,7 +164,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     width = len(names)
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
     known = {unit_key(key): unit for key, unit in settings}
-    if any(named := [unit if is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
+    if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
         return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]

@@ -16,6 +16,9 @@ from hystfit.reading.text_file import TextFile
 
 _HTML = re.compile(r"<!doctype html|<html|<t(?:able|r|body)\b", re.IGNORECASE)
 _FEWEST = 4  # elements that are rows, and numbers in the text of an element that is a column
+# Answers of a node in a recorder of OpenSees: D1 is its displacement along the first axis.
+_ANSWERS = re.compile(r"([DVAR])([1-6])")
+_OF_NODES = {"D": "displacement", "V": "velocity", "A": "acceleration", "R": "reaction force"}
 # Elements named by the one around them.
 _OF_VALUES = frozenset({"value", "val", "v", "data", "number", "double", "float"})
 
@@ -80,6 +83,8 @@ def _xml_lines(text: TextFile) -> list[str]:
         root = ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text.content.lstrip("\ufeff")).strip())
     except ElementTree.ParseError as error:
         raise DataError(f"{text.source} begins as XML and is not: {error}; write it again") from error
+    if rows := _matrix(root):
+        return rows
     if columns := _columns(root):
         return ["\t".join(columns), *("\t".join(row) for row in zip(*columns.values(), strict=True))]
     counts = collections.Counter((id(parent), child.tag) for parent in root.iter() for child in parent)
@@ -109,6 +114,36 @@ def _columns(root: ElementTree.Element) -> dict[str, list[str]]:
             )
             found[_with_unit(name, element)] = parts
     return found if len(found) > 1 and len({*map(len, found.values())}) == 1 else {}
+
+
+def _matrix(root: ElementTree.Element) -> list[str]:
+    """The rows of an element of many numbers in every line, under the names that elements before it give; none without them.
+
+    A recorder of OpenSees has the answer of a node (D1, R1) or element in an element, and its number in the attributes of those around.
+    """
+    around = {child: parent for parent in root.iter() for child in parent}
+    named: dict[str, list[str]] = collections.defaultdict(list)
+    for element in root.iter():
+        rows = [line.split() for line in (element.text or "").splitlines() if line.strip()]
+        width = len(rows[0]) if len(rows) >= _FEWEST and re.fullmatch(r"[\d.eE+\s-]+", element.text or "") else 0
+        names = next((names for names in named.values() if len(names) == width), [])
+        if width > 1 and names and all(len(row) == width for row in rows):
+            twice = collections.Counter(name.partition(" of ")[0] for name in names)
+            short = [name if twice[base := name.partition(" of ")[0]] > 1 else base for name in names]
+            return ["\t".join(short), *map("\t".join, rows)]
+        if not len(element) and rows and len(rows[0]) == 1:
+            tags = (
+                value
+                for key, value in (around[element].attrib if element in around else {}).items()
+                if "tag" in key.lower()
+            )
+            named[element.tag].append(f"{_ANSWERS.sub(_answer, rows[0][0])} of {next(tags, '')}")
+    return []
+
+
+def _answer(match: re.Match[str]) -> str:
+    """The quantity that a recorder names by a letter."""
+    return f"{_OF_NODES[match[1]]} {match[2]}"
 
 
 def _with_unit(name: str, element: ElementTree.Element) -> str:

@@ -19,10 +19,11 @@ _UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER}
 _JOINED = re.compile(
     r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
-    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min))"
+    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2))"
 )
 # Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
 _FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
+_FLOWS = {"cms": "m3/s", "cfs": "ft3/s"}  # of hydrology
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _CYRILLIC = dict(
@@ -63,6 +64,8 @@ def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
         return True
+    if text.isdigit():  # P_11 is a component
+        return False
     factor, scaled = factor_of(text)
     if factor != 1.0:
         return not scaled or is_unit(scaled)
@@ -125,6 +128,9 @@ def _quotient_in_words(name: str) -> tuple[str, str] | None:
     """H_A_per_m, Q_m3s, P_uC_cm2; None for other names."""
     if match := re.fullmatch(r"(.+?)[_ ]([A-Za-zµμ]+)_per_([A-Za-z]+\d?)", name) or _FLOW.fullmatch(name):
         return match[1], f"{match[2]}/{match[3]}"
+    base, _, unit = name.rpartition("_")
+    if base and unit in _FLOWS:
+        return base, _FLOWS[unit]
     if match := _FLUX.fullmatch(name):
         return match[1], f"{match[2]}/{match[3]}/{match[4]}"
     if match := _JOINED.fullmatch(name):

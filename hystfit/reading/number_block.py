@@ -211,8 +211,16 @@ def _main_runs(rows: list[list[str]], index: np.ndarray, dialect: Dialect, lines
     if not tags or index.size < 2:
         return keep
     starts = np.flatnonzero(np.diff(index, prepend=-2) > 1)
-    apart = lambda line: bool(line.strip()) and not is_comment(line)
-    starts = np.array([s for s in starts if s == 0 or any(map(apart, lines[index[s - 1] + 1 : index[s]]))])
+
+    def apart(k: int) -> bool:
+        unmeasured = len(rows[k]) == dialect.width and all(
+            cells.is_missing(cells.clean(cell))
+            for cell, kind in zip(rows[k], dialect.kinds, strict=True)
+            if kind == cells.NUMBER
+        )
+        return bool(lines[k].strip()) and not is_comment(lines[k]) and not unmeasured
+
+    starts = np.array([s for s in starts if s == 0 or any(map(apart, range(index[s - 1] + 1, index[s])))])
     ends = np.append(starts[1:], index.size)
     column = np.array([cells.clean(rows[k][tags[0]]) for k in index])
     longest = int(np.argmax(ends - starts))

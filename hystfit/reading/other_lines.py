@@ -171,16 +171,23 @@ def _uneven(text: Text, block: Block, place: int) -> tuple[list[str], int]:
 
 
 def _labeled_units(text: Text, block: Block) -> tuple[list[str], list[str], int]:
-    """Names and units, and their lines, where the units are behind a word of their own ("Units  s  V  um") and the names above them."""
+    """Names and units, and their lines, where the units are behind a word ("Units  s  V  um") or under all names but the first."""
     dialect, first = text.dialect, int(block.index[0])
-    width, units = dialect.width, [cells.clean(cell) for cell in block.rows[first - 1][1:]]
-    if len(units) != width or not all(map(is_unit, units)) or is_unit(cells.clean(block.rows[first - 1][0])):
+    width, units = dialect.width, [cells.clean(cell) for cell in block.rows[first - 1]]
+    if len(units) == width + 1 and not is_unit(units[0]):
+        units = units[1:]
+    elif len(units) == width - 1 > 1 and dialect.delimiter is None and 2 * sum(map(is_unit, units)) > width:
+        units = ["", *(unit if is_unit(unit) else "" for unit in units)]
+    if len(units) != width or not all(map(is_unit, filter(None, units))):
         return [""] * width, [""] * width, 0
     for place in range(first - 2, max(-1, first - 2 - _BETWEEN), -1):
         names = [cells.clean(cell) for cell in block.rows[place]]
-        names = names[1:] if len(names) == width + 1 else names
+        names = names[1:] if len(names) == width + 1 and all(units) else names
         if len(names) == width and all(cells.kind(name, dialect.decimal) == cells.TEXT for name in names):
             return names, units, first - place
+        names, _, used = read_header([text.lines[place]], width, dialect.delimiter, dialect.decimal, {})
+        if used:
+            return names, [unit or split_unit(name)[1] for unit, name in zip(units, names, strict=True)], first - place
     return [""] * width, units, 1
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_bare_role, is_channel, secondary
+from hystfit.reading.column_names import column_role, is_bare_role, is_channel, parts_of, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
@@ -32,14 +32,14 @@ from hystfit.reading.signal_evidence import (
 # Points of a quantity as the input and as the output of a device.
 _DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "": 0.8, "mass": 0.8,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8,
     "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 _RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
-    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3,
+    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
 }  # fmt: skip
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
@@ -47,13 +47,15 @@ _STATED, _CONTRARY = 3.2, -1.0
 _BARE = (
     -1.0
 )  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
-# Points of a commanded input beside the measured one: that which an actuator reached is what drives the output. The two are of one unit and
-# differ by less than that part of the range: following errors of actuators are 0.001 to 0.05.
+# Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output
+# there. The two are of one unit, or named alike, and differ by less than that part of the range: following errors are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
 # a part; the component of a field across its direction, or its size, which has no sign; the component of a signal out of phase. Points of
 # components along one axis (Bx, mx).
 _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+# Points of two columns of one part or axis by their names: more than those of two places.
+_SAME_PART = 0.5
 _OF_PARTS = ("displacement", "field", "induction")
 _SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
@@ -62,7 +64,8 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
     | {("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
-    | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0, ("strain", "stress"): 4.0}
+    | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0}
+    | {("strain", "stress"): 4.0, ("shear rate", "stress"): 4.0}
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
@@ -79,7 +82,7 @@ _PAIRS: Mapping[tuple[str, str], float] = (
     | dict.fromkeys(  # sensors, and converters of a current to a pressure
         [
             *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),
-            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"),
+            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"), ("displacement", "flow"),
         ],
         3.0,
     )
@@ -202,19 +205,19 @@ class _Evidence:
     def reading(self, i: int, o: int) -> Reading:
         """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
         kinds, later = self.kinds, self.ranks.get(i, 0) + self.ranks.get(o, 0)
-        overtaken = kinds[i] != kinds[o] and self._is_measured[i]
+        overtaken = kinds[i] != kinds[o] and i in self._measured
         driven = self.roles[o] == "output" or (self.roles[i] == "input" and not overtaken)
         points = (
             self._of_quantity(i, _DRIVE, told=driven)
             + self._of_quantity(o, _RESPONSE, told=self.roles[o] == "output")
-            + _PAIRS.get((kinds[i], kinds[o]), 0.0)
+            + self._of_pair(i, o)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
         points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
-        points += _ALONG * (self._axis[i] == self._axis[o] != "")
-        points += _OVERTAKEN * overtaken
+        points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
+        points += _OVERTAKEN * self._set_values(i, o)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
@@ -247,10 +250,24 @@ class _Evidence:
             for reading in found
         ]
 
+    def _of_one_part(self, i: int, o: int) -> bool:
+        """Whether names tell that two columns are of one part, and not a command and its own measurement."""
+        return bool(self._parts[i] & self._parts[o]) and self._measured.get(i) != o
+
+    @functools.cached_property
+    def _parts(self) -> dict[int, frozenset[str]]:
+        """Words in the name of each column that tell it from others: x of Disp_X beside Disp_Y, shear of ShearStrain."""
+        words = {
+            k: parts_of(without_role(name)) if self.table.named else frozenset()
+            for k, name in enumerate(self.table.names)
+        }
+        common = frozenset.intersection(*(words[k] for k in self.ranks)) if self.ranks else frozenset()
+        return {k: own - common for k, own in words.items()}
+
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
         points = usual.get(self.kinds[position], _SELDOM)
-        return max(points, usual[""]) if told and self.kinds[position] != "index" else points
+        return max(points, usual[""]) if told and self.kinds[position] not in ("index", "error") else points
 
     def _of_role(self, position: int, role: str) -> float:
         """Points of a column in a role, by the one that its name states."""
@@ -269,7 +286,7 @@ class _Evidence:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
             return (
-                _SECONDARY * secondary(table.names[k])
+                _SECONDARY * self._is_secondary(k)
                 + _RAW_VOLTS * _is_raw_signal(table, k)
                 + _IS_SET * few
                 + _HELD * self._is_held[k]
@@ -277,6 +294,11 @@ class _Evidence:
             )
 
         return _ByColumn(points)
+
+    def _is_secondary(self, k: int) -> int:
+        """By how many words of its name a column comes after another one of its quantity."""
+        alike = [secondary(self.table.names[j]) for j in self.ranks if self.kinds[j] == self.kinds[k]]
+        return secondary(self.table.names[k]) - min(alike, default=0)
 
     @functools.cached_property
     def _is_held(self) -> _ByColumn:
@@ -309,26 +331,47 @@ class _Evidence:
 
         def partial(k: int) -> bool:
             whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
-            of_part = bool(self.table.units[k]) and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            of_part = (
+                bool(self.table.units[k] or self.kinds[k] == "strain")
+                and extent(self.table.columns[k]) < _OF_LARGEST * whole
+            )
             return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
 
     @functools.cached_property
-    def _is_measured(self) -> _ByColumn:
-        """Whether another column is the measurement of a commanded one, by column."""
-        table = self.table
+    def _measured(self) -> dict[int, int]:
+        """The measurement of each commanded column that has one."""
+        commands = [k for k in self.ranks if self.roles[k] == "input"]
+        others = [k for k in self.ranks if commands and self.roles[k] != "input" and not _is_raw_signal(self.table, k)]
+        return {k: j for k, j in itertools.product(commands, others) if self._follows(j, k)}
 
-        def measured(k: int) -> bool:
-            command = table.columns[k]
-            others = [
-                j for j in self.ranks if self.kinds[j] == self.kinds[k] and table.units[j] == table.units[k] != ""
-            ]
-            others = [j for j in others if j != k and self.roles[j] != "input" and not _is_raw_signal(table, j)]
-            near = lambda j: np.sqrt(np.nanmean((table.columns[j] - command) ** 2)) < _FOLLOWS * extent(command)
-            return self.roles[k] == "input" and any(map(near, others))
+    def _follows(self, j: int, k: int) -> bool:
+        """Whether column j measures what column k commands."""
+        names, units, columns = self.table.names, self.table.units, self.table.columns
+        alike = units[j] == units[k] != "" or without_role(names[j]) == without_role(names[k]) != ""
+        if self.kinds[j] != self.kinds[k] or not alike:
+            return False
+        return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
 
-        return _ByColumn(measured)
+    def _set_values(self, i: int, o: int) -> int:
+        """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
+
+        Beside a position that is followed, forces and currents are computed from its command.
+        """
+        ahead = self.kinds[i] in ("force", "current") and any(
+            self.kinds[k] in ("displacement", "") for k in self._measured
+        )
+        instead = self.roles[i] == "input" and (ahead or (i in self._measured and self.kinds[i] != self.kinds[o]))
+        return instead + (bool(self._measured) and self.roles[o] == "input")
+
+    def _of_pair(self, i: int, o: int) -> float:
+        """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
+        kinds = self.kinds[i], self.kinds[o]
+        beside = o if kinds[0] == "current" else i
+        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in self._measured.values():
+            return _PAIRS["current", "displacement"] * (beside == i)
+        return _PAIRS.get(kinds, 0.0)
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:

@@ -36,6 +36,7 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.scaled_units import unscaled
 from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
+from hystfit.reading.snapshots import read_snapshots
 from hystfit.reading.specimens import divided
 from hystfit.reading.star_loops import read_star
 from hystfit.reading.successive_tables import read_tables
@@ -146,6 +147,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_magic,
     read_easyexpert,
     read_assigned_arrays,
+    read_snapshots,
     read_key_values,
     read_console_log,
     read_igor,

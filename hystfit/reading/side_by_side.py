@@ -97,6 +97,7 @@ def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
     ]
     titles = [" ".join(w for w in names[0] if w in own) for names, own in zip(words, shared, strict=True)]
     told = all(own - common for own in shared) and len({*titles}) == len(titles)
+    told &= not any(len(title) > 2 and column_quantity(title) not in ("", "index") for title in titles)  # pos, torque
     spelled = all(re.search(r"[^\W\d]", name) for name in rest[0])
     alike = spelled and all(other == rest[0] for other in rest) and len({*rest[0]}) == len(rest[0])
     return (titles, rest[0]) if told and alike else ([], [])

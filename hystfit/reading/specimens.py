@@ -28,14 +28,16 @@ _PAUSE = 10.0  # step of a clock to the next record over its median step, up to 
 
 def divided(table: Table) -> Table | None:
     """Specimens, tests or frequencies below each other, told apart by a column, are a record each; None for other tables."""
-    if table.part is not None:
+    clocks = [k for k in range(len(table.names)) if k in table.stamps or _quantity(table, k) == "time"]
+    signals = [k for k in range(len(table.names)) if k not in (*clocks, *table.labels) and not table.constant(k)]
+    if table.part is not None or len(signals) < 2:  # the values of several sensors below each other are one record
         return None
     if (own := _own_names(table)) is not None:
         text = (
             f"column {table.names[own]!r} has another name in every row: results of specimens are no samples of a loop"
         )
         return table.noted(warn(Code.CURVES, text))
-    if (turns := _turns(table)) is not None:
+    if clocks and (turns := _turns(table, clocks[0])) is not None:
         position, count = turns
         order = np.arange(table.rows).reshape(-1, count).T.ravel()
         return _parted(table.take(order), position, np.arange(1, count) * (table.rows // count) - 1)
@@ -57,20 +59,16 @@ def divided(table: Table) -> Table | None:
     return _parted(table, *best[1:])
 
 
-def _turns(table: Table) -> tuple[int, int] | None:
+def _turns(table: Table, clock: int) -> tuple[int, int] | None:
     """Position of a column of text whose values take turns, with the same time in each turn, and their number; None without one.
 
-    The joints of a robot and the channels of a logger have a row each at every time. A table of one value a row is in long format.
+    The joints of a robot and the channels of a logger have a row each at every time.
     """
-    clocks = [k for k in range(len(table.names)) if k in table.stamps or _quantity(table, k) == "time"]
-    if not clocks or len(table.names) - len(table.labels) - len(clocks) < 2:
-        return None
-    clock = table.columns[clocks[0]]
     for position, labels in table.labels.items():
         count = np.unique(labels).size
         if count < 2 or table.rows % count or table.rows < _FEWEST * count:
             continue
-        turns, times = labels.reshape(-1, count), clock.reshape(-1, count)
+        turns, times = labels.reshape(-1, count), table.columns[clock].reshape(-1, count)
         if (turns == turns[0]).all() and np.unique(turns[0]).size == count and (times == times[:, :1]).all():
             return (position, count) if (np.diff(times[:, 0]) > 0).all() else None
     return None

@@ -51,8 +51,12 @@ def read_tables(text: TextFile) -> Table | None:
     if not _are_tables(text, pieces):
         return None
     tables = {k: table for k, piece in enumerate(pieces) if (table := _table(text, piece)) is not None}
-    if not tables:
+    settings = [
+        k for k, table in tables.items() if table.line[0] <= pieces[k].first
+    ]  # their rows are lines of a header
+    if len(tables) == len(settings) or (settings and len(pieces) - len(settings) < 2):
         return None
+    tables = {k: table for k, table in tables.items() if k not in settings}
     chosen = _alike(tables)
     rest = [piece for k, piece in enumerate(pieces) if k not in chosen]
     parts = [_part(text, pieces[k], tables[k]) for k in chosen]

@@ -185,6 +185,8 @@ def crossing(
         between = abs((level[k] / step) * (1 + level[k] / step) * curved)
         error = float(np.hypot(noise or 0.0, between))
         return float(values[k] - level[k] * run / step), error if error > 0 else None
+    if not np.ptp(values[near]):  # an input that is switched between levels
+        return None
     # Noise crosses zero several times: a straight line through the samples about it.
     slope, offset = np.polyfit(values[near], level[near], 1)
     at = -offset / slope

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import datetime
+
 import numpy as np
 
 from .drawing import Draw
 from .physics import growing, lagging, rubbing, sine
 from .registry import kind
-from .truth import Layout, loops
+from .truth import Layout, Loop, loops
 from .writing import Column, Dialect, loop, packed, rows, table, titles
 
 
@@ -128,6 +131,55 @@ def long_format(draw: Draw) -> Layout:
         ]
     head = mark.join(draw.pick(("time", "sensor", "value"), ("Time (s)", "channel", "reading")))
     return Layout("", {draw.pick("log.csv", "sensors.csv"): packed(draw, [head, *lines])}, loops(loop(x, f, t)))
+
+
+@kind("a row for each change of a value")
+def history(draw: Draw) -> Layout:
+    """The history of a database of states: each entity writes where its value changes, one entity after the other."""
+    n = draw.whole(60, 150)
+    begin = datetime.datetime(2024, draw.whole(1, 12), draw.whole(1, 28), 5)
+    drive = np.round(50 + 40 * sine(n, draw.whole(2, 4)), 1)
+    answer = np.round(draw.noise(20 + 8 * lagging(draw, drive / 40), 1e-3), 2)
+    entities = (("number.valve_opening", drive), ("sensor.flow_temperature", answer))
+    lines = ["entity_id,state,last_changed"]
+    for name, values in entities:
+        for k in range(n):
+            if k == 0 or values[k] != values[k - 1]:
+                lines.append(f"{name},{values[k]:g},{(begin + datetime.timedelta(seconds=30 * k)).isoformat()}.000Z")
+    changed = np.append(True, (np.diff(drive) != 0) | (np.diff(answer) != 0))
+    return Layout(
+        "",
+        {"history.csv": packed(draw, lines)},
+        loops(Loop(drive[changed], answer[changed], t=30.0 * np.flatnonzero(changed))),
+    )
+
+
+@kind("blocks of a simulation")
+def blocks(draw: Draw) -> Layout:
+    """A block for each time, with settings or a caption above the row of a node."""
+    t, x, f = _specimen(draw, draw.whole(40, 100))
+    captions, lines = draw.chance(0.5), []
+    for k, (time, u, y) in enumerate(zip(t.cells, x.cells, f.cells, strict=True), 1):
+        if captions:
+            lines += ["", f" displacements (vx,vy,vz) for set TOP and time  {time}", "", f"  12  {u} 0.0 0.0", ""]
+            lines += [f" forces (fx,fy,fz) for set TOP and time  {time}", "", f"  12  {y} 0.0 0.0"]
+        else:
+            lines += [f"*Step  = {k}", f"*Time  = {time}", "*Data  = ux;Rx", f"12 {u} {y}"]
+    pair = dataclasses.replace(loop(x, f, t), u_unit="", y_unit="")
+    return Layout("", {draw.pick("model.dat", "nodes.txt"): packed(draw, lines)}, loops(pair))
+
+
+@kind("matrix of a recorder in XML")
+def recorder(draw: Draw) -> Layout:
+    """The columns of a matrix have their names in elements above it."""
+    t, x, f = _specimen(draw, draw.whole(40, 100))
+    names = draw.pick(("D1", "R1"), ("strain", "stress"))
+    head = ['<?xml version="1.0"?>', "<OpenSees>"]
+    for tag, name in enumerate(("time", *names)):
+        head += [f'<NodeOutput nodeTag="{tag}">', f"<ResponseType>{name}</ResponseType>", "</NodeOutput>"]
+    lines = [*head, "<Data>", *rows([t, x, f], Dialect(" ")), "</Data>", "</OpenSees>"]
+    pair = dataclasses.replace(loop(x, f, t), u_unit="", y_unit="")
+    return Layout("", {"node.xml": packed(draw, lines)}, loops(pair))
 
 
 @kind("segments of one test between blank lines")

@@ -104,3 +104,27 @@ def units(draw: Draw) -> Layout:
     branch = Column("branch", np.repeat(["A", "D"], n // 2))
     lines = table(draw, [*draw.shuffled(texts), u, y, branch], Dialect(",", style="none"))
     return Layout("", {"isotherms.csv": packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("targets and measurements of a robot")
+def targets(draw: Draw) -> Layout:
+    """Commanded and measured positions and currents of a joint, and the moment that the controller computes ahead."""
+    n = 4 * draw.whole(40, 120)
+    q, current = _joint(draw, n)
+    ahead = 0.8 * current.max() * q / np.abs(q).max()
+    mark, of = (
+        draw.pick(("_", "_1"), ("_", "_3"), ("_", "")),
+        draw.pick(("target", "actual"), ("cmd", "meas"), ("desired", "measured")),
+    )
+    name = lambda side, word: f"{of[side]}{mark[0]}{word}{mark[1]}"
+    t = Column("timestamp", 0.008 * np.arange(n), "s", ".3f")
+    x = Column(name(1, "q"), q + draw.rng.normal(0, 2e-5, n), "", ".6f")
+    y = Column(name(1, "current"), current, "", ".5f")
+    others = [Column(name(0, "q"), q, "", ".6f"), Column(name(0, "current"), ahead, "", ".5f")]
+    others.append(Column(name(0, "moment"), 9.3 * ahead, "", ".4f"))
+    columns = [t, others[0], x, others[1], y, *([others[2]] if draw.chance(0.6) else [])]
+    return Layout(
+        "",
+        {"robot.csv": packed(draw, table(draw, columns, Dialect(draw.pick(",", " "), style="none")))},
+        loops(loop(x, y, t)),
+    )
