@@ -15,6 +15,7 @@ import numpy as np
 from hystfit.params.units import quantity
 from hystfit.reading.column_names import column_role, is_bare_role, is_channel, parts_of, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.quantity_points import DRIVE, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
     computed,
@@ -29,24 +30,11 @@ from hystfit.reading.signal_evidence import (
     smoothness,
 )
 
-# Points of a quantity as the input and as the output of a device.
-_DRIVE = {
-    "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8,
-    "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
-}  # fmt: skip
-_RESPONSE = {
-    "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
-    "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
-    "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
-    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
-}  # fmt: skip
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
 _STATED, _CONTRARY = 3.2, -1.0
-_BARE = (
-    -1.0
-)  # further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor
+# Further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor.
+_BARE = -1.0
 # Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output
 # there. The two are of one unit, or named alike, and differ by less than that part of the range: following errors are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
@@ -57,39 +45,6 @@ _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
 # Points of two columns of one part or axis by their names: more than those of two places.
 _SAME_PART = 0.5
 _OF_PARTS = ("displacement", "field", "induction")
-_SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
-_MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
-# Points of pairs that belong together, besides those of each column.
-_PAIRS: Mapping[tuple[str, str], float] = (
-    dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
-    | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
-    | {("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
-    | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0}
-    | {("strain", "stress"): 4.0, ("shear rate", "stress"): 4.0}
-    | dict.fromkeys(
-        [
-            ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
-            ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
-            ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
-            *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
-            ("displacement", "moment"),
-        ],
-        3.0,
-    )
-    # A voltage and a force are worth less than a displacement and its force beside a gauge in volts.
-    | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}
-    | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, "displacement", "strain", "force", "stress", "current", ""]), 3.0)
-    | dict.fromkeys(  # sensors, and converters of a current to a pressure
-        [
-            *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),
-            *itertools.product(["strain", "displacement"], _SENSED), ("current", "pressure"), ("displacement", "flow"),
-        ],
-        3.0,
-    )
-    | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
-    | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
-    | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
-)  # fmt: skip
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
@@ -208,8 +163,8 @@ class _Evidence:
         overtaken = kinds[i] != kinds[o] and i in self._measured
         driven = self.roles[o] == "output" or (self.roles[i] == "input" and not overtaken)
         points = (
-            self._of_quantity(i, _DRIVE, told=driven)
-            + self._of_quantity(o, _RESPONSE, told=self.roles[o] == "output")
+            self._of_quantity(i, DRIVE, told=driven)
+            + self._of_quantity(o, RESPONSE, told=self.roles[o] == "output")
             + self._of_pair(i, o)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
@@ -266,7 +221,7 @@ class _Evidence:
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
-        points = usual.get(self.kinds[position], _SELDOM)
+        points = usual.get(self.kinds[position], SELDOM)
         return max(points, usual[""]) if told and self.kinds[position] not in ("index", "error") else points
 
     def _of_role(self, position: int, role: str) -> float:
@@ -370,8 +325,8 @@ class _Evidence:
         kinds = self.kinds[i], self.kinds[o]
         beside = o if kinds[0] == "current" else i
         if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in self._measured.values():
-            return _PAIRS["current", "displacement"] * (beside == i)
-        return _PAIRS.get(kinds, 0.0)
+            return PAIRS["current", "displacement"] * (beside == i)
+        return PAIRS.get(kinds, 0.0)
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:
