@@ -205,6 +205,7 @@ PAIRS = [
     ("montée", "descente"),
     ("加载", "卸载"),
     ("press", "release"),
+    ("CW", "CCW"),
 ]
 
 
