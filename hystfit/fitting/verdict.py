@@ -167,12 +167,14 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
 
 def _branches_coincide(fitted: Fitted) -> bool:
     """Whether no loop is open beyond the noise, and the fit errs as much as the samples scatter about a curve of any shape."""
-    closed = lambda quality: (quality.shape is None or quality.single_valued) and not quality.dynamic
-    if not (fitted.thorough and all(map(closed, fitted.qualities))):
-        return False
     scatter = curve_scatter(fitted.parts)
-    small = 100 * scatter <= POOR * fitted.baselines.span and is_noise(scatter, fitted.baselines)
-    return fitted.train.rmse >= SHARE * scatter and (fitted.percent <= POOR or small)
+    if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
+        return False
+    if fitted.percent > POOR and (
+        100 * scatter > POOR * fitted.baselines.span or not is_noise(scatter, fitted.baselines)
+    ):
+        return False
+    return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities)
 
 
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
