@@ -205,3 +205,24 @@ def test_messages_in_a_record_whose_clock_goes_on_begin_nothing(tmp_path: Path) 
     record = read(path)
     assert isinstance(record, Record)
     is_pair(record, U, Y)
+
+
+@pytest.mark.parametrize("names", ["# H (A/m)  B (T)\n", "H (A/m)  B (T)\n"])
+def test_comments_that_differ_in_their_numbers_begin_loops(names: str, tmp_path: Path) -> None:
+    rows = lambda size: "".join(f"{size * a:.3f}  {b}\n" for a, b in zip(U, Y, strict=True))
+    text = "".join(f"# loop at Hmax = {size} A/m\n{rows(size)}" for size in (50, 100, 200))
+    (tmp_path / "ring.txt").write_text(f"# ring core\n{names}{text}")
+    data = read(tmp_path / "ring.txt")
+    assert len(data) == 3
+    for record, size in zip(data, (50, 100, 200), strict=True):
+        is_pair(record, np.round(size * U, 3), Y)
+        assert (record.u_unit, record.y_unit) == ("A/m", "T")
+
+
+def test_comments_in_a_record_whose_clock_goes_on_begin_nothing(tmp_path: Path) -> None:
+    lines = [f"{0.1 * k:.1f},{a},{b}" for k, (a, b) in enumerate(zip(U, Y, strict=True))]
+    rows = ["# saved at 10:20", "t (s),V (V),x (um)", *lines[:50], "# saved at 10:25", *lines[50:]]
+    (tmp_path / "log.csv").write_text("\n".join(rows))
+    record = read(tmp_path / "log.csv")
+    assert isinstance(record, Record)
+    is_pair(record, U, Y)

@@ -20,6 +20,7 @@ _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two t
 _BETWEEN = 3  # lines between the names and the numbers
 _SYMBOLS = 3  # brackets behind names, all different and no known units, from which they are symbols of the columns
 _WIDER = 2  # names without a column at the end of a header
+_NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
 _WORDS = {
     "header": "repeated header",
     "cells": "row with another number of cells than {width}",
@@ -104,6 +105,20 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     return Header(names, units, used, apart=place > 0, over=over)
 
 
+def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:
+    """Comments above the first row and between rows that differ in their numbers alone, as in "# loop at 50 A/m".
+
+    Args:
+        lines: of the file.
+        index: those that are rows.
+    """
+    between = [lines[k + 1] for k in index[:-1][np.diff(index) == 2]]
+    alike: dict[str, set[str]] = {}
+    for line in filter(is_comment, [*lines[: index[0]], *between]):
+        alike.setdefault(_NUMBERS.sub("0", line), set()).add(line)
+    return {line for group in alike.values() if len(group) > 1 for line in group if not group.isdisjoint(between)}
+
+
 def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
     """The cells of the line above the names, where it has fewer words than there are columns; () for other lines."""
     width, row = text.dialect.width, [cells.clean(cell) for cell in block.rows[place]] if place >= 0 else []
@@ -124,7 +139,8 @@ def _apart(text: Text, block: Block) -> int:
         kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False)
     )
     fits = lambda cell, kind: cells.kind(cell, dialect.decimal) == cells.TEXT or (cell == "" and kind == cells.MISSING)
-    if first > 1 and is_mark(text.lines[first - 1]):
+    above = text.lines[first - 1] if first > 1 else ""
+    if is_mark(above) or above in heads_of_sections(text.lines, block.index):
         return first - 1
     for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
         between = block.rows[place]

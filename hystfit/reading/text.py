@@ -24,7 +24,7 @@ from hystfit.reading.header import sample_properties
 from hystfit.reading.latex_names import without_latex
 from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
-from hystfit.reading.other_lines import Header, header_of, left_out
+from hystfit.reading.other_lines import Header, header_of, heads_of_sections, left_out
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.stated_results import stated_in
@@ -301,13 +301,17 @@ def _doubtful_dots(columns: Sequence[Sequence[str]], dialect: Dialect) -> list[N
 
 
 def _curves(index: np.ndarray, lines: Sequence[str], notes: list[Note]) -> np.ndarray:
-    """Number of the block that each row is in, between blank lines or lines of words: the end of a section and the head of the next."""
+    """Number of the block that each row is in, between blank lines or lines of words: the end of a section and the head of the next.
+
+    A single comment is a head where several differ in their numbers alone, one of them above the first row: "# loop at 50 A/m".
+    """
     curve = np.zeros(index.size, dtype=int)
     gaps = np.flatnonzero(np.diff(index) > 1)
+    heads = heads_of_sections(lines, index)
     for k in gaps:
         between = lines[index[k] + 1 : index[k + 1]]
         section = len(between) >= _SECTION and all(map(_WORDS.match, between))
-        if section or any(not line.strip(" \t,;|") for line in between):
+        if section or heads.intersection(between) or any(not line.strip(" \t,;|") for line in between):
             curve[k + 1] = 1
     curve = np.cumsum(curve)
     if curve[-1] > 1 and curve[-1] == index.size - 1:
