@@ -24,7 +24,10 @@ MEASURED = {
     "degrading": ("struct_slotboom/trial2", "struct_slotboom/spc1"),
     "no loop": ("steel_resspylab/example_3",),
 }
-NOT_DESCRIBED = ("degrading", "noise only", "no loop")  # kinds that no model of hystfit describes
+NOT_DESCRIBED = (
+    "noise only",
+    "no loop",
+)  # kinds that no model describes: a law of degradation may, or may not, describe what degrades
 
 
 @dataclasses.dataclass(frozen=True)
