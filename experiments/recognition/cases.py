@@ -24,10 +24,8 @@ MEASURED = {
     "degrading": ("struct_slotboom/trial2", "struct_slotboom/spc1"),
     "no loop": ("steel_resspylab/example_3",),
 }
-NOT_DESCRIBED = (
-    "noise only",
-    "no loop",
-)  # kinds that no model describes: a law of degradation may, or may not, describe what degrades
+# Kinds that no model describes. A law of degradation may describe a device that degrades, or another of its loops.
+NOT_DESCRIBED = ("noise only", "no loop")
 
 
 @dataclasses.dataclass(frozen=True)

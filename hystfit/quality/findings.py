@@ -143,7 +143,8 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     """Whether there are loops, and of which shape."""
     shape = record.shape
     if record.motion.monotonic:
-        yield warn(Code.NO_LOOP, "the input is monotonic, so there is no loop")
+        text = "the input is monotonic, so there is no loop; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
+        yield warn(Code.NO_LOOP, text)
     if shape is None:
         return
     if shape.crossing:
