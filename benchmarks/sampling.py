@@ -9,6 +9,7 @@ effective draws (Geyer's sequence, as ArviZ `ess(method="mean")`), for the param
 
 from __future__ import annotations
 
+import dataclasses
 import statistics
 import time
 from collections.abc import Callable
@@ -23,7 +24,8 @@ import scipy.signal
 from rows import Row
 
 import hystfit as hf
-from hystfit.sampling.bend import BEND
+from hystfit.params.coordinates import BOTH
+from hystfit.sampling.bend import BEND, Bend
 from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.nuts import Nuts
@@ -89,9 +91,24 @@ def peer_density(q, center, factor, u, y, scales, wide):
     return prior + slope - 0.5 * total / sigma**2 - u.size * np.log(sigma)
 
 
+def bent_of(target: Target) -> tuple[Bend, Callable[[jax.Array], jax.Array]]:
+    """The coordinates of `hystfit.sampling.bend` for all parameters with two bounds, and the map to them from those of a target."""
+    kinds = (*target.density.objective.coordinates.kinds, *target.density.noise.kinds)
+    bend = Bend(jnp.equal(jnp.asarray(kinds), BOTH), target.bend.width)
+    return bend, lambda v: bend.bent(target.z_and_slope(target.bend.unbent(v))[0])
+
+
+def plain(target: Target) -> Target:
+    """The same density over these coordinates alone, whitened at the center alike."""
+    bend, of_v = bent_of(target)
+    factor = jax.jacfwd(of_v)(target.center) @ target.factor
+    center = of_v(target.center)
+    return dataclasses.replace(target, bend=bend, noise=None, slopes=None, center=center, factor=factor)
+
+
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
     """The peer's log posterior of whitened coordinates, checked against the library's."""
-    target, data = setup.target, setup.problem.data[0]
+    target, data = plain(setup.target), setup.problem.data[0]
     scales = np.concatenate([np.asarray(c.scale) for c in (target.density.objective.coordinates, target.density.noise)])
     arrays = tuple(np.asarray(v) for v in (target.center, target.factor, data.u, data.y, scales))
     wide = float(target.density.priors[4].sd)
@@ -168,8 +185,8 @@ def chain(setup: Setup, slices: int) -> tuple[Callable[[], np.ndarray], float]:
 def rates(samples: int, rounds: int) -> dict[str, dict[str, float]]:
     """All samplers on one record."""
     fits = [hf.fit("bouc-wen", record(samples, slow), noise="iid", starts=1) for slow in (False, True)]
-    plain, default = prepare(fits[0], noise="iid"), prepare(fits[1], noise="ou")
-    density, d = peer(plain), plain.target.center.shape[0]
+    white, default = prepare(fits[0], noise="iid"), prepare(fits[1], noise="ou")
+    density, d = peer(white), white.target.center.shape[0]
     steps = 100 if samples < 5000 else 40
     moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     rng = np.random.default_rng(1)
@@ -180,7 +197,7 @@ def rates(samples: int, rounds: int) -> dict[str, dict[str, float]]:
             ensemble(emcee.EnsembleSampler(64, d, density, moves=moves), spread(64), steps), 4
         ),
     }
-    for label, setup in (("iid", plain), ("ou", default)):
+    for label, setup in (("iid", white), ("ou", default)):
         begin = start(setup.target, 128, 1)
         runners[f"hystfit emcee, {label}, 128"] = Runner(ensemble(walk(setup.target, 128), begin, steps), 4)
         advance, seconds = chain(setup, 8 if samples < 5000 else 2)

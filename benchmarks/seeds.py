@@ -6,7 +6,6 @@ second of processor time, without burn-in and warm-up, and the probability of a 
 
 from __future__ import annotations
 
-import dataclasses
 import statistics
 import time
 from collections.abc import Callable
@@ -17,14 +16,12 @@ import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
-from sampling import Runner, compared, ensemble, peer_parameters, peer_step, record
+from sampling import Runner, bent_of, compared, ensemble, peer_parameters, peer_step, plain, record
 
 import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.setup import Setup, prepare
-from hystfit.sampling.target import Target
 
 WALKERS, SEEDS, TAIL = 64, 10, 0.9  # the tail is rho > 0.9
 
@@ -52,19 +49,6 @@ def peer_density(q, center, factor, u, y, scales, wide, median, spread):
     prior = -0.5 * (z[0] ** 2 + z[2] ** 2 + z[5] ** 2 + z[6] ** 2) / 9.0 - 0.5 * (offset / wide) ** 2
     prior -= 0.5 * ((np.log(time - 1.0) - np.log(median)) / spread) ** 2
     return prior + slope - 0.5 * total
-
-
-def of_noise(target: Target) -> NoiseCoordinates:
-    """Coordinates of white and slow noise, which this noise model has."""
-    assert target.noise is not None
-    return target.noise
-
-
-def plain(target: Target) -> Target:
-    """The same density with logarithms of the noise's parameters as coordinates, whitened at the center alike."""
-    z_of = of_noise(target).z_of
-    slope = jax.jacfwd(lambda w: z_of(w))(target.center)
-    return dataclasses.replace(target, noise=None, center=z_of(target.center), factor=slope @ target.factor)
 
 
 def peer(setup: Setup) -> Callable[[np.ndarray], float]:
@@ -107,7 +91,7 @@ def chains(setup: Setup, seed: int, settings: Nuts) -> tuple[np.ndarray, float]:
             q = jnp.asarray(parts[-1][-1])
         busy += time.process_time() - begin
         # Each chain has coordinates of its own; those of the peer serve all.
-        v = of_noise(target).z_of(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
+        v = jax.vmap(bent_of(target)[1])(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
         drawn.append(plain(target).q_of(np.asarray(v), np))
     return np.stack(drawn), busy
 

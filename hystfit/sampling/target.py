@@ -82,7 +82,7 @@ class Target(eqx.Module):
         """x from q."""
         return self.density.physical(self.unwhitened(q))
 
-    def _z_and_slope(self, w: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, ""]]:
+    def z_and_slope(self, w: Float[Array, " d"]) -> tuple[Float[Array, " d"], Float[Array, ""]]:
         """z from v without its bend, and log |det dz/dw|."""
         w = w if self.slopes is None else self.slopes.z_of(self.density, w)
         return (w, jnp.zeros(())) if self.noise is None else self.noise.z_and_slope(w)
@@ -92,13 +92,13 @@ class Target(eqx.Module):
 
         With `lean`, see `Density.log_density`.
         """
-        z, change = self._z_and_slope(self.bend.unbent(v))
+        z, change = self.z_and_slope(self.bend.unbent(v))
         return self.density.log_density(z, lean) + change + self.bend.log_slope(v)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
         w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
-        (z, change), pull = jax.vjp(self._z_and_slope, w)
+        (z, change), pull = jax.vjp(self.z_and_slope, w)
         total, gradient = self.density.slope(z)
         bent, by_bend = jax.value_and_grad(self.bend.log_slope)(v)
         return total + change + bent, pull((gradient, jnp.ones(())))[0] * stretch + by_bend
