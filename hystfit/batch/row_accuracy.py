@@ -24,10 +24,10 @@ from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
-from hystfit.quality.baselines import DEGREE
+from hystfit.quality.baselines import DEGREE, USABLE
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
-from hystfit.results.accuracy import NOISY, USABLE, persistent_error
+from hystfit.results.accuracy import NOISY, persistent_error
 
 _ON_CURVE = 2**12  # samples on which a curve is fitted: its error is known to a percent
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.bounded import TrustRegion
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, polish
 from hystfit.fitting.thinning import thin
+from hystfit.fitting.trust_region import TrustRegion
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device

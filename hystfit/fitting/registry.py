@@ -13,7 +13,7 @@ ESTIMATORS = Registry(
     {
         "lm": f"{_HERE}.least_squares:LeastSquares",
         "dogleg": f"{_HERE}.least_squares:dogleg",
-        "trf": f"{_HERE}.bounded:TrustRegion",
+        "trf": f"{_HERE}.trust_region:TrustRegion",
         "lbfgsb": f"{_HERE}.bounded:BoundedDescent",
         "projected-gradient": f"{_HERE}.bounded:projected_gradient",
         "convex": f"{_HERE}.convex:Convex",

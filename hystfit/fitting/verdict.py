@@ -15,7 +15,7 @@ from hystfit.fitting.fitted import VISIBLE, Fitted
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.quality.baselines import Baselines, curve_scatter
+from hystfit.quality.baselines import USABLE, Baselines, curve_scatter
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
@@ -25,7 +25,6 @@ from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
     POOR,
     SHARE,
-    USABLE,
     accuracy_note,
     exceeded_limits,
     is_noise,

@@ -23,7 +23,7 @@ from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import sampling_interval
 from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
-from hystfit.quality.lag import recursion
+from hystfit.quality.recursions import recursion
 from hystfit.quality.summary import delay_of, dynamics_of
 
 

@@ -297,7 +297,7 @@ class PlayStep(AbstractStepInverse):
     piecewise linear and rising, and the active plays follow from its values at the t_j. Stops give min(d, t_j) instead.
     """
 
-    model: Any  # PrandtlIshlinskii, whose module imports this one
+    model: PrandtlIshlinskii
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:

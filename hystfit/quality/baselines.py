@@ -14,6 +14,7 @@ from hystfit.quality.faults import noise_rms, rounding_rms
 
 DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
+USABLE = 3.0  # percent of the range: largest rms error of a usable description
 BLOCK = 2**16  # samples looked at together
 _SCATTERED = 2**14  # samples of a record that are compared with a curve of any shape: their scatter is known to 0.6 %
 _Part = tuple[np.ndarray, np.ndarray]

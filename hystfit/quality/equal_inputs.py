@@ -9,11 +9,11 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.baselines import USABLE
 from hystfit.quality.loops import SAME_LEVEL, closed_loops, loop_branches
 from hystfit.quality.record_quality import SPEEDS_APART
 
 _GRID = np.linspace(0.02, 0.98, 97)  # parts of the range at which loops are compared, apart from the turning points
-_MOST_APART = 3.0  # percent of the range, the limit of a usable fit
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +76,7 @@ def apart_note(records: Sequence[Record]) -> Note | None:
     found = records_apart(records)
     used = [record.y[record.used] for record in records]
     span = max(float(y.max()) for y in used) - min(float(y.min()) for y in used)
-    if found is None or 100 * found.rms <= _MOST_APART * span:
+    if found is None or 100 * found.rms <= USABLE * span:
         return None
     first, *others = found.names
     text = (

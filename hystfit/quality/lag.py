@@ -12,7 +12,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from hystfit.data.preparation import smooth
 
@@ -194,19 +193,3 @@ def unexplained(design: np.ndarray, y: np.ndarray, rcond: float) -> float:
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
     solution = np.linalg.lstsq(design, y, rcond=rcond)[0]
     return float(np.mean((y - design @ solution) ** 2))
-
-
-def lagged(columns: np.ndarray, time: float) -> np.ndarray:
-    """Columns behind a first-order lag of this time constant [samples], from rest."""
-    keep = float(np.exp(-1 / time))
-    return columns[0] + recursion((1.0, -keep), (1 - keep) * (columns - columns[0]))
-
-
-def recursion(taps: tuple[float, ...], columns: np.ndarray) -> np.ndarray:
-    """Columns y with taps[0] y[k] + taps[1] y[k - 1] + ... = columns[k], from rest: a banded triangular system.
-
-    As by `scipy.signal.lfilter`, whose import takes as long as a fit.
-    """
-    band = np.empty((len(taps), len(columns)), order="F")
-    band[:] = np.array(taps)[:, None]
-    return dtbtrs(band, columns, uplo="L")[0]

@@ -14,7 +14,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from hystfit.quality.baselines import play_positions
-from hystfit.quality.lag import lagged, recursion, unexplained
+from hystfit.quality.lag import unexplained
+from hystfit.quality.recursions import lagged, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
 EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band

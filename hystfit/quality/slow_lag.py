@@ -6,7 +6,8 @@ import numpy as np
 
 from hystfit.quality.baselines import play_positions
 from hystfit.quality.delay import MOST, REMAINS
-from hystfit.quality.lag import lagged, unexplained
+from hystfit.quality.lag import unexplained
+from hystfit.quality.recursions import lagged
 from hystfit.quality.resonance import FEWEST, explains
 
 SHORT = 6.0  # samples up to which a lag is short

@@ -10,11 +10,11 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import ROUNDING, number
-from hystfit.quality.baselines import Baselines
+from hystfit.quality.baselines import USABLE, Baselines
 from hystfit.results.metrics import Metrics
 
-_STRICT, USABLE = 1.0, 3.0  # percent of range between which the limit of the rms error lies,
-_TIMES_PLAYS = 5.0  # this many times the error of ten plays
+_STRICT = 1.0  # percent of range: least limit of the rms error, and `USABLE` the largest; between them
+_TIMES_PLAYS = 5.0  # it is this many times the error of ten plays
 POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
 _NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
