@@ -252,7 +252,7 @@ def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     target, found = prepare(fitted, noise="iid").target, []
     for goal in (0.65, 0.85):
-        nuts, shares = Nuts(target_accept=goal), []
+        nuts, shares = Nuts(target_accept=goal, jumps=False), []
         for key in jax.random.split(jax.random.key(3), 4):
             warm = nuts.warm(target, key)
             q = jnp.asarray(warm["q"])
@@ -300,6 +300,20 @@ class Funnel(Target):
         v, x = q[0], q[1:]
         return -(v**2) / 8 - 0.5 * jnp.sum(x**2) * jnp.exp(-v) - 0.5 * x.size * v
 
+    def log_densities(self, q):
+        return jax.vmap(self)(q)
+
+
+class LogGamma(Target):
+    """Logarithms of gamma variables of shape 2, of which the second is added to the first."""
+
+    def log_density(self, v, lean=False):
+        v = jnp.stack([v[0] - v[1], v[1]])
+        return jnp.sum(2 * v - jnp.exp(v))
+
+    def slope(self, v):
+        return jax.value_and_grad(self.log_density)(v)
+
 
 def of_kind(kind: type[Target], fitted: hf.FitResult, lengths: list[float]) -> Target:
     """A target that replaces the density of a fit."""
@@ -320,6 +334,31 @@ def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
     again = share(nuts.warm(funnel, jax.random.key(1)))
     monkeypatch.setattr("hystfit.sampling.nuts._AGAIN", 0)
     assert again > share(nuts.warm(funnel, jax.random.key(1))) + 0.05
+
+
+def test_jumps_between_trajectories_leave_a_skewed_density_as_it_is(fitted):
+    target = of_kind(LogGamma, fitted, [1.0, 1.0])
+    target, nuts, drawn = dataclasses.replace(target, bend=Bend(jnp.zeros(2, bool), jnp.zeros(2))), Nuts(), []
+    for key in jax.random.split(jax.random.key(2), 2):
+        warm = nuts.warm(target, key)
+        q = jnp.asarray(warm["q"])
+        for k in range(40):
+            chunk = nuts.chunk(target, warm, q, jax.random.fold_in(key, k))
+            q = jnp.asarray(chunk["q"][-1])
+            drawn.append(adapted(target, warm).v_of(chunk["q"], np))
+            np.testing.assert_array_equal(chunk["steps"] == 0, np.arange(50) % 10 > 0)
+            np.testing.assert_array_equal(np.isnan(chunk["acceptance"]), chunk["steps"] == 0)
+    v = np.concatenate(drawn)
+    for x in (v[:, 1], v[:, 0] - v[:, 1]):
+        assert effective_size(x.reshape(2, -1)) > 0.5 * len(x)
+        for place in (0.05, 0.3, 2.0, 5.0):
+            inside, share = (x < np.log(place)).astype(float), scipy.stats.gamma.cdf(place, 2)
+            assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside.reshape(2, -1)))
+
+
+def test_no_jumps_where_their_distribution_does_not_cover_the_posterior(fitted):
+    funnel, nuts = of_kind(Funnel, fitted, [1.0] * 6), Nuts(warmup=200)
+    assert "jumps_root" not in nuts.warm(funnel, jax.random.key(1))
 
 
 def test_chains_that_diverge_are_drawn_again_for_a_higher_acceptance(fitted, monkeypatch, tmp_path):

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -28,7 +27,6 @@ from hystfit.sampling.target import Target
 MOST = 10  # parameters of a model beyond which ensembles mix too slowly
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
-_TOGETHER = 8  # walkers at once where trajectories are kept: more do not fit into the cache
 _FINE = 20.0  # samples per autocorrelation time that suffice to estimate it
 
 
@@ -123,10 +121,7 @@ def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
 
 @eqx.filter_jit
 def _many(target: Target, q: Array) -> Array:
-    """Log posterior at whitened q of shape (walkers, d), for as many walkers at once as the cache has room for."""
-    together = _TOGETHER if target.density.keeps_trajectories else len(q)
-    one = lambda row: target.log_density(target.v_of(row), lean=True)
-    return jax.lax.map(one, q, batch_size=together)
+    return target.log_densities(q)
 
 
 def walk(target: Target, walkers: int) -> Any:

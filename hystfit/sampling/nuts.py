@@ -23,10 +23,11 @@ from hystfit.params.host_arrays import compiled, to_device
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
+from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted, offers
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
-from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
+from hystfit.sampling.transitions import Tuning, advance_chunk
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
@@ -44,6 +45,7 @@ class Nuts(AbstractSampler):
             but transitions diverge in curved ones; 0.9 costs about as many gradients per effective draw. Where transitions still
             diverge, the chains are drawn again for an acceptance half as far from 1, up to three times.
         max_depth: doublings of a trajectory at most.
+        jumps: whether jumps (`hystfit.sampling.jumps`) take the place of nine in ten trajectories where the posterior is nearly normal.
     """
 
     name: ClassVar[str] = "nuts"
@@ -53,6 +55,7 @@ class Nuts(AbstractSampler):
     warmup: int = 300
     target_accept: float = 0.9
     max_depth: int = 8
+    jumps: bool = True
 
     def __post_init__(self) -> None:
         optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
@@ -153,10 +156,12 @@ class Nuts(AbstractSampler):
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
-        fixed = (jnp.asarray(self.target_accept), self.max_depth)
-        out, _ = advance_chunk(
-            adapted(target, warm), q, Tuning.about(float(warm["size"])), key, jnp.asarray(False), *fixed
-        )
+        target, jumps = adapted(target, warm), Offers.none(len(q))
+        if "jumps_root" in warm:
+            fit = Jumps(to_device(warm["jumps_center"]), to_device(warm["jumps_root"]))
+            jumps = offers(target, fit, jax.random.fold_in(key, 0))
+        fixed = (jnp.asarray(False), jnp.asarray(self.target_accept), self.max_depth)
+        out, _ = advance_chunk(target, q, Tuning.about(float(warm["size"])), key, *fixed, jumps)
         return {
             k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
         }
@@ -224,7 +229,7 @@ class _Adaptation:
         tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
         for _ in range(quarters * -(-self.nuts.warmup // (4 * CHUNK))):
             key, fixed = jax.random.fold_in(self.key, self.count), (jnp.asarray(self.goal), self.nuts.max_depth)
-            out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
+            out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed, Offers.none(len(q)))
             tuning = Tuning(*later)
             q, diverging, self.count = out[0][-1], np.asarray(out[2]), self.count + 1
             positions.append(np.asarray(out[0]))
@@ -240,8 +245,13 @@ class _Adaptation:
             if not diverges:
                 break
             self.goal = _closer(self.goal)
-        coordinates = {"center": target.center, "factor": target.factor} | vars(target.shear)
-        return {name: np.asarray(value) for name, value in (coordinates | {"q": q, "size": size}).items()}
+        warm = {"center": target.center, "factor": target.factor} | vars(target.shear) | {"q": q, "size": size}
+        jumps = None
+        if self.nuts.jumps and not diverges:
+            jumps = fitted(target, target.q_of(v, np), jax.random.fold_in(self.key, self.count))
+        if jumps is not None:
+            warm |= {"jumps_center": jumps.center, "jumps_root": jumps.root}
+        return {name: np.asarray(value) for name, value in warm.items()}
 
 
 def adapted(target: Target, warm: dict[str, np.ndarray]) -> Target:

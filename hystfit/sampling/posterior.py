@@ -187,7 +187,7 @@ class Posterior(WithStatus):
             "chains": self.draws.shape[0],
             "draws": self.draws.shape[1],
             "divergences": None if diverging is None else int(diverging.sum()),
-            "acceptance": float(np.mean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
+            "acceptance": float(np.nanmean(self.stats["acceptance"])) if "acceptance" in self.stats else None,
             "evidence": None if self.evidence is None else self.evidence._asdict(),
             "parameters": {row.pop("name"): row for row in self.table()},
             "derived": {row["name"]: {k: v for k, v in row.items() if k != "name"} for row in self.derived_rows},

@@ -19,6 +19,8 @@ from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
+_TOGETHER = 8  # places at once where trajectories are kept: more do not fit into the cache
+
 
 class Target(eqx.Module):
     """The log posterior that samplers draw from.
@@ -94,6 +96,11 @@ class Target(eqx.Module):
         """
         z, change = self.z_and_slope(self.bend.unbent(v))
         return self.density.log_density(z, lean) + change + self.bend.log_slope(v)
+
+    def log_densities(self, q: Float[Array, "n d"]) -> Float[Array, " n"]:
+        """Log posterior at many q, for as many at once as the cache has room for."""
+        together = _TOGETHER if self.density.keeps_trajectories else len(q)
+        return jax.lax.map(lambda row: self.log_density(self.v_of(row), lean=True), q, batch_size=together)
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""

@@ -1,0 +1,138 @@
+"""Jumps between trajectories of NUTS: Metropolis steps to places that do not depend on the present one (Tierney 1994, Ann. Stat. 22).
+
+In the coordinates of an adapted chain many posteriors are nearly normal. A draw from a t distribution fitted there is accepted about
+every other time, and the densities of many such draws are computed together: each costs a sixtieth of a trajectory (11 and 680 us for
+2000 samples of a Bouc-Wen model with slow noise). So one draw in ten is the end of a trajectory, and the others are ends of four
+jumps. Where trajectories of the warm-up diverge, or importance weights tell that the t distribution does not cover the posterior, all
+draws are ends of trajectories.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from hystfit.params.host_arrays import compiled, to_device
+from hystfit.results.exchange import smoothed_weights
+from hystfit.sampling.target import Target
+
+CHUNK = 50  # draws in one compiled call, and between two writes to disk
+_TRIES = 4  # jumps for each draw
+_EVERY = 10  # draws, of which the first is the end of a trajectory
+_FREEDOM = 10.0  # of the t distribution
+_WIDER = (
+    1.25  # times the standard deviations of the posterior: else chains stay in its skewed tails for hundreds of jumps
+)
+_ROUNDS = 3  # of 200 weighted draws each, which improve a fit to the positions of a warm-up
+_CHECKS = 5  # of 200 draws each, by which the last fit is judged: 200 are too few to tell a funnel
+_EFFICIENT = (
+    0.3  # effective fraction of draws: 0.5 to 0.7 for the posteriors of Bouc-Wen models, at most 0.25 for funnels
+)
+_HEAVY = 0.5  # Pareto shape beyond which weights have no variance
+_NEVER = -1e300  # logarithm of a weight of zero, for which ArviZ takes no infinity
+
+
+class Jumps(eqx.Module):
+    """A t distribution over the coordinates q of a chain.
+
+    Attributes:
+        center: its mean.
+        root: times its transpose the covariance.
+    """
+
+    center: Float[Array, " d"]
+    root: Float[Array, "d d"]
+
+    @classmethod
+    def of(cls, positions: Float[np.ndarray, "n d"], weights: Float[np.ndarray, " n"]) -> Jumps:
+        """Wider than positions whose weights sum to one."""
+        center = weights @ positions
+        away = positions - center
+        return cls(to_device(center), to_device(_WIDER * np.linalg.cholesky((weights * away.T) @ away)))
+
+    def log_density(self, q: Float[Array, " d"]) -> Float[Array, ""]:
+        """Up to a constant."""
+        e = jax.scipy.linalg.solve_triangular(self.root, q - self.center, lower=True)
+        return -0.5 * (_FREEDOM + q.size) * jnp.log1p(e @ e / (_FREEDOM - 2))
+
+    def draw(self, key: Array) -> Float[Array, " d"]:
+        """One place."""
+        first, second = jax.random.split(key)
+        squares = 2 * jax.random.gamma(second, 0.5 * _FREEDOM)
+        return self.center + self.root @ jax.random.normal(first, self.center.shape) * jnp.sqrt(
+            (_FREEDOM - 2) / squares
+        )
+
+    def taken(self, key: Array, position: Array, density: Array, offered: Any) -> tuple[Array, Array]:
+        """Place and log density after one Metropolis step to each of the offered (places, log densities, scores), one after another."""
+        levels = jnp.log(jax.random.uniform(key, offered[1].shape))
+
+        def attempt(here: tuple[Array, ...], at: tuple[Array, ...]) -> tuple[tuple[Array, ...], None]:
+            (*there, level) = at
+            return tuple(jnp.where(level < there[-1] - here[-1], b, a) for a, b in zip(here, there, strict=True)), None
+
+        here = (position, density, density - self.log_density(position))
+        return jax.lax.scan(attempt, here, (*offered, levels))[0][:2]
+
+
+class Offers(eqx.Module):
+    """Jumps for a chunk of draws.
+
+    Attributes:
+        jumps: their distribution.
+        on: which draws end jumps, not a trajectory.
+        offered: places, the log densities of the target there, and scores, the logarithms of importance weights; four for each draw.
+    """
+
+    jumps: Jumps
+    on: Bool[Array, " n"]
+    offered: tuple[Float[Array, "n k d"], Float[Array, "n k"], Float[Array, "n k"]]
+
+    @classmethod
+    def none(cls, d: int) -> Offers:
+        """All draws end trajectories."""
+        zeros = to_device(np.zeros((CHUNK, _TRIES)))
+        places, nowhere = to_device(np.zeros((CHUNK, _TRIES, d))), Jumps(to_device(np.zeros(d)), to_device(np.eye(d)))
+        return cls(nowhere, to_device(np.zeros(CHUNK, dtype=bool)), (places, zeros, zeros))
+
+
+@compiled
+def offers(target: Target, jumps: Jumps, key: Array) -> Offers:
+    """Jumps for one chunk."""
+    q = jax.vmap(jumps.draw)(jax.random.split(key, CHUNK * _TRIES))
+    density = target.log_densities(q)
+    score = density - jax.vmap(jumps.log_density)(q)
+    offered = (v.reshape(CHUNK, _TRIES, *v.shape[1:]) for v in (q, density, score))
+    return Offers(jumps, jnp.arange(CHUNK) % _EVERY > 0, tuple(offered))
+
+
+def fitted(target: Target, positions: Float[np.ndarray, "n d"], key: Array) -> Jumps | None:
+    """Jumps fitted to positions of a chain; None where they do not cover the posterior well enough.
+
+    Raises:
+        MissingExtraError: ArviZ is not installed.
+    """
+    places, counts = positions, np.ones(len(positions))
+    for k in range(_ROUNDS):
+        if counts.sum() < 2 * places.shape[1]:
+            return None
+        jumps = Jumps.of(places, counts / counts.sum())
+        q, weights, size, _ = _weighted(target, jumps, [jax.random.fold_in(key, k)])
+        places, counts = np.concatenate([places, q]), np.concatenate([counts, size * weights])
+    jumps = Jumps.of(places, counts / counts.sum())
+    q, _, size, heavy = _weighted(target, jumps, [jax.random.fold_in(key, _ROUNDS + k) for k in range(_CHECKS)])
+    return jumps if size >= _EFFICIENT * len(q) and heavy <= _HEAVY else None
+
+
+def _weighted(target: Target, jumps: Jumps, keys: list[Array]) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """Places, smoothed importance weights that sum to one, the effective number of places, and the shape of the weights' tail."""
+    offered = [offers(target, jumps, key).offered for key in keys]
+    q, score = (np.concatenate([np.asarray(part[k]) for part in offered]) for k in (0, 2))
+    score = np.nan_to_num(score.reshape(1, -1), nan=_NEVER, neginf=_NEVER)
+    weights, heavy = smoothed_weights(score)
+    return q.reshape(-1, q.shape[-1]), weights[0], float(1 / np.sum(weights**2)), float(heavy[0])
