@@ -130,6 +130,28 @@ def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
         load_population_priors(tmp_path / "pop")
 
 
+def test_the_change_with_a_covariate_that_the_files_state_is_that_of_least_squares(tmp_path, capsys):
+    """c at temperatures in headers and names: its slope is that of a line through the values that simulated the devices."""
+    degrees, c = np.arange(20.0, 50.0, 5.0), []
+    rng = np.random.default_rng(4)
+    for k, value in enumerate(degrees):
+        c.append(1.0 + 0.01 * (value - 30) + 0.01 * rng.normal())
+        y = np.asarray(hf.simulate(hf.BoucWen(c=c[-1], tau=2.0, **FIX), U)[0]) + 0.005 * rng.normal(size=U.size)
+        head, name = (f"# temperature: {value} degC\n", "device") if k % 2 else ("", f"temperature={value:.0f}")
+        rows = "\n".join(f"{a:.6f},{b:.6f}" for a, b in zip(U, y, strict=True))
+        (tmp_path / f"{name}_{k}.csv").write_text(f"{head}u_V,y_um\n{rows}\n")
+    words = ["--fix", "rho=0.5", "--fix", "mu=0.5", "--fix", "tau=2", "--fix", "offset=0", "--noise", "iid"]
+    options = [*words, "--covariate", "temperature", "--starts", "1", "--out", str(tmp_path / "pop")]
+    assert run(["population", f"{tmp_path}/*.csv", "--model", "bouc-wen", *options]) == 0
+    assert "per unit of" in capsys.readouterr().out
+    content = json.loads((tmp_path / "pop" / "result.json").read_text())["covariates"]["temperature"]
+    (slope, _), covariance = np.polyfit(degrees, c, 1, cov=True)
+    assert content["mean"] == degrees.mean()
+    assert content["effects"]["c"]["median"] == pytest.approx(slope, abs=0.5 * np.sqrt(covariance[0, 0]))
+    assert content["effects"]["c"]["lower"] < slope < content["effects"]["c"]["upper"]
+    assert "per unit of" in (tmp_path / "pop" / "report.html").read_text()
+
+
 def test_views(population):
     fit, _ = population
     for kind in ("forest", "correlation", "shrinkage"):
@@ -190,7 +212,7 @@ def test_the_next_measurement_is_the_one_that_tells_most(population):
         ({"records": slice(0, 1)}, "a population needs several devices, and 1 has"),
         ({"records": slice(0, 2)}, "2 devices do not determine the scatter of 2 parameters"),
         ({"covariates": {"temperature": {"device 0": 20.0}}}, "device 'device 1' has no number"),
-        ({"covariates": ["temperature"]}, "covariate 'temperature'"),
+        ({"covariates": ["temperature"]}, "has no value of temperature"),
         ({"by": {"device 0": "a"}}, "names no device for the loop 'device 1'"),
         ({"flat": True}, "device 0: "),
         ({"unit": "V"}, "record 'device 2': the output has another unit"),

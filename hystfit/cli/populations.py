@@ -42,7 +42,7 @@ def population(
     Args:
         loops: files, or patterns in quotes ('loops/*.csv'); every curve of a file is a device.
         model: name, or my_model.py:MyModel.
-        covariate: property in the files' headers on which the mean depends linearly; repeatable.
+        covariate: property in the files' headers or names on which the mean depends linearly; repeatable.
         device: regular expression whose first group in a loop's name is its device, where a device has several loops.
         draws: draws per chain.
         chains: chains.
@@ -149,6 +149,7 @@ def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None
             "Mean and scatter",
             [result.summary(), MEANING],
         ),
+        *([("Change of the mean device with covariates", [result.effects_table()])] if result.covariates else []),
         ("Pictures", [shown]),
         ("Correlations whose interval excludes zero", [result.correlation_table()]),
         ("Devices", [devices]),

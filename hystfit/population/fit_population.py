@@ -13,6 +13,7 @@ from hystfit.batch.fits import Fits
 from hystfit.batch.many import fit_many
 from hystfit.batch.row import Row
 from hystfit.config import require_seed, verb
+from hystfit.data.covariates import covariate
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.fit import fit
@@ -59,8 +60,8 @@ def fit_population(
         model: a model, its class or its name.
         records: files, patterns such as "loops/*.csv", and records.
         by: the device of each loop, by the loop's name, where a device has several; by default each loop is a device.
-        covariates: numbers on which the mean depends linearly: by covariate and device, or names of properties that the files state
-            (`Record.metadata`).
+        covariates: numbers on which the mean depends linearly: by covariate and device, or names of properties that files or
+            their names state (`hystfit.data.covariates`).
         draws, chains: of the population.
         seed: of the starting points and the draws.
         folder: keeps finished fits, from which the same call resumes.
@@ -207,7 +208,7 @@ def _covariates(given: Any, results: dict[str, FitResult]) -> dict[str, dict[str
         DataError: a device lacks one, or it is no number.
     """
     if not isinstance(given, Mapping):
-        given = {label: {name: r.data[0].metadata.get(label) for name, r in results.items()} for label in given}
+        given = {label: {name: _stated(label, name, r) for name, r in results.items()} for label in given}
     table: dict[str, dict[str, float]] = {}
     for label, values in given.items():
         table[label] = {}
@@ -219,6 +220,18 @@ def _covariates(given: Any, results: dict[str, FitResult]) -> dict[str, dict[str
         if len(set(table[label].values())) < 2:
             raise DataError(f"covariate {label!r} has the same value for all devices")
     return table
+
+
+def _stated(label: str, name: str, result: FitResult) -> float:
+    """The value of a covariate in the records of a device.
+
+    Raises:
+        DataError: a record has none, or they differ.
+    """
+    values = {covariate(record, label) for record in result.data}
+    if len(values) > 1:
+        raise DataError(f"covariate {label!r}: the loops of device {name!r} have several values: {sorted(values)}")
+    return values.pop()
 
 
 def _pools(

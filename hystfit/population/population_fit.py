@@ -259,6 +259,30 @@ class PopulationFit(WithStatus):
         heads = [Column("parameter"), Column("with", left=True)]
         return Table([*heads, *(Column(head, form=".2f") for head in ("correlation", "5 %", "95 %"))], rows)
 
+    def effects(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Change of the mean device with each covariate, by covariate and parameter: per unit of it, median and interval of 90 %."""
+        q, p = self.drawn.effects.shape[2:]
+        drawn, found = self.drawn.effects.reshape(-1, q, p), {}
+        for k, label in enumerate(self.covariates, 1):
+            ends = (self.common.x_of(drawn[:, 0] + side * drawn[:, k]) for side in (-0.5, 0.5))
+            low, middle, high = np.quantile(np.subtract(*reversed([*ends])), [0.05, 0.5, 0.95], axis=0)
+            rows = zip(self.names, low, middle, high, strict=True)
+            found[label] = {n: {"lower": float(a), "median": float(b), "upper": float(c)} for n, a, b, c in rows}
+        return found
+
+    def effects_table(self) -> Table:
+        """`effects` as readable text; no rows without covariates."""
+        heads = [Column("parameter"), Column("per unit of", left=True)]
+        heads += [*(Column(head) for head in ("change", "5 %", "95 %")), Column("unit", left=True)]
+        units = dict(zip(self.names, self.units, strict=True))
+        keys = ("median", "lower", "upper")
+        rows = [
+            [name, label, *(row[key] for key in keys), units[name]]
+            for label, rows in self.effects().items()
+            for name, row in rows.items()
+        ]
+        return Table(heads, rows)
+
     def headline(self) -> str:
         """Model, devices and status in one line."""
         return f"{self.model}, {len(self.devices)} devices: {self.status}"
@@ -266,6 +290,8 @@ class PopulationFit(WithStatus):
     def __str__(self) -> str:
         lines = [self.headline(), *self.summary().lines()]
         lines.append(MEANING)
+        if self.covariates:
+            lines += self.effects_table().lines()
         if (correlations := self.correlation_table()).rows:
             lines += correlations.lines()
         lines.append(f"outlying devices: {', '.join(self.outlying) or 'none'}")
@@ -301,7 +327,9 @@ class PopulationFit(WithStatus):
                 f"{self.names[b]}, {self.names[a]}": {"lower": low[a, b], "median": middle[a, b], "upper": high[a, b]}
                 for a, b in pairs
             },
-            "covariates": self.covariates,
+            "covariates": {
+                label: {"mean": self.covariates[label], "effects": rows} for label, rows in self.effects().items()
+            },
             "next_device": {name: {"prior": prior.exact()} for name, prior in priors.items()},
             "next_device_correlation": priors.correlation.tolist(),
             "devices": {row.pop("device"): row for row in self.device_rows()},

@@ -12,7 +12,7 @@ from hystfit.reading.names_with_units import is_unit, split_unit
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
-    r"|specimen|demagnet|质量|厚度|面积|試料|样品|尺寸)",
+    r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
 _NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})

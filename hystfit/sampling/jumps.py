@@ -18,7 +18,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.params.host_arrays import compiled, to_device
-from hystfit.results.exchange import smoothed_weights
 from hystfit.sampling.target import Target
 
 CHUNK = 50  # draws in one compiled call, and between two writes to disk
@@ -33,8 +32,7 @@ _CHECKS = 5  # of 200 draws each, by which the last fit is judged: 200 are too f
 _EFFICIENT = (
     0.3  # effective fraction of draws: 0.5 to 0.7 for the posteriors of Bouc-Wen models, at most 0.25 for funnels
 )
-_HEAVY = 0.5  # Pareto shape beyond which weights have no variance
-_NEVER = -1e300  # logarithm of a weight of zero, for which ArviZ takes no infinity
+_NEVER = -1e300  # logarithm of a weight of zero
 
 
 class Jumps(eqx.Module):
@@ -112,27 +110,23 @@ def offers(target: Target, jumps: Jumps, key: Array) -> Offers:
 
 
 def fitted(target: Target, positions: Float[np.ndarray, "n d"], key: Array) -> Jumps | None:
-    """Jumps fitted to positions of a chain; None where they do not cover the posterior well enough.
-
-    Raises:
-        MissingExtraError: ArviZ is not installed.
-    """
+    """Jumps fitted to positions of a chain; None where they do not cover the posterior well enough."""
     places, counts = positions, np.ones(len(positions))
     for k in range(_ROUNDS):
         if counts.sum() < 2 * places.shape[1]:
             return None
         jumps = Jumps.of(places, counts / counts.sum())
-        q, weights, size, _ = _weighted(target, jumps, [jax.random.fold_in(key, k)])
-        places, counts = np.concatenate([places, q]), np.concatenate([counts, size * weights])
+        q, weights = _weighted(target, jumps, [jax.random.fold_in(key, k)])
+        places, counts = np.concatenate([places, q]), np.concatenate([counts, weights / np.sum(weights**2)])
     jumps = Jumps.of(places, counts / counts.sum())
-    q, _, size, heavy = _weighted(target, jumps, [jax.random.fold_in(key, _ROUNDS + k) for k in range(_CHECKS)])
-    return jumps if size >= _EFFICIENT * len(q) and heavy <= _HEAVY else None
+    q, weights = _weighted(target, jumps, [jax.random.fold_in(key, _ROUNDS + k) for k in range(_CHECKS)])
+    return jumps if 1 / np.sum(weights**2) >= _EFFICIENT * len(q) else None
 
 
-def _weighted(target: Target, jumps: Jumps, keys: list[Array]) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Places, smoothed importance weights that sum to one, the effective number of places, and the shape of the weights' tail."""
+def _weighted(target: Target, jumps: Jumps, keys: list[Array]) -> tuple[np.ndarray, np.ndarray]:
+    """Places, and importance weights that sum to one."""
     offered = [offers(target, jumps, key).offered for key in keys]
     q, score = (np.concatenate([np.asarray(part[k]) for part in offered]) for k in (0, 2))
-    score = np.nan_to_num(score.reshape(1, -1), nan=_NEVER, neginf=_NEVER)
-    weights, heavy = smoothed_weights(score)
-    return q.reshape(-1, q.shape[-1]), weights[0], float(1 / np.sum(weights**2)), float(heavy[0])
+    score = np.nan_to_num(score.ravel(), nan=-np.inf, posinf=-np.inf)
+    weights = np.exp(score - max(score.max(), _NEVER))
+    return q.reshape(-1, q.shape[-1]), weights / max(weights.sum(), 1.0)

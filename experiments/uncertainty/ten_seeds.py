@@ -1,0 +1,100 @@
+"""NUTS with default settings from ten seeds on six records: three measured, a bundled one, and two whose posteriors are hard.
+
+Thin: so little saturation that data determine c (1 - mu) and mu c tau, and their parts only through the priors. Small: one small amplitude
+under slow and white noise, which does not determine tau and rho.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from bands import CASES
+from common import Results, table
+
+import hystfit as hf
+from hystfit.outcome import Status
+from hystfit.sampling.diagnostics import GOOD_ESS, GOOD_RHAT
+
+SEEDS = 10
+UNUSABLE = (Status.NOT_CONVERGED, Status.DIVERGING)
+
+
+def bundled() -> hf.FitResult:
+    """Two seconds of the simulated stage."""
+    return hf.fit("bouc-wen", hf.datasets.load("stage-sine").window(0.0, 2.0))
+
+
+def thin() -> hf.FitResult:
+    """A loop with little saturation."""
+    u = np.linspace(0.3, 1, 400) * np.sin(np.linspace(0, 8 * np.pi, 400))
+    return _simulated(hf.BoucWen(c=50.0, mu=0.3, tau=0.01, rho=0.2), u, white=0.01, slow=0.0)
+
+
+def small() -> hf.FitResult:
+    """A loop of one amplitude, a tenth of that which would determine all parameters."""
+    return _simulated(
+        hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), 0.1 * np.sin(np.linspace(0, 16 * np.pi, 800)), 5e-4, 5e-4
+    )
+
+
+def _simulated(model: hf.BoucWen, u: np.ndarray, white: float, slow: float) -> hf.FitResult:
+    rng, drift = np.random.default_rng(0), np.zeros(u.size)
+    for k in range(1, u.size):  # correlated over 20 samples
+        drift[k] = 0.95 * drift[k - 1] + np.sqrt(1 - 0.95**2) * rng.normal()
+    y = np.asarray(hf.simulate(model, u)[0]) + slow * drift + white * rng.normal(size=u.size)
+    return hf.fit("bouc-wen", hf.Record(t=0.01 * np.arange(u.size), u=u, y=y))
+
+
+def fits(results: Results) -> Iterator[tuple[str, Callable[[], hf.FitResult]]]:
+    """The records that are found, as fits to be made."""
+    yield from {"bundled": bundled, "thin": thin, "small": small}.items()
+    for case in CASES:
+        loaded = results.load(f"{case.name}:", case.source)
+        if loaded is not None:
+            fitted = case.split(loaded[0])[0]
+            yield case.name, lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
+
+
+def run(results: Results) -> dict[str, str]:
+    """A table of the records; every run is kept, and a later one goes on after it."""
+    rows = []
+    for name, fit in fits(results):
+        file, made = results.out / f"seeds-{name}.jsonl", None
+        done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
+        for seed in range(len(done), SEEDS):
+            made = fit() if made is None else made
+            done.append(_one(made, seed))
+            with file.open("a", encoding="utf-8") as handle:
+                handle.write(json.dumps(done[-1]) + "\n")
+        results.add(f"{name}: seeds of {SEEDS} with usable chains", sum(row["usable"] for row in done))
+        column = lambda key, done=done: [row[key] for row in done]
+        statuses = ", ".join(f"{column('status').count(status)} {status}" for status in sorted(set(column("status"))))
+        worst = [min(column("ess")), max(column("rhat")), sum(column("divergent"))]
+        rows.append([name, done[0]["noise"], statuses, *worst, max(column("draws")), np.median(column("seconds"))])
+    head = [
+        "record",
+        "noise model",
+        "status",
+        "least ESS",
+        "largest R-hat",
+        "divergent",
+        "most draws",
+        "processor time, s",
+    ]
+    return {
+        f"NUTS with default settings from {SEEDS} seeds, least and largest values over the seeds": table(head, rows)
+    }
+
+
+def _one(fit: hf.FitResult, seed: int) -> dict[str, object]:
+    """One run; processor time includes compilation."""
+    begin = time.process_time()
+    made = hf.sample(fit, "nuts", seed=seed)
+    ess, rhat = float(np.min([made.convergence.bulk, made.convergence.tail])), float(np.max(made.convergence.rhat))
+    divergent = int(made.stats["diverging"].sum())
+    usable = made.status not in UNUSABLE and ess >= GOOD_ESS and rhat <= GOOD_RHAT and divergent == 0
+    return {"status": str(made.status), "ess": ess, "rhat": rhat, "divergent": divergent, "usable": usable, "noise": made.noise,
+            "draws": made.draws.shape[0] * made.draws.shape[1], "seconds": time.process_time() - begin}  # fmt: skip
