@@ -300,8 +300,8 @@ class Funnel(Target):
         v, x = q[0], q[1:]
         return -(v**2) / 8 - 0.5 * jnp.sum(x**2) * jnp.exp(-v) - 0.5 * x.size * v
 
-    def log_densities(self, q):
-        return jax.vmap(self)(q)
+    def log_density(self, v, lean=False):
+        return self(self.q_of(v))
 
 
 class LogGamma(Target):

@@ -11,9 +11,8 @@ import os
 from pathlib import Path
 from typing import Any, ClassVar
 
-import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from hystfit.errors import DataError, ParameterError, optional
 from hystfit.outcome import Code, Note
@@ -22,7 +21,7 @@ from hystfit.params.host_arrays import to_device
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.self_contained import refuse_outside
 from hystfit.sampling.setup import Setup
-from hystfit.sampling.target import Target
+from hystfit.sampling.target import Target, log_densities
 
 MOST = 10  # parameters of a model beyond which ensembles mix too slowly
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
@@ -119,16 +118,11 @@ def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
     return tau, bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
 
 
-@eqx.filter_jit
-def _many(target: Target, q: Array) -> Array:
-    return target.log_densities(q)
-
-
 def walk(target: Target, walkers: int) -> Any:
     """The emcee sampler over whitened coordinates: differential evolution, and now and then a jump from mode to mode."""
     import emcee
 
-    density = lambda q: np.asarray(_many(target, to_device(q)))
+    density = lambda q: np.asarray(log_densities(target, to_device(q)))
     moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     return emcee.EnsembleSampler(walkers, target.center.shape[0], density, vectorize=True, moves=moves)
 
@@ -142,7 +136,9 @@ def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)
     q = away * rng.normal(size=(walkers, d))
-    density = lambda q: np.concatenate([_many(target, to_device(half)) for half in np.split(q, 2)])  # as emcee calls it
+    density = lambda q: np.concatenate(
+        [log_densities(target, to_device(half)) for half in np.split(q, 2)]
+    )  # as emcee calls it
     logs = density(q)
     for _ in range(60):
         bad = ~np.isfinite(logs)

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from hystfit.params.host_arrays import compiled, to_device
-from hystfit.sampling.target import Target
+from hystfit.params.host_arrays import to_device
+from hystfit.sampling.target import Target, log_densities
 
 CHUNK = 50  # draws in one compiled call, and between two writes to disk
 _TRIES = 4  # jumps for each draw
@@ -36,35 +36,45 @@ _NEVER = -1e300  # logarithm of a weight of zero
 
 
 class Jumps(eqx.Module):
-    """A t distribution over the coordinates q of a chain.
+    """A t distribution over the coordinates q of a chain, wider than the posterior.
 
     Attributes:
         center: its mean.
-        root: times its transpose the covariance.
+        root: times its transpose the covariance; and the inverse of it.
     """
 
     center: Float[Array, " d"]
     root: Float[Array, "d d"]
+    inverse: Float[Array, "d d"]
 
     @classmethod
-    def of(cls, positions: Float[np.ndarray, "n d"], weights: Float[np.ndarray, " n"]) -> Jumps:
-        """Wider than positions whose weights sum to one."""
+    def of(cls, center: Float[np.ndarray, " d"], root: Float[np.ndarray, "d d"]) -> Jumps:
+        """From center and root."""
+        return cls(to_device(center), to_device(root), to_device(np.linalg.inv(root)))
+
+    @classmethod
+    def about(cls, positions: Float[np.ndarray, "n d"], weights: Float[np.ndarray, " n"]) -> Jumps:
+        """About positions with weights."""
+        weights = weights / weights.sum()
         center = weights @ positions
         away = positions - center
-        return cls(to_device(center), to_device(_WIDER * np.linalg.cholesky((weights * away.T) @ away)))
+        return cls.of(center, _WIDER * np.linalg.cholesky((weights * away.T) @ away))
 
-    def log_density(self, q: Float[Array, " d"]) -> Float[Array, ""]:
-        """Up to a constant."""
-        e = jax.scipy.linalg.solve_triangular(self.root, q - self.center, lower=True)
-        return -0.5 * (_FREEDOM + q.size) * jnp.log1p(e @ e / (_FREEDOM - 2))
+    def log_density(self, q: Any, xp: Any = jnp) -> Any:
+        """Up to a constant, at q of shape (..., d); `xp` is the module of the arrays."""
+        e = (q - xp.asarray(self.center)) @ xp.asarray(self.inverse).T
+        return -0.5 * (_FREEDOM + q.shape[-1]) * xp.log1p(xp.sum(e**2, axis=-1) / (_FREEDOM - 2))
 
-    def draw(self, key: Array) -> Float[Array, " d"]:
-        """One place."""
-        first, second = jax.random.split(key)
-        squares = 2 * jax.random.gamma(second, 0.5 * _FREEDOM)
-        return self.center + self.root @ jax.random.normal(first, self.center.shape) * jnp.sqrt(
-            (_FREEDOM - 2) / squares
-        )
+    def offers(self, target: Target, key: Array) -> Offers:
+        """Jumps for one chunk; outside traced code."""
+        # By NumPy: JAX takes two seconds to compile draws of gamma variables.
+        rng, n, d = np.random.default_rng(np.asarray(jax.random.key_data(key))), CHUNK * _TRIES, self.center.shape[0]
+        stretch = np.sqrt((_FREEDOM - 2) / rng.chisquare(_FREEDOM, n))
+        q = np.asarray(self.center) + stretch[:, None] * rng.normal(size=(n, d)) @ np.asarray(self.root).T
+        density = np.asarray(log_densities(target, to_device(q)))
+        score = density - self.log_density(q, np)
+        offered = (to_device(v.reshape(CHUNK, _TRIES, *v.shape[1:])) for v in (q, density, score))
+        return Offers(self, to_device(np.arange(CHUNK) % _EVERY > 0), tuple(offered))
 
     def taken(self, key: Array, position: Array, density: Array, offered: Any) -> tuple[Array, Array]:
         """Place and log density after one Metropolis step to each of the offered (places, log densities, scores), one after another."""
@@ -94,19 +104,9 @@ class Offers(eqx.Module):
     @classmethod
     def none(cls, d: int) -> Offers:
         """All draws end trajectories."""
-        zeros = to_device(np.zeros((CHUNK, _TRIES)))
-        places, nowhere = to_device(np.zeros((CHUNK, _TRIES, d))), Jumps(to_device(np.zeros(d)), to_device(np.eye(d)))
+        zeros, places = to_device(np.zeros((CHUNK, _TRIES))), to_device(np.zeros((CHUNK, _TRIES, d)))
+        nowhere = Jumps.of(np.zeros(d), np.eye(d))
         return cls(nowhere, to_device(np.zeros(CHUNK, dtype=bool)), (places, zeros, zeros))
-
-
-@compiled
-def offers(target: Target, jumps: Jumps, key: Array) -> Offers:
-    """Jumps for one chunk."""
-    q = jax.vmap(jumps.draw)(jax.random.split(key, CHUNK * _TRIES))
-    density = target.log_densities(q)
-    score = density - jax.vmap(jumps.log_density)(q)
-    offered = (v.reshape(CHUNK, _TRIES, *v.shape[1:]) for v in (q, density, score))
-    return Offers(jumps, jnp.arange(CHUNK) % _EVERY > 0, tuple(offered))
 
 
 def fitted(target: Target, positions: Float[np.ndarray, "n d"], key: Array) -> Jumps | None:
@@ -115,17 +115,16 @@ def fitted(target: Target, positions: Float[np.ndarray, "n d"], key: Array) -> J
     for k in range(_ROUNDS):
         if counts.sum() < 2 * places.shape[1]:
             return None
-        jumps = Jumps.of(places, counts / counts.sum())
-        q, weights = _weighted(target, jumps, [jax.random.fold_in(key, k)])
+        q, weights = _weighted(target, Jumps.about(places, counts), [jax.random.fold_in(key, k)])
         places, counts = np.concatenate([places, q]), np.concatenate([counts, weights / np.sum(weights**2)])
-    jumps = Jumps.of(places, counts / counts.sum())
+    jumps = Jumps.about(places, counts)
     q, weights = _weighted(target, jumps, [jax.random.fold_in(key, _ROUNDS + k) for k in range(_CHECKS)])
     return jumps if 1 / np.sum(weights**2) >= _EFFICIENT * len(q) else None
 
 
 def _weighted(target: Target, jumps: Jumps, keys: list[Array]) -> tuple[np.ndarray, np.ndarray]:
     """Places, and importance weights that sum to one."""
-    offered = [offers(target, jumps, key).offered for key in keys]
+    offered = [jumps.offers(target, key).offered for key in keys]
     q, score = (np.concatenate([np.asarray(part[k]) for part in offered]) for k in (0, 2))
     score = np.nan_to_num(score.ravel(), nan=-np.inf, posinf=-np.inf)
     weights = np.exp(score - max(score.max(), _NEVER))

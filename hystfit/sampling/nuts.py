@@ -23,7 +23,7 @@ from hystfit.params.host_arrays import compiled, to_device
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
-from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted, offers
+from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
@@ -158,8 +158,7 @@ class Nuts(AbstractSampler):
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
         target, jumps = adapted(target, warm), Offers.none(len(q))
         if "jumps_root" in warm:
-            fit = Jumps(to_device(warm["jumps_center"]), to_device(warm["jumps_root"]))
-            jumps = offers(target, fit, jax.random.fold_in(key, 0))
+            jumps = Jumps.of(warm["jumps_center"], warm["jumps_root"]).offers(target, jax.random.fold_in(key, 0))
         fixed = (jnp.asarray(False), jnp.asarray(self.target_accept), self.max_depth)
         out, _ = advance_chunk(target, q, Tuning.about(float(warm["size"])), key, *fixed, jumps)
         return {

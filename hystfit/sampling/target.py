@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import compiled, to_device
 from hystfit.sampling.bend import Bend
 from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
@@ -97,11 +97,6 @@ class Target(eqx.Module):
         z, change = self.z_and_slope(self.bend.unbent(v))
         return self.density.log_density(z, lean) + change + self.bend.log_slope(v)
 
-    def log_densities(self, q: Float[Array, "n d"]) -> Float[Array, " n"]:
-        """Log posterior at many q, for as many at once as the cache has room for."""
-        together = _TOGETHER if self.density.keeps_trajectories else len(q)
-        return jax.lax.map(lambda row: self.log_density(self.v_of(row), lean=True), q, batch_size=together)
-
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
         w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
@@ -138,3 +133,10 @@ def _unwhitened(target: Target, q: Array) -> Array:
     w = target.bend.unbent(target.v_of(q))
     w = w if target.slopes is None else target.slopes.z_of(target.density, w)
     return w if target.noise is None else target.noise.z_of(w)
+
+
+@compiled
+def log_densities(target: Target, q: Array) -> Array:
+    """Log posterior at q of shape (n, d), for as many at once as the cache has room for."""
+    together = _TOGETHER if target.density.keeps_trajectories else len(q)
+    return jax.lax.map(lambda row: target.log_density(target.v_of(row), lean=True), q, batch_size=together)
