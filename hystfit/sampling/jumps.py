@@ -85,7 +85,8 @@ class Jumps(eqx.Module):
             return tuple(jnp.where(level < there[-1] - here[-1], b, a) for a, b in zip(here, there, strict=True)), None
 
         here = (position, density, density - self.log_density(position))
-        return jax.lax.scan(attempt, here, (*offered, levels))[0][:2]
+        (position, density, _), _ = jax.lax.scan(attempt, here, (*offered, levels))
+        return position, density
 
 
 class Offers(eqx.Module):

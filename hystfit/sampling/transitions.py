@@ -81,6 +81,7 @@ def advance(
         return state, (info.is_divergent, info.acceptance_rate, info.num_integration_steps)
 
     def leap(key: Array, state: Any, offered: tuple[Array, ...]) -> tuple[Any, tuple[Array, ...]]:
+        assert offers is not None
         position, density = offers.jumps.taken(key, state.position, state.logdensity, offered)
         state = state._replace(position=position, logdensity=density)
         return state, (jnp.asarray(False), jnp.asarray(jnp.nan), jnp.zeros((), int))
