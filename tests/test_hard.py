@@ -11,7 +11,7 @@ from hystfit.data import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 
-from .hard import library_faults, reading
+from .hard import reading
 from .hard.dialects import case_of
 from .hard.layouts import ASKED, HALF, RIGHT, SILENT, USELESS, layout_of, score, survey
 from .hard.layouts import scorer as layout_scorer
@@ -112,18 +112,3 @@ def test_layout_outcomes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     asked = Layout("", layout.files, layout.truths, ask=True, answer={"input": "B", "output": "x"})
     assert outcome(question, asked, others=remedy) == RIGHT
     assert outcome(right, asked) == SILENT
-
-
-@pytest.mark.parametrize("fault", library_faults.faults(), ids=lambda fault: f"{fault.module}: {fault.breaks}")
-def test_faults_of_the_library_can_be_put_in(fault: library_faults.Fault, tmp_path: Path) -> None:
-    """Their text is in the module once, the module with the fault is still Python, and their tests exist."""
-    sound = library_faults.place_of(fault).read_text(encoding="utf-8")
-    copy = tmp_path / "hystfit" / fault.module
-    copy.parent.mkdir(parents=True)
-    copy.write_text(sound, encoding="utf-8")
-    with library_faults.put_in(fault, tmp_path):
-        faulty = copy.read_text(encoding="utf-8")
-        assert faulty != sound
-        compile(faulty, copy, "exec")
-    assert copy.read_text(encoding="utf-8") == sound
-    assert all((Path(__file__).with_name(f"test_{name}.py")).is_file() for name in fault.tests.split())
