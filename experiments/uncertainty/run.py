@@ -25,6 +25,7 @@ import coverage
 import default_priors
 import one_amplitude
 import sbc
+import ten_seeds
 from common import Results, arguments
 
 import hystfit as hf
@@ -109,12 +110,13 @@ SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
     },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
     "bands": bands.run,
+    "ten-seeds": ten_seeds.run,
     "calibration": calibrations,
     "default-priors": wide,
     "coverage": coverages,
     "samplers": sampled,
 }
-FULL = ("grid", "long-run", "bands", "default-priors", "samplers")
+FULL = ("grid", "long-run", "bands", "ten-seeds", "default-priors", "samplers")
 
 
 def main() -> None:
