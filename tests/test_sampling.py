@@ -507,6 +507,12 @@ def test_chains_apart_and_chains_too_short_are_told():
     assert not Convergence.of(rng.normal(size=(4, 1000, 1))).problems(("c",))
 
 
+def test_chains_are_lengthened_by_what_they_lack():
+    more = lambda *sizes: Convergence(np.ones(3), np.array(sizes), np.array([900.0, np.nan, 800.0])).more
+    assert more(250.0, np.nan, 500.0) == pytest.approx(1.1 * 400 / 250)
+    assert (more(50.0, 300.0, 500.0), more(390.0, 395.0, 500.0)) == (2.0, 1.25)
+
+
 def test_a_short_run_is_not_called_converged(fitted):
     short = sample(fitted, "nuts", noise="iid", chains=2, draws=50, extend=1, warmup=200)
     assert short.status == "not-converged"

@@ -12,6 +12,7 @@ from hystfit.outcome.note import warn
 
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
+_MARGIN = 1.1  # effective sizes of longer chains scatter about those that shorter ones let expect
 _APART = 1.1  # R-hat above which chains are not merely short
 
 
@@ -104,6 +105,11 @@ class Convergence:
         """Whether the draws of all parameters may be used."""
         sizes = np.minimum(np.nan_to_num(self.bulk), np.nan_to_num(self.tail))
         return bool(np.all(self.rhat <= GOOD_RHAT) and np.all(sizes >= GOOD_ESS))
+
+    @property
+    def more(self) -> float:
+        """By how much longer chains like these have enough effective draws, with a margin: 1.25 to 2."""
+        return float(np.clip(_MARGIN * GOOD_ESS / np.nanmin([self.bulk, self.tail]), 1.25, 2.0))
 
     def problems(self, names: tuple[str, ...]) -> list[Note]:
         """What is wrong with the chains; nothing where they may be used."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -82,7 +83,7 @@ class Weights(AbstractSampler):
             convergence = Convergence.of(np.concatenate([z, *_strength(setup, joined)], axis=-1))
             if convergence.good or convergence.apart or draws >= self.extend * self.draws:
                 break
-            draws = min(2 * draws, self.extend * self.draws)
+            draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
         smoothness = joined["strength"] / float(setup.equations.count)
         stats = {"smoothness": smoothness, "log_prior": joined["log_prior"]}
         return Raw(z, joined["log_density"], stats, complete=convergence.good)
