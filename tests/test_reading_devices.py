@@ -117,6 +117,68 @@ def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp
     assert (record.u_name, record.y_name) == (header[2], header[4])
 
 
+def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
+    """The angle beside a torque that is commanded and measured."""
+    torque = np.round(0.1 * U, 4)
+    measured = np.round(torque + 0.002 * np.random.default_rng(4).standard_normal(N), 4)
+    text = "target_torque(Nm),angle(deg),actual_torque(Nm)\n" + rows(",", torque, Y, measured)
+    is_pair(one(tmp_path, text), measured, Y)
+
+
+@pytest.mark.parametrize(
+    ("header", "order"),
+    [
+        ("Time[s],Volume[uL],Left CA[deg],Right CA[deg],Baseline[mm]", "tuynd"),  # two sides of a drop
+        (
+            "Time,Current (A),Output Voltage (V),B-Field (T),H-Field (A/m)",
+            "tcvyu",
+        ),  # of a generator, and the two fields
+        ("Time [min],dm (%) - dry,Target % P/Po,Actual % P/Po,Temp [C],Mass [mg]", "tzsudy"),  # vapor sorption
+        ("alpha_deg,sense,C_L,C_D", "uwyn"),  # coefficients of a wing
+        ("Process,pF [-],Tension [hPa],Water Content [Vol%]", "wusy"),  # suction in soil
+        ("weight_g,R_kohm", "uy"),
+    ],
+)
+def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Path) -> None:
+    """u drives y; c and v are multiples of u with noise; n is a noisy y, s is u rounded or bent, d and z are others."""
+    noise = np.random.default_rng(5).standard_normal((4, N))
+    up = np.where(np.gradient(U) > 0, "up", "down")
+    bent = np.round(10 ** (U / 20), 2) if "Tension" in header else np.round(U)
+    columns = {
+        "t": np.arange(N), "u": U, "y": Y, "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
+        "d": 25 + 0.01 * noise[2], "z": 10 + 0.1 * Y, "w": up,
+    }  # fmt: skip
+    is_pair(one(tmp_path, header + "\n" + rows(",", *(columns[letter] for letter in order))))
+
+
+def test_two_letters_of_an_axis_before_a_material_name_loops_side_by_side(tmp_path: Path) -> None:
+    data = read(written(tmp_path, "vxSteel,vySteel,vxIron,vyIron\n" + rows(",", U, Y, 2 * U, 3 * Y), "loops.csv"))
+    assert [record.name for record in data] == ["Steel", "Iron"]
+    is_pair(data[1], 2 * U, 3 * Y)
+
+
+def test_a_unit_in_the_cells_of_some_rows_loses_no_row(tmp_path: Path) -> None:
+    """The change from the way up in percent, which only the way down has."""
+    half = N // 2
+    lines = [f"{u},{y},{'' if k < half else f'{0.1 * k - 5:.1f}%'}" for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    is_pair(one(tmp_path, "\n".join(["strain,stress,change", *lines])))
+
+
+def test_tables_without_titles_whose_clock_goes_on_are_one_record(tmp_path: Path) -> None:
+    """Up, hold and down of a rheometer, each below its own header; another clock in each leaves them apart."""
+    thirds = np.array_split(np.arange(N), 3)
+
+    def text(start: float) -> str:
+        lines = []
+        for k, part in enumerate(thirds):
+            lines += [f"Interval:\t{k + 1}\t{part.size}", "Time\tShear Rate\tShear Stress", "[s]\t[1/s]\t[Pa]"]
+            lines += [f"{j - start * part[0]}\t{U[j]}\t{Y[j]}" for j in part] + [""]
+        return "\n".join(lines)
+
+    is_pair(one(tmp_path, text(0.0), "a.txt"))
+    assert len(read(written(tmp_path, text(1.0), "b.txt"))) == 3
+
+
 def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
     is_pair(one(tmp_path, "FIC101.SP,FIC101.PV,FIC101.OP\n" + rows(",", np.full(N, 50), Y, U)))
 

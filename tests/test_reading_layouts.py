@@ -675,6 +675,11 @@ NAMED_OTHERWISE = {  # file, with the input, the output and the unit of the inpu
         ("AV", "AI", ""),
     ),
     "current of a coil": ("#strom magnetfeld\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in PAIRS), ("strom", "magnetfeld", "")),
+    "axes of a plot below the units": (
+        "Magnetic Field,Moment,M. Std. Err.\nOe,emu,emu\nX,Y,yEr\n"
+        + "".join(f"{u:.8f},{y:.8f},{0.001 + 0.001 * y * y:.6f}\n" for u, y in PAIRS),
+        ("Magnetic Field", "Moment", "Oe"),
+    ),
     "iterator": (
         "iterator\tField Output (T)\tR\n" + "".join(f"{k}\t{u:.8f}\t{y:.8f}\n" for k, (u, y) in enumerate(PAIRS)),
         ("Field Output (T)", "R", "T"),

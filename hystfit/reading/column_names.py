@@ -20,6 +20,7 @@ _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _DRIVERS = frozenset(_VOCABULARY["drivers"].split())
 _MEASURED = frozenset(_VOCABULARY["measured"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
+SIDES = frozenset(_VOCABULARY["sides"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
@@ -35,6 +36,7 @@ _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
+_RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -63,7 +65,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
-    if by_unit == "stress" and "potential" in _words(base):
+    if by_unit == "stress" and {"potential", "tension"}.intersection(_words(base)):
         return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
@@ -166,6 +168,8 @@ def _named_quantities(base: str) -> list[str]:
     kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
     if "displac" in base.lower():
         kinds.append("displacement")
+    if _RELATIVE_PRESSURE.search(base):
+        kinds.append("pressure")
     if symbol := _FIELD_SYMBOL.match(base):
         kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))
     return kinds

@@ -13,9 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_bare_role, is_channel, parts_of, secondary, without_role
+from hystfit.reading.column_names import SIDES, column_role, is_bare_role, is_channel, parts_of, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
-from hystfit.reading.quantity_points import DRIVE, PAIRS, RESPONSE, SELDOM
+from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
     computed,
@@ -38,6 +38,8 @@ _BARE = -1.0
 # Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output
 # there. The two are of one unit, or named alike, and differ by less than that part of the range: following errors are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
+# Points of a commanded load and its measurement, beside which the specimen moves.
+_FOLLOWED = -3.0
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
 # a part; the component of a field across its direction, or its size, which has no sign; the component of a signal out of phase. Points of
 # components along one axis (Bx, mx).
@@ -61,6 +63,9 @@ _UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
 # one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
+# Points of proportional columns of different quantities: the voltage of a source and the current that it drives are no loop, and a stiff
+# spring is one of a displacement and a force.
+_STRAIGHT = -1.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
@@ -193,10 +198,13 @@ class _Evidence:
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
-            same = self.kinds[reading.input] == self.kinds[reading.output]
-            copied = (same and proportional(u, y)) or repeats(u, y)
             unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
-            return unrelated + _COMPUTED + _COPY if computed(u, y) else unrelated + _COPY * copied
+            if computed(u, y):
+                return unrelated + _COMPUTED + _COPY
+            if repeats(u, y) or self._are_sides(reading.input, reading.output):
+                return unrelated + _COPY
+            same = self.kinds[reading.input] == self.kinds[reading.output]
+            return unrelated + (_COPY if same else _STRAIGHT) * proportional(u, y)
 
         return [
             dataclasses.replace(
@@ -204,6 +212,11 @@ class _Evidence:
             )
             for reading in found
         ]
+
+    def _are_sides(self, i: int, o: int) -> bool:
+        """Whether two columns are one quantity at two sides of a specimen, by their names: "Left angle", "Right angle"."""
+        sides = self._parts[i] & SIDES, self._parts[o] & SIDES
+        return all(sides) and self._parts[i] - SIDES == self._parts[o] - SIDES and self.kinds[i] == self.kinds[o]
 
     def _of_one_part(self, i: int, o: int) -> bool:
         """Whether names tell that two columns are of one part, and not a command and its own measurement."""
@@ -323,8 +336,14 @@ class _Evidence:
     def _of_pair(self, i: int, o: int) -> float:
         """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
         kinds = self.kinds[i], self.kinds[o]
+        measured = self._measured.values()
+        loads = [k for k, kind in zip((i, o), kinds, strict=True) if kind in LOADS and k in measured]
+        if loads and {self.kinds[k] for k in self._measured} <= {
+            *LOADS
+        }:  # a load that is controlled, and nothing else, drives
+            return _FOLLOWED if self._measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
         beside = o if kinds[0] == "current" else i
-        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in self._measured.values():
+        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in measured:
             return PAIRS["current", "displacement"] * (beside == i)
         return PAIRS.get(kinds, 0.0)
 

@@ -17,7 +17,7 @@ from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
-_WORD = re.compile(r"[^\W_]+")
+_WORD = re.compile(r"[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")  # between underscores and signs, and of CamelCase
 _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name

@@ -15,6 +15,7 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
 # than that part of the range, and two steps by that part of a power of ten.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
+_USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
 
@@ -144,3 +145,9 @@ def overtones(values: np.ndarray) -> float:
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
     peak, total = int(np.argmax(power)), float(power.sum())
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
+
+
+def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
+    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
+    steps = np.diff(clock)
+    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import conversion
+from hystfit.params.units import conversion, quantity
 
 _OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|mess\w*)"
 _RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
@@ -54,5 +54,7 @@ def _interval(line: str) -> float | None:
     if match["rate"]:
         factor = _HERTZ.get(unit.lower())
         return None if factor is None else 1.0 / (factor * value)
+    if unit and quantity(unit) != "time":  # "Sample Interval (V) = 0.001": a step of a sweep
+        return None
     factor = conversion(unit, "s") if unit else 1.0
     return None if factor is None else factor * value
