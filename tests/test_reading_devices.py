@@ -137,24 +137,47 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ("alpha_deg,sense,C_L,C_D", "uwyn"),  # coefficients of a wing
         ("Process,pF [-],Tension [hPa],Water Content [Vol%]", "wusy"),  # suction in soil
         ("weight_g,R_kohm", "uy"),
+        ("Time (s),Pressure (mmHg),Outer diameter (um),Axial force (g)", "tuyn"),  # a vessel
+        ("LIC101.SP,LIC101.PV,LIC101.OUT", "dyu"),  # tags of process control
+        ("LIC-7/SP,LIC-7/PV,LIC-7/OUT", "dyu"),
+        ("frame,V_rms,CA_left_deg,CA_right_deg,base_mm", "kuynz"),  # electrowetting
+        ("t,HV [kV],stretch [-],leak [uA]", "tuyn"),
+        ("Pc [kPa],Sw [-]", "uy"),
     ],
 )
 def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Path) -> None:
-    """u drives y; c and v are multiples of u with noise; n is a noisy y, s is u rounded or bent, d and z are others."""
+    """u drives y; c and v are multiples of u with noise; n is a noisy y, s is u rounded or bent, k counts, d and z are others."""
     noise = np.random.default_rng(5).standard_normal((4, N))
     up = np.where(np.gradient(U) > 0, "up", "down")
     bent = np.round(10 ** (U / 20), 2) if "Tension" in header else np.round(U)
     columns = {
-        "t": np.arange(N), "u": U, "y": Y, "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
+        "t": np.arange(N), "k": np.arange(1, N + 1), "u": U, "y": Y,
+        "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
         "d": 25 + 0.01 * noise[2], "z": 10 + 0.1 * Y, "w": up,
     }  # fmt: skip
     is_pair(one(tmp_path, header + "\n" + rows(",", *(columns[letter] for letter in order))))
 
 
-def test_two_letters_of_an_axis_before_a_material_name_loops_side_by_side(tmp_path: Path) -> None:
-    data = read(written(tmp_path, "vxSteel,vySteel,vxIron,vyIron\n" + rows(",", U, Y, 2 * U, 3 * Y), "loops.csv"))
-    assert [record.name for record in data] == ["Steel", "Iron"]
-    is_pair(data[1], 2 * U, 3 * Y)
+@pytest.mark.parametrize(
+    "names", ["voltage_V,position_mm", "output (mV),applied force (N)", "sensor voltage [V],pressure [bar]"]
+)
+def test_what_was_set_by_equal_steps_drives_the_voltage_of_its_sensor(names: str, tmp_path: Path) -> None:
+    """A voltage that was set drives an actuator; beside a position that was set it is a measurement."""
+    set_values = np.append(RISE, RISE[-2::-1])
+    measured = np.round(0.02 * set_values + 0.01 * np.sin(np.arange(set_values.size)), 4)
+    first, second = names.split(",")
+    is_pair(one(tmp_path, f"{first},{second}\n" + rows(",", measured, set_values)), set_values, measured)
+    is_pair(one(tmp_path, "voltage_V,position_mm\n" + rows(",", set_values, measured), "b.csv"), set_values, measured)
+
+
+def test_words_glued_to_names_name_loops_side_by_side(tmp_path: Path) -> None:
+    for names, titles in (
+        ("vxSteel,vySteel,vxIron,vyIron", ["Steel", "Iron"]),
+        ("H_0.5T,m_0.5T,H_1.5T,m_1.5T", ["0.5T", "1.5T"]),
+    ):
+        data = read(written(tmp_path, f"{names}\n" + rows(",", U, Y, 2 * U, 3 * Y), "loops.csv"))
+        assert [record.name for record in data] == titles
+        is_pair(data[1], 2 * U, 3 * Y)
 
 
 def test_a_unit_in_the_cells_of_some_rows_loses_no_row(tmp_path: Path) -> None:

@@ -27,13 +27,16 @@ _CHANNEL = re.compile(
 # Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas, VGS, I_D.
 _TERMINAL = re.compile(
     r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?"
-    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg])|_[DSBdsb])\d?|(V)[DSBdsb]\d?"
+    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
+    r"|(V)[DSBdsb]\d?"
 )
 _OF_DRAIN = re.compile(
     r"I[DdSs]\d?"
 )  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+# Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
+_TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
 _RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
@@ -48,10 +51,10 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T[a-z0-9]*", base) and by_unit in ("charge", "capacitance"):
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)", base) and by_unit in ("charge", "capacitance"):
         return "temperature"  # T or Ta in degrees Celsius without their sign
-    if base in ("p", "P") and by_unit == "stress":
-        return "pressure"  # whose unit is that of a stress
+    if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
+        return "pressure"  # whose unit is that of a stress, also the capillary one
     base = _field(base)
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
@@ -114,6 +117,8 @@ def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
     if entity := _ENTITY.fullmatch(name):
         return "input" if entity[1] else "output"
+    if tag := _TAG.fullmatch(name):
+        return "input" if tag[1] else "output" if name.endswith("PV") else ""
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input

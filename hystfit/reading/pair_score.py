@@ -18,6 +18,7 @@ from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
+    by_equal_steps,
     computed,
     explained,
     extent,
@@ -74,6 +75,9 @@ _WHITE, _NO_DRIVE = 0.3, -2.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
+# Points of an input that was set: it goes up and down by equal steps, and the output does not. They outweigh all quantities but those that
+# belong together, such as the controlled induction and the field: a displacement that is set, and the voltage of its sensor.
+_SET_BY_STEPS = 6.0
 # Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
 # decides, as people write the main channel first; nothing smaller is evidence.
 TIE = 0.2
@@ -178,6 +182,7 @@ class _Evidence:
         points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
+        points += _SET_BY_STEPS * (self._by_steps[i] and not self._by_steps[o] and i not in self._measured)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
@@ -346,6 +351,10 @@ class _Evidence:
         if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in measured:
             return PAIRS["current", "displacement"] * (beside == i)
         return PAIRS.get(kinds, 0.0)
+
+    @functools.cached_property
+    def _by_steps(self) -> _ByColumn:
+        return _ByColumn(lambda k: by_equal_steps(self.table.columns[k]))
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:

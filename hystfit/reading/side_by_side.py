@@ -17,7 +17,8 @@ from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
-_WORD = re.compile(r"[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")  # between underscores and signs, and of CamelCase
+# Words between underscores and signs, and of CamelCase; a number keeps its decimals: 0.5T of H_0.5T.
+_WORD = re.compile(r"\d+\.\d+[^\W_]*|[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")
 _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name

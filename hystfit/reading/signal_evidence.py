@@ -15,6 +15,8 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
 # than that part of the range, and two steps by that part of a power of ten.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
+# Part of the steps of a column, those that move it, that are one step up or down where it was set, and the least part in each direction.
+_EQUAL, _EACH_WAY = 0.9, 0.2
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
@@ -151,3 +153,14 @@ def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
     """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
     steps = np.diff(clock)
     return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
+
+
+def by_equal_steps(values: np.ndarray) -> bool:
+    """Whether a column goes up and down by equal steps, as one that was set: no measurement does."""
+    steps = np.diff(values)
+    steps = steps[np.isfinite(steps) & (steps != 0)]
+    if steps.size < _FEWEST_COMPUTED:
+        return False
+    step = float(np.median(np.abs(steps)))
+    equal = [float(np.mean(np.abs(steps - way) < _SAME_DIGIT * step)) for way in (step, -step)]
+    return sum(equal) > _EQUAL and min(equal) > _EACH_WAY
