@@ -143,6 +143,9 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ("frame,V_rms,CA_left_deg,CA_right_deg,base_mm", "kuynz"),  # electrowetting
         ("t,HV [kV],stretch [-],leak [uA]", "tuyn"),
         ("Pc [kPa],Sw [-]", "uy"),
+        ("input_angle_deg,output_angle_deg,torque_Nm", "uyn"),  # of a gear
+        ("pH,Vout_mV,T_degC", "uyd"),
+        ("Time(T),Voltage (V),Current (A)", "tuy"),
     ],
 )
 def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Path) -> None:

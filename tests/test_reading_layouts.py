@@ -675,6 +675,11 @@ NAMED_OTHERWISE = {  # file, with the input, the output and the unit of the inpu
         ("AV", "AI", ""),
     ),
     "current of a coil": ("#strom magnetfeld\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in PAIRS), ("strom", "magnetfeld", "")),
+    "the same unit of components": (
+        "Ha_x\tHa_y\t<M>_x\t<M>_y\nA/m\tA/m\tA/m\tA/m\n\n"
+        + "".join(f"{u:.8f}\t0\t{y:.8f}\t{1 - y * y:.6f}\n" for u, y in PAIRS),
+        ("Ha_x", "<M>_x", "A/m"),
+    ),
     "axes of a plot below the units": (
         "Magnetic Field,Moment,M. Std. Err.\nOe,emu,emu\nX,Y,yEr\n"
         + "".join(f"{u:.8f},{y:.8f},{0.001 + 0.001 * y * y:.6f}\n" for u, y in PAIRS),

@@ -73,6 +73,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
             return strong
+    if base.lower() == "time":
+        return "time"  # whatever stands in the place of its unit
     for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
@@ -169,7 +171,10 @@ def secondary(name: str) -> int:
 
 def _named_quantities(base: str) -> list[str]:
     """Quantities of the words in a name, those of its own words first."""
-    kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
+    known = [word for word in _words(re.sub(r"<(\w+)>", r"\1", base)) if word in _WORDS]
+    if len(set(known)) > 1:  # the axis of F_x is no displacement
+        known = [word for word in known if word not in ("x", "y", "z")]
+    kinds = [_WORDS[word] for word in known]
     kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
     if "displac" in base.lower():
         kinds.append("displacement")

@@ -292,7 +292,8 @@ def read_header(
             parts[0] = ""  # "Interval data:" before the names, above a row of units
         if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
             break
-        if width > 2 and (len(set(parts)) == 1 or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
+        alike = len(set(parts)) == 1 and not _are_units(_bare(parts), parts)
+        if width > 2 and (alike or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
             continue
         headers.append((position, parts))
     if not headers:

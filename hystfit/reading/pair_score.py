@@ -49,6 +49,8 @@ _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
 _SAME_PART = 0.5
 _OF_PARTS = ("displacement", "field", "induction")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
+# Points of columns that are called input and output and alike but for that: input_angle, output_angle.
+_PARTNERS = 2.0
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
@@ -181,8 +183,10 @@ class _Evidence:
         points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
         points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
+        points += _PARTNERS * self._are_partners(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
-        points += _SET_BY_STEPS * (self._by_steps[i] and not self._by_steps[o] and i not in self._measured)
+        controlled = bool(self._measured) and self.roles[i] == "input"  # what was measured drives, as above
+        points += _SET_BY_STEPS * (self._by_steps[i] and not self._by_steps[o] and not controlled)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
@@ -222,6 +226,11 @@ class _Evidence:
         """Whether two columns are one quantity at two sides of a specimen, by their names: "Left angle", "Right angle"."""
         sides = self._parts[i] & SIDES, self._parts[o] & SIDES
         return all(sides) and self._parts[i] - SIDES == self._parts[o] - SIDES and self.kinds[i] == self.kinds[o]
+
+    def _are_partners(self, i: int, o: int) -> bool:
+        """Whether the names of two columns differ by their roles alone."""
+        names = [without_role(self.table.names[k]) for k in (i, o)]
+        return (self.roles[i], self.roles[o]) == ("input", "output") and names[0] == names[1] != ""
 
     def _of_one_part(self, i: int, o: int) -> bool:
         """Whether names tell that two columns are of one part, and not a command and its own measurement."""

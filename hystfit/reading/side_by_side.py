@@ -54,8 +54,14 @@ def stacked(table: Table) -> Table | None:
         titles, names = (
             _titles([[table.names[k] for k in group] for group in groups]) if count % size == 0 else ([], [])
         )
+        units = {table.units[k] for k in there}
+        if len(units) == 1 and "" not in units:  # Ha_x, Ha_y, M_x, M_y in A/m: components of vectors
+            continue
         if titles and (below := _below_each_other(table, groups, titles)) is not None:
             return dataclasses.replace(below, names=tuple(names))
+    clock, rest = there[0], there[1:]
+    if column_quantity(table.names[clock], table.units[clock]) == "time":
+        return _at_conditions(table, clock, rest)
     half = count // 2
     if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
         return _below_each_other(table, [[there[k], there[k + half]] for k in range(half)])
@@ -71,6 +77,17 @@ def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     names = [f"{value} {unit}" for _, value, unit in titles]
     below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)
     return below and dataclasses.replace(below, names=(below.names[0], titles[0][0] or "output"))
+
+
+def _at_conditions(table: Table, clock: int, rest: Sequence[int]) -> Table | None:
+    """Groups of columns that share a time, of one experiment at each of several conditions (V_1Hz, x_1Hz, V_5Hz, x_5Hz)."""
+    for size in (size for size in range(2, len(rest) // 2 + 1) if len(rest) % size == 0):
+        groups = [rest[k : k + size] for k in range(0, len(rest), size)]
+        titles, names = _titles([[table.names[k] for k in group] for group in groups])
+        if titles and all(_condition(title) for title in titles):
+            below = _below_each_other(table, [[clock, *group] for group in groups], titles)
+            return below and dataclasses.replace(below, names=(table.names[clock], *names))
+    return None
 
 
 def _condition(name: str) -> tuple[str, str, str] | None:

@@ -15,8 +15,9 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
 # than that part of the range, and two steps by that part of a power of ten.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
-# Part of the steps of a column, those that move it, that are one step up or down where it was set, and the least part in each direction.
-_EQUAL, _EACH_WAY = 0.9, 0.2
+# Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
+# which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
+_EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.1
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
@@ -158,9 +159,9 @@ def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
 def by_equal_steps(values: np.ndarray) -> bool:
     """Whether a column goes up and down by equal steps, as one that was set: no measurement does."""
     steps = np.diff(values)
-    steps = steps[np.isfinite(steps) & (steps != 0)]
-    if steps.size < _FEWEST_COMPUTED:
+    steps = steps[np.isfinite(steps)]
+    if steps.size < _FEWEST_COMPUTED or not (step := float(np.median(np.abs(steps)))) > 0:
         return False
-    step = float(np.median(np.abs(steps)))
     equal = [float(np.mean(np.abs(steps - way) < _SAME_DIGIT * step)) for way in (step, -step)]
-    return sum(equal) > _EQUAL and min(equal) > _EACH_WAY
+    turns = float(np.mean(np.diff(np.sign(steps)) != 0))
+    return sum(equal) > _EQUAL and min(equal) > _EACH_WAY and turns < _TURNS
