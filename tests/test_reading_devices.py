@@ -145,6 +145,7 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ("Pc [kPa],Sw [-]", "uy"),
         ("input_angle_deg,output_angle_deg,torque_Nm", "uyn"),  # of a gear
         ("pH,Vout_mV,T_degC", "uyd"),
+        ("H (kOe),B (kG),Bi (kG)", "ucz"),  # the induction of a magnet follows a straight line
         ("Time(T),Voltage (V),Current (A)", "tuy"),
     ],
 )
@@ -158,7 +159,57 @@ def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Pa
         "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
         "d": 25 + 0.01 * noise[2], "z": 10 + 0.1 * Y, "w": up,
     }  # fmt: skip
-    is_pair(one(tmp_path, header + "\n" + rows(",", *(columns[letter] for letter in order))))
+    y = columns["c"] if "c" in order[:2] and "y" not in order else Y
+    is_pair(one(tmp_path, header + "\n" + rows(",", *(columns[letter] for letter in order))), y=y)
+
+
+def test_the_measurement_of_what_was_set_drives_beside_it(tmp_path: Path) -> None:
+    set_values = np.append(RISE, RISE[-2::-1])
+    noise = np.random.default_rng(6).standard_normal((2, set_values.size))
+    measured, y = np.round(set_values + 0.3 * noise[0], 3), np.round(np.tanh(set_values / 30) + 0.01 * noise[1], 4)
+    text = "Temperature (K),Min. Temperature (K),Moment (emu)\n" + rows(",", measured, set_values, y)
+    is_pair(one(tmp_path, text), measured, y)
+
+
+def test_the_name_of_a_first_column_below_the_units(tmp_path: Path) -> None:
+    """As pandas writes columns of two levels and an index."""
+    text = "sensor,LVDT,LoadCell\nunit,mm,kN\ntime,,\n" + rows(",", 0.1 * np.arange(N), U, Y)
+    record = one(tmp_path, text)
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")
+    np.testing.assert_allclose(record.t, 0.1 * np.arange(N))
+
+
+def test_terminals_of_a_transistor_are_one_experiment(tmp_path: Path) -> None:
+    rise, noise = np.linspace(0, 90, 31), np.random.default_rng(7).standard_normal((2, 61))
+    gate = np.append(rise, rise[-2::-1])
+    drain = np.round(np.tanh(gate / 30) + 0.01 * noise[0], 4)
+    text = "DrainI,DrainV,GateI,GateV\n" + rows(",", drain, np.full(gate.size, 0.05), 1e-9 * noise[1], gate)
+    is_pair(one(tmp_path, text), gate, drain)
+
+
+def test_a_load_that_was_held_at_every_level_drives_the_settlement(tmp_path: Path) -> None:
+    load = np.repeat([0, 50, 100, 150, 200, 150, 100, 50, 0, 100, 200, 300, 400, 300, 200, 100, 0], 6)
+    settlement = np.round(0.03 * load + 0.3 * np.sin(0.7 * np.arange(load.size)), 3)
+    is_pair(one(tmp_path, "Load (kN),Settlement (mm)\n" + rows(",", load, settlement)), load, settlement)
+
+
+def test_a_measurement_of_few_digits_was_not_set(tmp_path: Path) -> None:
+    """A sensor of one step in 0.1 mm stays for some samples and moves by one step up or down."""
+    phase = np.linspace(0, 4 * np.pi, 400)
+    u = np.round(50 + 30 * np.sin(phase) + 0.02 * np.cos(np.arange(400)), 3)
+    y = np.round(2 * np.sin(phase - 0.2), 1)
+    is_pair(one(tmp_path, "Voltage (V),Position (mm)\n" + rows(",", u, y)), u, y)
+
+
+def test_groups_at_conditions_that_share_a_time_are_records(tmp_path: Path) -> None:
+    columns = (0.1 * np.arange(N), U, Y, 2 * U, 3 * Y)
+    data = read(written(tmp_path, "t (s),V_1Hz (V),x_1Hz (um),V_5Hz (V),x_5Hz (um)\n" + rows(",", *columns), "a.csv"))
+    assert [record.name for record in data] == ["1Hz", "5Hz"]
+    is_pair(data[1], 2 * U, 3 * Y)
+    np.testing.assert_allclose(data[1].t, columns[0])
+    channels = "t (s),V_left (V),x_left (um),V_right (V),x_right (um)\n"
+    assert isinstance(read(written(tmp_path, channels + rows(",", *columns), "b.csv")), Record)
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,11 @@ def has_terminals(names: Iterable[str]) -> bool:
     return any(_OF_GATE.fullmatch(split_unit(name)[0]) for name in names)
 
 
+def is_terminal(name: str) -> bool:
+    """Whether a column is the voltage or current of one terminal of a device (GateV, DrainI)."""
+    return _TERMINAL.fullmatch(split_unit(name)[0]) is not None
+
+
 def is_drain(name: str) -> bool:
     """Whether a column of a transistor is the current of its drain or source."""
     return _OF_DRAIN.fullmatch(split_unit(name)[0]) is not None

@@ -66,9 +66,9 @@ _UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
 # one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
-# Points of proportional columns of different quantities: the voltage of a source and the current that it drives are no loop, and a stiff
-# spring is one of a displacement and a force.
-_STRAIGHT = -1.0
+# Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
+# the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
+_STRAIGHT, _TOGETHER = -1.0, 4.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
@@ -77,9 +77,9 @@ _WHITE, _NO_DRIVE = 0.3, -2.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
-# Points of an input that was set: it goes up and down by equal steps, and the output does not. They outweigh all quantities but those that
-# belong together, such as the controlled induction and the field: a displacement that is set, and the voltage of its sensor.
-_SET_BY_STEPS = 6.0
+# Points of an input that was set: it goes up and down by equal steps or holds, and the output does not. They outweigh the quantities (a
+# displacement that was set and the voltage of its sensor, a load and the displacement under it) but for a field and its induction.
+_SET_BY_STEPS = 8.0
 # Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
 # decides, as people write the main channel first; nothing smaller is evidence.
 TIE = 0.2
@@ -185,8 +185,12 @@ class _Evidence:
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
         points += _PARTNERS * self._are_partners(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
-        controlled = bool(self._measured) and self.roles[i] == "input"  # what was measured drives, as above
-        points += _SET_BY_STEPS * (self._by_steps[i] and not self._by_steps[o] and not controlled)
+        twin = any(
+            self.kinds[k] == self.kinds[i] != "" for k in self.ranks if k != i
+        )  # what was measured drives, as above
+        controlled = twin or (bool(self._measured) and self.roles[i] == "input")
+        answers = kinds[o] in RESPONSE and not self._by_steps[o]
+        points += _SET_BY_STEPS * (self._by_steps[i] and answers and not controlled)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
@@ -212,8 +216,9 @@ class _Evidence:
                 return unrelated + _COMPUTED + _COPY
             if repeats(u, y) or self._are_sides(reading.input, reading.output):
                 return unrelated + _COPY
-            same = self.kinds[reading.input] == self.kinds[reading.output]
-            return unrelated + (_COPY if same else _STRAIGHT) * proportional(u, y)
+            kinds = self.kinds[reading.input], self.kinds[reading.output]
+            line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
+            return unrelated + (line * proportional(u, y) if line else 0.0)
 
         return [
             dataclasses.replace(
@@ -267,6 +272,7 @@ class _Evidence:
         def points(k: int) -> float:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
+            few &= not self._by_steps[k]
             return (
                 _SECONDARY * self._is_secondary(k)
                 + _RAW_VOLTS * _is_raw_signal(table, k)

@@ -12,7 +12,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.branch_words import BRANCHES, words_of
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.column_names import column_quantity, is_terminal
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
@@ -114,7 +114,8 @@ def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
         [" ".join(w for w in name if w not in own) for name in names] for names, own in zip(words, shared, strict=True)
     ]
     titles = [" ".join(w for w in names[0] if w in own) for names, own in zip(words, shared, strict=True)]
-    told = all(own - common for own in shared) and len({*titles}) == len(titles)
+    told = not all(is_terminal(name) for name in groups[0])  # DrainI, DrainV, GateI, GateV
+    told &= all(own - common for own in shared) and len({*titles}) == len(titles)
     told &= not any(len(title) > 2 and column_quantity(title) not in ("", "index") for title in titles)  # pos, torque
     spelled = all(re.search(r"[^\W\d]", name) for name in rest[0])
     alike = spelled and all(other == rest[0] for other in rest) and len({*rest[0]}) == len(rest[0])

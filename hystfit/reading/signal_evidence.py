@@ -157,9 +157,14 @@ def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
 
 
 def by_equal_steps(values: np.ndarray) -> bool:
-    """Whether a column goes up and down by equal steps, as one that was set: no measurement does."""
-    steps = np.diff(values)
-    steps = steps[np.isfinite(steps)]
+    """Whether a column goes up and down by equal steps or is held equally long at every level, as one that was set: no measurement does."""
+    finite = values[np.isfinite(values)]
+    ends = np.flatnonzero(np.diff(finite))
+    held = np.diff(ends)
+    if ends.size > _FEWEST_COMPUTED and (dwell := int(np.median(held))) > 1:
+        ways = np.diff(finite)[ends] > 0
+        return float(np.mean(held == dwell)) > _EQUAL and _EACH_WAY < float(np.mean(ways)) < 1 - _EACH_WAY
+    steps = np.diff(finite)
     if steps.size < _FEWEST_COMPUTED or not (step := float(np.median(np.abs(steps)))) > 0:
         return False
     equal = [float(np.mean(np.abs(steps - way) < _SAME_DIGIT * step)) for way in (step, -step)]
