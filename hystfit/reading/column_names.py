@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from importlib.resources import files
 
 from hystfit.params.units import quantity
-from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.names_with_units import RATIO, split_unit
 
 _VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
 _WORDS, _ROLES = (
@@ -56,6 +56,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress, also the capillary one
     base = _field(base)
+    if RATIO.fullmatch(base) and not _RELATIVE_PRESSURE.search(base):
+        base = base[0]
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column

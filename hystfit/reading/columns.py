@@ -144,8 +144,10 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     # A duration that goes up and down is no clock, unless its name is that of a time.
     named = [k for k in named if k in table.stamps or _is_clock(table, k)]
     if not named and len(free) + given > 2:
-        # The abscissa of a report of Abaqus is its X.
-        named = [k for k in free[:2] if table.names[k] in ("s", "X") and (np.diff(table.columns[k]) > 0).all()]
+        # The abscissa of a report of Abaqus is its X; of an oscilloscope, whose file states the interval, X numbers the samples.
+        numbers = lambda k: table.interval is not None and table.counts(k)
+        rises = lambda k: bool((np.diff(table.columns[k]) > 0).all()) and not numbers(k)
+        named = [k for k in free[:2] if table.names[k] in ("s", "X") and rises(k)]
     if named:
         back = lambda k: int(
             (np.diff(table.columns[k]) < 0).sum()
@@ -291,7 +293,8 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
     fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
     kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
-        kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+        unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
+        kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k)})
 
 
 def _is_whole(values: np.ndarray) -> bool:

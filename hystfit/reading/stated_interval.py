@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -38,6 +39,9 @@ _HERTZ = {
 def stated_interval(above: Sequence[str]) -> float | None:
     """The time between two rows [s]; None where the lines above the numbers state none, or several."""
     found = {interval for line in above if len(line) < 200 and (interval := _interval(line)) is not None}
+    for names, values in itertools.pairwise(line.split(",") for line in above[-2:]):
+        below = (value for name, value in zip(names, values, strict=False) if name.strip().lower() == "increment")
+        found |= {float(value) for value in below if re.fullmatch(_NUMBER, value.strip())}
     return found.pop() if len(found) == 1 else None
 
 
