@@ -194,6 +194,16 @@ def test_a_load_that_was_held_at_every_level_drives_the_settlement(tmp_path: Pat
     is_pair(one(tmp_path, "Load (kN),Settlement (mm)\n" + rows(",", load, settlement)), load, settlement)
 
 
+def test_pulses_of_a_current_do_not_drive_a_cell(tmp_path: Path) -> None:
+    """A titration: pulses of charge and rests, up and down; the charge that passed drives the voltage."""
+    pulse = np.tile(np.repeat([1.0, 0.0], 6), 10)
+    current = np.concatenate([pulse, -pulse])
+    charge = np.round(np.cumsum(current) * 0.01, 4)
+    voltage = np.round(3.3 + 0.4 * charge + 0.02 * current, 4)
+    text = "Test_Time(s),Current(A),Voltage(V),Capacity(Ah)\n"
+    is_pair(one(tmp_path, text + rows(",", 60 * np.arange(current.size), current, voltage, charge)), charge, voltage)
+
+
 def test_a_measurement_of_few_digits_was_not_set(tmp_path: Path) -> None:
     """A sensor of one step in 0.1 mm stays for some samples and moves by one step up or down."""
     phase = np.linspace(0, 4 * np.pi, 400)

@@ -18,6 +18,7 @@ _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
 # Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
 # which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
 _EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.1
+_LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
@@ -163,7 +164,8 @@ def by_equal_steps(values: np.ndarray) -> bool:
     held = np.diff(ends)
     if ends.size > _FEWEST_COMPUTED and (dwell := int(np.median(held))) > 1:
         ways = np.diff(finite)[ends] > 0
-        return float(np.mean(held == dwell)) > _EQUAL and _EACH_WAY < float(np.mean(ways)) < 1 - _EACH_WAY
+        levels = np.unique(finite).size >= _LEVELS
+        return levels and float(np.mean(held == dwell)) > _EQUAL and _EACH_WAY < float(np.mean(ways)) < 1 - _EACH_WAY
     steps = np.diff(finite)
     if steps.size < _FEWEST_COMPUTED or not (step := float(np.median(np.abs(steps)))) > 0:
         return False
