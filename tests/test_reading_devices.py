@@ -145,6 +145,7 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ("Pc [kPa],Sw [-]", "uy"),
         ("input_angle_deg,output_angle_deg,torque_Nm", "uyn"),  # of a gear
         ("pH,Vout_mV,T_degC", "uyd"),
+        ("exx,eyy,Stress (MPa)", "puy"),  # the strain across the load
         ("H (kOe),B (kG),Bi (kG)", "ucz"),  # the induction of a magnet follows a straight line
         ("Time(T),Voltage (V),Current (A)", "tuy"),
     ],
@@ -155,7 +156,7 @@ def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Pa
     up = np.where(np.gradient(U) > 0, "up", "down")
     bent = np.round(10 ** (U / 20), 2) if "Tension" in header else np.round(U)
     columns = {
-        "t": np.arange(N), "k": np.arange(1, N + 1), "u": U, "y": Y,
+        "t": np.arange(N), "k": np.arange(1, N + 1), "u": U, "y": Y, "p": -0.45 * U + 0.02 * noise[3],
         "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
         "d": 25 + 0.01 * noise[2], "z": 10 + 0.1 * Y, "w": up,
     }  # fmt: skip

@@ -45,9 +45,10 @@ _FOLLOWED = -3.0
 # a part; the component of a field across its direction, or its size, which has no sign; the component of a signal out of phase. Points of
 # components along one axis (Bx, mx).
 _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+_TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half of that along it
 # Points of two columns of one part or axis by their names: more than those of two places.
 _SAME_PART = 0.5
-_OF_PARTS = ("displacement", "field", "induction")
+_OF_PARTS = ("displacement", "strain", "field", "induction")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 # Points of columns that are called input and output and alike but for that: input_angle, output_angle.
 _PARTNERS = 2.0
@@ -180,7 +181,8 @@ class _Evidence:
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
-        points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
+        across = kinds[o] == "strain" and self._is_partial[o]
+        points += _PARTIAL * (self._is_partial[i] + across) + _HELD_INPUT * self._is_held[i]
         points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
         points += _PARTNERS * self._are_partners(i, o)
@@ -314,15 +316,16 @@ class _Evidence:
         extents: dict[tuple[str, str], float] = {}
         vectors = {self._bases[k][:-1] for k, axis in self._axis.items() if axis}
         group = lambda k: (self.kinds[k], self.table.units[k])
-        for k in self.ranks:
+        for k in (
+            k for k in self.ranks if not (np.diff(self.table.columns[k]) >= 0).all()
+        ):  # a sum over the test is no part
             extents[group(k)] = max(extents.get(group(k), 0.0), extent(self.table.columns[k]))
 
         def partial(k: int) -> bool:
             whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
-            of_part = (
-                bool(self.table.units[k] or self.kinds[k] == "strain")
-                and extent(self.table.columns[k]) < _OF_LARGEST * whole
-            )
+            strain = self.kinds[k] == "strain"
+            least = (_TRANSVERSE if strain else _OF_LARGEST) * whole
+            of_part = bool(self.table.units[k] or strain) and extent(self.table.columns[k]) < least
             return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
