@@ -17,7 +17,7 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
 # Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
 # which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
-_EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.1
+_EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.2
 _LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
