@@ -145,6 +145,7 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ("Pc [kPa],Sw [-]", "uy"),
         ("input_angle_deg,output_angle_deg,torque_Nm", "uyn"),  # of a gear
         ("pH,Vout_mV,T_degC", "uyd"),
+        ("vpd,sapf,ta,sw_in", "uydn"),  # a tree
         ("exx,eyy,Stress (MPa)", "puy"),  # the strain across the load
         ("H (kOe),B (kG),Bi (kG)", "ucz"),  # the induction of a magnet follows a straight line
         ("Time(T),Voltage (V),Current (A)", "tuy"),
@@ -203,6 +204,15 @@ def test_pulses_of_a_current_do_not_drive_a_cell(tmp_path: Path) -> None:
     voltage = np.round(3.3 + 0.4 * charge + 0.02 * current, 4)
     text = "Test_Time(s),Current(A),Voltage(V),Capacity(Ah)\n"
     is_pair(one(tmp_path, text + rows(",", 60 * np.arange(current.size), current, voltage, charge)), charge, voltage)
+
+
+def test_a_log_of_changes_has_no_set_values(tmp_path: Path) -> None:
+    """A room that a heater warms: a row whenever the temperature has changed by its last digit, at uneven times."""
+    room = np.append(np.arange(19.0, 21.05, 0.1), np.arange(20.9, 18.95, -0.1)).round(1)
+    time = np.cumsum(60 * (1 + np.arange(room.size) % 5 * (np.arange(room.size) % 3)))
+    power = np.round(1000 + 300 * np.cos(np.arange(room.size) / 7) + 5 * np.sin(np.arange(room.size)), 1)
+    text = "time (s),Heater power (W),Room temperature (degC)\n" + rows(",", time, power, room)
+    is_pair(one(tmp_path, text), power, room)
 
 
 def test_a_measurement_of_few_digits_was_not_set(tmp_path: Path) -> None:

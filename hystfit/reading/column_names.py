@@ -133,7 +133,11 @@ def column_role(name: str) -> str:
         return ""  # U is the symbol of a voltage, and u of an input
     first = base.lower().partition("_")[0]
     words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
-    roles = {_ROLES[word] for word in words if word in _ROLES}
+    told = [word for word in words if word in _ROLES]
+    others = {word for word in base.lower().split("_") if len(word) > 1} - {"in"}
+    if {*told} == {"in"} and others and not others.intersection(_WORDS):
+        return ""  # radiation that comes in: sw_in
+    roles = {_ROLES[word] for word in told}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage
     if roles == {"output"} and _DRIVERS.intersection(words):

@@ -22,6 +22,7 @@ from hystfit.reading.signal_evidence import (
     computed,
     explained,
     extent,
+    is_even,
     is_held,
     overtones,
     proportional,
@@ -372,7 +373,10 @@ class _Evidence:
 
     @functools.cached_property
     def _by_steps(self) -> _ByColumn:
-        return _ByColumn(lambda k: by_equal_steps(self.table.columns[k]))
+        columns = self.table.columns
+        clocks = (columns[k] for k, kind in self.kinds.items() if kind == "time" or k in self.table.stamps)
+        logged = any(not is_even(clock) for clock in clocks)  # at each change of a value, by one digit of a sensor
+        return _ByColumn(lambda k: not logged and by_equal_steps(columns[k]))
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:

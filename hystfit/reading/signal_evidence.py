@@ -157,6 +157,12 @@ def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
     return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
 
 
+def is_even(clock: np.ndarray) -> bool:
+    """Whether most steps of a clock are usual ones: those of a test with holds, and not of a log of changes."""
+    steps = np.diff(clock[np.isfinite(clock)])
+    return steps.size == 0 or float(np.mean(steps <= _USUAL * np.median(steps))) > _EQUAL
+
+
 def by_equal_steps(values: np.ndarray) -> bool:
     """Whether a column goes up and down by equal steps or is held equally long at every level, as one that was set: no measurement does."""
     finite = values[np.isfinite(values)]
