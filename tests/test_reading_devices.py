@@ -207,12 +207,12 @@ def test_pulses_of_a_current_do_not_drive_a_cell(tmp_path: Path) -> None:
 
 
 def test_a_log_of_changes_has_no_set_values(tmp_path: Path) -> None:
-    """A room that a heater warms: a row whenever the temperature has changed by its last digit, at uneven times."""
+    """A room that a flow of water warms: a row whenever the temperature has changed by its last digit, at uneven times."""
     room = np.append(np.arange(19.0, 21.05, 0.1), np.arange(20.9, 18.95, -0.1)).round(1)
     time = np.cumsum(60 * (1 + np.arange(room.size) % 5 * (np.arange(room.size) % 3)))
-    power = np.round(1000 + 300 * np.cos(np.arange(room.size) / 7) + 5 * np.sin(np.arange(room.size)), 1)
-    text = "time (s),Heater power (W),Room temperature (degC)\n" + rows(",", time, power, room)
-    is_pair(one(tmp_path, text), power, room)
+    flow = np.round(1000 + 300 * np.cos(np.arange(room.size) / 7) + 5 * np.sin(np.arange(room.size)), 1)
+    text = "time (s),Flow (L/min),Room temperature (degC)\n" + rows(",", time, flow, room)
+    is_pair(one(tmp_path, text), flow, room)
 
 
 def test_a_measurement_of_few_digits_was_not_set(tmp_path: Path) -> None:

@@ -374,7 +374,8 @@ class _Evidence:
     @functools.cached_property
     def _by_steps(self) -> _ByColumn:
         columns = self.table.columns
-        clocks = (columns[k] for k, kind in self.kinds.items() if kind == "time" or k in self.table.stamps)
+        times = (columns[k] for k, kind in self.kinds.items() if kind == "time" or k in self.table.stamps)
+        clocks = (time for time in times if not (np.diff(time) < 0).any())
         logged = any(not is_even(clock) for clock in clocks)  # at each change of a value, by one digit of a sensor
         return _ByColumn(lambda k: not logged and by_equal_steps(columns[k]))
 
