@@ -188,9 +188,8 @@ class _Evidence:
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
         points += _PARTNERS * self._are_partners(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
-        twin = any(
-            self.kinds[k] == self.kinds[i] != "" for k in self.ranks if k != i
-        )  # what was measured drives, as above
+        # Beside a set value that was measured too, the measurement drives.
+        twin = any(kinds[k] == kinds[i] != "" for k in self.ranks if k != i)
         controlled = twin or (bool(self._measured) and self.roles[i] == "input")
         answers = kinds[o] in RESPONSE and not self._by_steps[o]
         points += _SET_BY_STEPS * (self._by_steps[i] and answers and not controlled)
@@ -317,9 +316,8 @@ class _Evidence:
         extents: dict[tuple[str, str], float] = {}
         vectors = {self._bases[k][:-1] for k, axis in self._axis.items() if axis}
         group = lambda k: (self.kinds[k], self.table.units[k])
-        for k in (
-            k for k in self.ranks if not (np.diff(self.table.columns[k]) >= 0).all()
-        ):  # a sum over the test is no part
+        summed = lambda k: bool((np.diff(self.table.columns[k]) >= 0).all())  # over the test: of no part or the whole
+        for k in (k for k in self.ranks if not summed(k)):
             extents[group(k)] = max(extents.get(group(k), 0.0), extent(self.table.columns[k]))
 
         def partial(k: int) -> bool:
@@ -361,10 +359,9 @@ class _Evidence:
         """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
         kinds = self.kinds[i], self.kinds[o]
         measured = self._measured.values()
+        # A load that is controlled, and nothing else, drives.
         loads = [k for k, kind in zip((i, o), kinds, strict=True) if kind in LOADS and k in measured]
-        if loads and {self.kinds[k] for k in self._measured} <= {
-            *LOADS
-        }:  # a load that is controlled, and nothing else, drives
+        if loads and {self.kinds[k] for k in self._measured} <= {*LOADS}:
             return _FOLLOWED if self._measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
         beside = o if kinds[0] == "current" else i
         if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in measured:
