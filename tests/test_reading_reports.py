@@ -20,6 +20,7 @@ DRAWN = {
     "Markdown": ["# Loop 7", "", "| H (kA/m) | B (T) |", "| ---: | ---: |", *BARS],
     "framed": ["+----------+-------+", "| H (kA/m) | B (T) |", "+----------+-------+", *BARS, "+----------+-------+"],
     "simple": ["H (kA/m)  B (T)", "--------  -----", *ROWS],
+    "table of MATLAB": ["    H (kA/m)    B (T)", "    ________    _____", "", *(f"    {row}" for row in ROWS)],
     "names and units": ["H     B", "kA/m  T", "====  =====", *ROWS],
     "rows": [
         "H (kA/m)," + ",".join(row.split()[0] for row in ROWS),

@@ -6,7 +6,7 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_RULE = re.compile(r"[\s|+:_=-]*[-=]{3}[\s|+:_=-]*")
+_RULE = re.compile(r"[\s|+:_=-]*[-=_]{3}[\s|+:_=-]*")
 _NUMBERS = re.compile(r"[\s|]*[-+]?\.?\d")
 
 
@@ -20,8 +20,9 @@ def read_latex_table(text: TextFile) -> Table | None:
 
 def read_drawn_table(text: TextFile) -> Table | None:
     """A table of which a rule separates names and numbers; None for text without one."""
-    pairs = zip(text.head, text.head[1:], strict=False)
-    rules = [k for k, (line, below) in enumerate(pairs) if _RULE.fullmatch(line) and _NUMBERS.match(below)]
+    after = [*text.head[1:], "", ""]
+    below = lambda k: after[k] or after[k + 1]  # a blank line may follow the rule
+    rules = [k for k, line in enumerate(text.head) if _RULE.fullmatch(line) and _NUMBERS.match(below(k))]
     if not rules:
         return None
     lines = list(text.lines)
