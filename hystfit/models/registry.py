@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import types
+from collections.abc import Mapping
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -118,7 +120,8 @@ def tried() -> tuple[str, ...]:
     return tuple(dict.fromkeys(expression for entry in MODELS.values() for expression in entry.tried))
 
 
-def judged() -> dict[str, Needs]:
+@functools.cache
+def judged() -> Mapping[str, Needs]:
     """The data that models need, by the first name of each class with these needs; `check` reports on these."""
     first: dict[tuple[type[AbstractHysteresis], Needs], str] = {}
     counts: dict[str, int] = {}
@@ -128,7 +131,8 @@ def judged() -> dict[str, Needs]:
             if not any(issubclass(type(model), kind) and model.needs == needs for kind, needs in first):
                 first[type(model), model.needs] = name
             counts[name] = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
-    return {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+    found = {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+    return types.MappingProxyType(found)
 
 
 def judged_as(name: str) -> str | None:
