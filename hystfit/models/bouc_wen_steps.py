@@ -91,9 +91,14 @@ def _held(moved: Array, q: Array, highest: Array) -> Array:
     On the bound q, the bound and the step agree. A selection takes the derivative of one of them there; those of `clip` are mixed, and
     for long steps they grow from sample to sample without limit.
     """
-    below = q <= highest
-    low, high = jnp.where(below, q, highest), jnp.where(below, highest, q)
+    low, high = _range(q, highest)
     return jnp.where(moved >= high, high, jnp.where(moved <= low, low, moved))
+
+
+def _range(q: Array, highest: Array) -> tuple[Array, Array]:
+    """q and its bound, the lower one first."""
+    below = q <= highest
+    return jnp.where(below, q, highest), jnp.where(below, highest, q)
 
 
 @jax.custom_jvp
@@ -127,12 +132,14 @@ def _unheld(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
 def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     h, dv, m, up, down = values
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
-    q, new = s * h, trapezoid(*values)
+    q, highest = s * h, bound(m, up)
+    moved = _unheld(q, x, m, up, down)
+    new = s * _held(moved, q, highest)
     below = over(rise_below_zero(q, x, m), m)
     half = 0.5 * rate_integral(q, x, m, up, down)
-    moved = _unheld(q, x, m, up, down)
-    free = s * new == moved
-    stays = ~free & (s * new == q)
+    low, high = _range(q, highest)
+    above, short = moved > high, moved < low
+    free, stays = ~(above | short), (above & (high == q)) | (short & (low == q))
     pinned = ~free & ~stays  # on the bound m / up
     safe, each = jnp.where(up > 0, up, 1.0), 1 / (1 + half)
     turn = jnp.where(free, -0.5 * s * (q + moved) * each, 0.0)  # by the integral of the rates
