@@ -33,7 +33,7 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
     if isinstance(choice, AbstractHysteresis):
         return choice
     if isinstance(choice, type) and issubclass(choice, AbstractHysteresis):
-        named = [name for name, kind in _kinds().items() if kind is choice]
+        named = [name for name, entry in MODELS.items() if entry.makes(choice)]
         return MODELS[named[0]].default if named else _made(choice)
     if not isinstance(choice, str):
         raise ModelError(
@@ -106,13 +106,8 @@ def model_name(model: AbstractHysteresis) -> str:
     """
     if isinstance(model, AbstractComposition):
         return "+".join(model_name(part) for part in model.parts)
-    fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
+    fitting = [name for name, entry in MODELS.items() if entry.makes(type(model)) and entry.variant(model)]
     return ":".join([fitting[-1], *MODELS[fitting[-1]].changed(model)]) if fitting else type(model).__name__
-
-
-@functools.cache
-def _kinds() -> dict[str, type[AbstractHysteresis]]:
-    return {name: type(entry.default) for name, entry in MODELS.items()}
 
 
 def tried() -> tuple[str, ...]:
@@ -139,6 +134,6 @@ def judged_as(name: str) -> str | None:
     """Name under which `judged` has the needs of a model; None where it declares none."""
     model = MODELS[name].default
     same = lambda row, needs: (
-        isinstance(model, _kinds()[row]) and dataclasses.replace(needs, parameters=0) == model.needs
+        isinstance(model, type(MODELS[row].default)) and dataclasses.replace(needs, parameters=0) == model.needs
     )
     return next((row for row, needs in judged().items() if same(row, needs)), None)
