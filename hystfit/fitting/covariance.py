@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
 from hystfit.fitting.error_ratios import RANK, mean_error_ratio
@@ -207,13 +208,13 @@ def determine(
         return {"covariance": covariance, "joint": joint, "determined": determined, **nothing}
     values, root, back = _spectrum(information, live, space.offsets[live])
     kept, relative = values > RANK * values[0], relative[live]
-    spreads, axes = np.linalg.eigh(root[:, kept] @ root[:, kept].T / relative[:, None] / relative)
-    wide, free = spreads > OPEN**2, root[:, ~kept] / relative[:, None]
-    open_axes = np.hstack([axes[:, wide], free / np.linalg.norm(free, axis=0)])
-    known, every = back @ root[:, kept], back @ root
+    scaled = root / relative[:, None]
+    spreads, wide = _wide_axes(scaled[:, kept])
+    open_axes = np.hstack([wide, scaled[:, ~kept] / np.linalg.norm(scaled[:, ~kept], axis=0)])
+    known = back @ root[:, kept]
     full = known @ known.T if inside is None else inside[np.ix_(at, at)]
-    joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
-    touched = _touched(open_axes, spreads[wide], (space.kinds == BOTH)[live])
+    joint[np.ix_(at, at)] = full if kept.all() else (every := back @ root) @ every.T
+    touched = _touched(open_axes, spreads, (space.kinds == BOTH)[live])
     # Linear weights may well be zero.
     room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(space, x)))
     reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > room[live])
@@ -234,6 +235,14 @@ def determine(
         "rank": len(names) - open_axes.shape[1],
         "condition": float(values[0] / values[-1]) if kept.all() else None,
     }
+
+
+def _wide_axes(deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Variances above `OPEN` squared, rising, (m,), and their directions, (k, m), of a covariance D D' in relative coordinates."""
+    covariance = deviations @ deviations.T
+    if np.linalg.norm(covariance) <= OPEN**2:  # no variance is larger than this norm
+        return np.zeros(0), np.zeros((len(covariance), 0))
+    return scipy.linalg.eigh(covariance, subset_by_value=(OPEN**2, np.inf))
 
 
 def _spectrum(
