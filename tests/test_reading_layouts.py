@@ -159,6 +159,19 @@ def test_an_old_magnetometer_has_its_settings_in_one_line(tmp_path: Path) -> Non
     assert (record.u_name, record.u_unit, record.y_name) == ("Field", "Oe", "Moment")
 
 
+def test_a_ramp_that_returns_to_where_it_began_parts_curves(tmp_path: Path) -> None:
+    """Two sweeps from the same field, between which the magnetometer saturates the sample without measuring."""
+    down = np.linspace(0.5, -0.5, 21)
+    table = [(0.5, -0.5, 21), (-0.5, 1.0, 21), (1.0, -0.5, 21), (-0.5, 0.5, 42)]
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nDirect moment vs. field; Multiple segments\n\n"
+    text += SECTIONS.format(system="Hybrid SI", count=4) + SEGMENTS[16]
+    text += "".join(segment(16, k, *row) for k, row in enumerate(table, 1)) + f"\n{'Field':>14}{'Moment':>14}\n"
+    text += "".join(f"{u:+.6E},{np.tanh(3 * u):+.6E}\n" for u in (*down, *down[::-1]))
+    assert [record.u.tolist() for record in Dataset.of(read(written(tmp_path, text, "a.001")))] == [
+        pytest.approx(down.tolist()), pytest.approx(down[::-1].tolist())
+    ]  # fmt: skip
+
+
 def test_ramps_that_a_magnetometer_does_not_measure_part_reversal_curves(tmp_path: Path) -> None:
     rows, table, truth, number = [], [], [], itertools.count(1)
     for reversal in (0.5, 0.1, -0.4):
