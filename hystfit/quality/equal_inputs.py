@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -61,9 +61,9 @@ class RecordsApart:
     samples: int
 
 
-def records_apart(records: Iterable[Record]) -> RecordsApart | None:
+def records_apart(records: Sequence[Record]) -> RecordsApart | None:
     """The records of equal inputs that are furthest apart; None where no two have loops over one range at one speed."""
-    loops = [loop for loop in map(_largest_loop, records) if loop is not None]
+    loops = [loop for loop in map(_largest_loop, records if len(records) > 1 else ()) if loop is not None]
     groups = [[other for other in loops if loop.like(other)] for loop in loops]
     found = [_apart(group) for group in groups if len(group) > 1]
     return max(found, key=lambda one: one.rms, default=None)
