@@ -185,7 +185,7 @@ def test_the_size_of_a_step_says_where_a_model_has_advice(model: AbstractHystere
     """Of many models at once, beside the sentences of each."""
     space = ParameterSpace.of(model)
     x = space.vector(model) * np.geomspace(0.01, 20, 24)[:, None] ** (np.array(space.names) == RATES[type(model)])
-    ratio = space.coordinates.assemble_stacked(x).step_ratio(U)
+    ratio = space.coordinates.assemble_stacked(x).step_ratio(np.abs(np.diff(U)).max())
     told = [bool(one.advice(U)) for one in space.coordinates.assemble_rows(x)]
     assert 0 < sum(told) < len(told)
     assert (ratio > 1).tolist() == told

@@ -176,8 +176,8 @@ def _examples(
     """Plain loops judged alone, one of each set of notes; None where such a judgment is another one."""
     rows = list[Row]()
     for k in notes.examples():
-        (record, y), watch = loops.take(np.array([k])).groups[0], Stopwatch()
-        record = record.replace(y=y[0])
+        group, watch = loops.take(np.array([k])).groups[0], Stopwatch()
+        record = group.record.replace(y=group.y[0])
         row = row_of("", "", record, judge(setup_of(common, record, options), estimate(k), options, watch))
         errors = np.array([np.nan if value is None else value for value in row.stderr.values()], float)
         same = (row.status, row.codes, row.reason) == (Status.OK, notes.codes(k), notes.reason(k))

@@ -26,6 +26,7 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.loops import largest_step
 
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _AT_BOUND = 2e-4  # relative distance to a bound
@@ -203,13 +204,14 @@ def _advised(common: Common, loops: Loops, judged: Judged) -> np.ndarray:
     if type(model).advice is AbstractHysteresis.advice:
         return np.zeros(len(loops), bool)
 
+    largest = loops.each(lambda group: np.full(len(group.y), largest_step(group.record.u)))
+    ratio = coordinates.assemble_stacked(judged.x).step_ratio(largest)
+    if ratio is not None:
+        return judged.plain & (ratio > 1)
+
     def of_group(group: Group, x: np.ndarray, plain: np.ndarray) -> np.ndarray:
         advised, data = np.zeros(len(x), bool), Dataset.of(group.record)
-        ratio = coordinates.assemble_stacked(x[plain]).step_ratio(group.record.u)
-        if ratio is None:
-            advised[plain] = [bool(notes_of_model(data, one)) for one in coordinates.assemble_rows(x[plain])]
-        else:
-            advised[plain] = ratio > 1
+        advised[plain] = [bool(notes_of_model(data, one)) for one in coordinates.assemble_rows(x[plain])]
         return advised
 
     return loops.each(of_group, judged.x, judged.plain)

@@ -29,7 +29,7 @@ from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
 from hystfit.results.accuracy import NOISY, persistent_error
 
-_ON_CURVE = 2**12  # samples on which a curve is fitted: its error is known to a percent
+_ON_CURVE = 2**11  # samples on which a curve is fitted: its error is known to 2 %
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four
 _SPARSE = 0.9  # noise by differences of order 6 over that of order 3, below which it still contains the signal
 _ROUNDED = 0.06  # of the least step between neighbors: noise below it may be rounding
@@ -67,7 +67,7 @@ def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> A
 
 
 def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
-    """Orthonormal polynomials over the input for `curve_errors`, on at most 4096 samples at even distances."""
+    """Orthonormal polynomials over the input for `curve_errors`, on at most 2048 samples at even distances."""
     u = u[:: _stride(u.size)]
     low, high = u.min(), u.max()
     return np.linalg.qr(np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree))[0]
@@ -159,8 +159,9 @@ def _on_gpu(loops: Loops) -> Any:
 
 
 def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
-    finite = xp.isfinite(y).all(axis=1)
-    rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
+    finite, rows = xp.isfinite(y).all(axis=1), y
+    if xp is not np or not finite.all():  # keeps warnings away from rows that are out
+        rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))
     varies = rows.max(axis=1) - rows.min(axis=1) > 1e-12 * xp.abs(rows).max(axis=1)
     noise = row_noise(rows, xp)
     return finite & varies & sound_rows(rows, noise, xp), noise

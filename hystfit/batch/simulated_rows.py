@@ -15,6 +15,9 @@ from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 
 _NUMBERS = 2**24  # of outputs computed in one call
+# Rows side by side on a CPU where one scan of the model's step computes a row. 16 rows took 0.16 (Bouc-Wen), 0.4 (Duhem), 0.2 (LuGre,
+# Voce-Chaboche) and 0.6 (Jiles-Atherton) of the time of one after another; where a model computes all samples of a row at once, 1.3 to 1.7.
+_BESIDE = 16
 
 
 def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
@@ -41,11 +44,15 @@ def simulated(stack: Stack, z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.n
 def simulate_rows(
     coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
 ) -> Float[Array, "N T"]:
-    """`simulated`, side by side or one after another."""
+    """`simulated`, all rows side by side or some at a time."""
 
     def one(scale: Array, z: Array, u: Array, dt: Array) -> Array:
         return run(eqx.tree_at(lambda c: c.scale, coordinates, scale).tree(z), u, dt)[0]
 
     rows = (scales, z) if u.ndim == 1 else (scales, z, u, dt)
     of_row = (lambda scale, z: one(scale, z, u, dt)) if u.ndim == 1 else one
-    return jax.vmap(of_row)(*rows) if together else jax.lax.map(lambda row: of_row(*row), rows)
+    if together:
+        return jax.vmap(of_row)(*rows)
+    model = coordinates.treedef.unflatten(coordinates.leaves)
+    beside = _BESIDE if model.causal and model.one_scan else None
+    return jax.lax.map(lambda row: of_row(*row), rows, batch_size=beside)
