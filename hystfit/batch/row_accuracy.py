@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Group, Loops
-from hystfit.batch.simulated_rows import chunks, simulate_rows, simulated
+from hystfit.batch.simulated_rows import chunks, shared_and_own, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
 from hystfit.fitting.fit_warnings import BEGINS, SHORT
 from hystfit.fitting.fitted import VISIBLE
@@ -206,8 +206,8 @@ def _of_group(group: Group, predicted: np.ndarray, noise: np.ndarray) -> Accurac
 
 
 def _of_group_on_device(group: Group, coordinates: Coordinates, z: Any, noise: np.ndarray, device: Any) -> Accuracy:
-    record, scales = group.record, np.asarray(coordinates.scale)
-    shared = placed((coordinates, record.u, record.dt, _Frame.of(group)), device)
+    (one, scales), record = shared_and_own(coordinates), group.record
+    shared = placed((one, record.u, record.dt, _Frame.of(group)), device)
     rows = []
     for at, count in chunks(len(z), len(record)):
         part = _accuracy_on_device(*shared, *placed((scales[at], z[at], group.y[at], noise[at]), device))

@@ -30,14 +30,20 @@ def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
 def simulated(stack: Stack, z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray) -> Float[np.ndarray, "N T"]:
     """Output of each loop's model over an input, shape (T,), or over inputs of their own, shape (N, T)."""
     device = device_for(len(z))
-    coordinates = stack.objective.coordinates
-    scales, z, out, begin = np.asarray(coordinates.scale), np.asarray(z), np.empty((len(z), u.shape[-1])), 0
+    coordinates, scales = shared_and_own(stack.objective.coordinates)
+    z, out, begin = np.asarray(z), np.empty((len(z), u.shape[-1])), 0
     for at, count in chunks(len(z), u.shape[-1]):
         inputs = (u, dt) if u.ndim == 1 else (u[at], dt[at])
         rows = simulate_rows(*placed((coordinates, scales[at], z[at], *inputs), device), device.platform != "cpu")
         out[begin : begin + count] = np.asarray(rows)[:count]
         begin += count
     return out
+
+
+def shared_and_own(coordinates: Coordinates) -> tuple[Coordinates, Float[np.ndarray, "N p"]]:
+    """Coordinates of many rows as those of the first, and the scales of each: programs depend on no number of rows but that of a call."""
+    scales = np.asarray(coordinates.scale)
+    return eqx.tree_at(lambda c: c.scale, coordinates, scales[0]), scales
 
 
 @functools.partial(jax.jit, static_argnames="together")
