@@ -556,6 +556,8 @@ def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
     }  # fmt: skip
     reports = list((out / "reports").glob("*/report.html"))
     assert len(reports) == 1
+    assert {path.name for path in reports[0].parent.iterdir()} == {"report.html", "report.txt"}  # with its pictures
+    assert reports[0].read_text().count("data:image/svg+xml") >= 6
     assert f'href="{reports[0].relative_to(out)}"' in (out / "overview.html").read_text()
     assert cli.run([*arguments, "--out", str(out)]) == 1  # resumes
     assert cli.run([*arguments, "--seed", "1", "--out", str(out)]) == 2
