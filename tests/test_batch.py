@@ -223,6 +223,23 @@ def test_a_loop_without_a_fit_is_a_row_with_its_reason(folder):
     assert np.isnan([table[name] for name in ("c", "c_stderr", "rmse", "samples")]).all()
 
 
+def test_a_curve_without_a_loop_is_a_row_and_the_others_of_its_file_are_fitted(tmp_path):
+    path = tmp_path / "curves.csv"
+    first, missing = measured(1, 150), np.full(150, np.nan)
+    rows = [
+        (k, *row) for k, y in enumerate([first.y, missing, first.y]) for row in zip(first.t, first.u, y, strict=True)
+    ]
+    lines = [",".join("" if np.isnan(value) else f"{value:.9g}" for value in row) for row in rows]
+    path.write_text("\n".join(["specimen,t_s,u_V,y_um", *lines]))
+    with pytest.raises(DataError, match="no finite value"):
+        hf.read(path, by="specimen")
+    fits = hf.fit_many("bouc-wen", path, reading={"by": "specimen"}, **QUICK)
+    assert fits.counts == {"ok": 2, "failed": 1}
+    (failed,) = [row for row in fits if not row.usable]
+    assert "no finite value" in failed.reason
+    assert "specimen=1" in failed.name
+
+
 def test_a_loop_that_breaks_the_numerics_does_not_end_the_batch(monkeypatch, records):
     judge = work.judge
 

@@ -158,6 +158,13 @@ def test_a_long_table_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.Mo
     np.testing.assert_array_equal(table["y"].to_numpy().reshape(SHAPE), np.indices(SHAPE)[0])
 
 
+def test_loops_of_few_samples_have_reasons() -> None:
+    for samples in (2, 7):
+        found = hf.fit_map("bouc-wen", U[:samples], cube()[..., :samples], workers=1, starts=1)
+        assert not found.ok.any()
+        assert len(found.reasons) == found.alone.size
+
+
 def test_programs_do_not_depend_on_the_number_of_sound_loops() -> None:
     """Every part of a map has another number of them, and each compiled programs of its own: 1 kB of memory a loop."""
     outputs = cube()[1:].reshape(-1, SAMPLES).copy()

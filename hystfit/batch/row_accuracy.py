@@ -55,8 +55,6 @@ def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
 
 def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> Any:
     """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool."""
-    if y.shape[1] < _FEWEST:
-        return xp.zeros(len(y), bool)
     low, high = y.min(axis=1, keepdims=True), y.max(axis=1, keepdims=True)
     stays = xp.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
     steps = xp.diff(y, axis=1)
@@ -159,6 +157,8 @@ def _on_gpu(loops: Loops) -> Any:
 
 
 def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
+    if y.shape[1] < _FEWEST:
+        return xp.zeros(len(y), bool), xp.full(len(y), xp.nan)
     finite, rows = xp.isfinite(y).all(axis=1), y
     if xp is not np or not finite.all():  # keeps warnings away from rows that are out
         rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))

@@ -19,7 +19,7 @@ from hystfit.config import enable_x64, one_blas_thread
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.errors import HystfitError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit import fit
 from hystfit.fitting.fit_model import judge
@@ -209,12 +209,16 @@ def _each(step: Callable[[Work, _Loop], object], work: Work, loops: Sequence[_Lo
 
 
 def _read(work: Work, source: Source) -> list[_Loop]:
+    unread: dict[str, str] = {}
     try:
-        return [_Loop(source, name, record) for name, record in source.loops(work.reading)]
+        loops = [_Loop(source, name, record) for name, record in source.loops(work.reading, unread)]
     except Exception as error:  # as in `_each`
-        loop = _Loop(source, source.name)
-        loop.fails(error)
-        return [loop]
+        loops, unread = [_Loop(source, source.name)], {}
+        loops[0].fails(error)
+    for name, reason in unread.items():
+        loops.append(_Loop(source, name))
+        loops[-1].fails(DataError(reason))
+    return loops
 
 
 def _convert(work: Work, loop: _Loop) -> None:
