@@ -10,7 +10,6 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
-from hystfit.batch.bucketed import STEPS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
@@ -24,6 +23,7 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
+from hystfit.fitting.least_squares import ROUND
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -191,7 +191,7 @@ def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Esti
     """Estimates of loops that are not plain, but close, by their numbers: from every start to its end, which is on no bound."""
     if not rest.size:
         return {}
-    ends, stack, costs = solve_alike(common, loops.take(rest), STEPS)
+    ends, stack, costs = solve_alike(common, loops.take(rest), ROUND)
     coordinates, space = stack.objective.coordinates, common.setup.problem.space
     x = coordinates.physical(ends.normal.z, np)
     on_bound = np.logical_or(*space.reached(x, ON_BOUND, np.asarray(coordinates.scale))).any(axis=1)
