@@ -82,8 +82,9 @@ $(EXPERIMENTS:%=experiment-%): experiment-%: setup
 	@log=build/experiments/$*.log; $(BIN)/python $(FAST) experiments/$*/run.py $(QUICK) > $$log 2>&1; status=$$?; \
 	  echo "exit status $$status" >> $$log; echo "== $*"; cat $$log; test $$status -eq 77 || exit $$status
 
-mutations: setup  ## put faults into library and surrogates, and check that each makes an experiment fail (experiments/MUTATIONS.md)
+mutations: setup  ## put faults into library and surrogates, and check that each makes an experiment (experiments/MUTATIONS.md) or a test fail
 	$(BIN)/python experiments/mutations.py
+	$(BIN)/python -m tests.hard.library_faults
 
 hard: setup  ## generated and damaged data files, 100 000 of each, 20 000 layouts of instruments, damaged fits, killed saves, full disks, interrupts, NIST, random devices
 	$(BIN)/python -m tests.hard.reading --files 0:100000 --mutations 0:100000 --layouts 0:20000

@@ -82,6 +82,25 @@ def test_without_a_bound_the_moments_are_the_covariance() -> None:
     np.testing.assert_allclose(mean, 0, atol=1e-5)
 
 
+@pytest.mark.parametrize(("side", "slope"), [(1.0, 0.7), (-1.0, 0.0)])
+def test_beside_one_bound_the_moments_are_integrals_of_the_density(side: float, slope: float) -> None:
+    """One parameter at 0.4 from its bound, and two others that follow it; `slope` pushes it against the bound."""
+    A = np.random.default_rng(2).normal(size=(6, 3))
+    P, s, room = A.T @ A, np.array([side * slope, 0.2, -0.3]), 0.4
+    mean, moments = about_estimate(P[None], s[None], np.array([[room, np.inf, np.inf]]), np.array([side, 1.0, 1.0]))
+    d = side * np.linspace(-room, 12.0, 200_001)
+    inner = np.linalg.inv(P[1:, 1:])
+    others = -(d[:, None] * P[0, 1:] + s[1:]) @ inner  # mean of the others, given the first
+    exponent = -0.5 * P[0, 0] * d**2 - s[0] * d + 0.5 * np.einsum("np,pq,nq->n", others, P[1:, 1:], others)
+    share = np.exp(exponent - exponent.max())
+    share /= share.sum()
+    every = np.column_stack([d, others])
+    expected = every.T @ (share[:, None] * every)
+    expected[1:, 1:] += inner
+    np.testing.assert_allclose(mean[0], share @ every, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(moments[0], expected, rtol=1e-3, atol=1e-4)
+
+
 def test_the_error_of_a_quantity_is_the_spread_of_repeated_fits_where_weights_replace_each_other() -> None:
     """Of 20 plays about half end on zero, in the place of others; the stroke hardly depends on which."""
     plays = hf.PrandtlIshlinskii.of(20).start([hf.Record(u=U, y=U)])

@@ -593,6 +593,10 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
     assert [r.name for r in _ranked(rows, "prediction", equal=equal)] == ["small", "large", "worse", "stuck"]
     assert [r.name for r in _ranked(rows[:2], "prediction", equal=equal)] == ["large", "stuck"]
     assert [r.name for r in _ranked(rows, "prediction", 0.11, equal=equal)] == ["worse", "small", "large", "stuck"]
+    poor = [dataclasses.replace(r, status=Status.POOR) if r.name == "small" else r for r in rows]
+    assert _ranked(poor, "prediction", equal=equal)[0].name == "large"
+    without = dataclasses.replace(row("without an inverse", 0.1, 40), family_inverts=False)
+    assert _ranked([row("poor", 0.11, 3, Status.POOR), without], "prediction", equal=equal)[0] is without
     for against, first in (
         (9.0, "small"),
         (11.0, "large"),

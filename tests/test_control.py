@@ -84,6 +84,21 @@ def test_margins_against_closed_forms() -> None:
     assert found.phase - late.phase == pytest.approx(np.degrees(0.2), abs=0.01)
 
 
+@pytest.mark.parametrize("gain", [0.3, 0.9, 1.1, 4.0, 30.0])
+@pytest.mark.parametrize(
+    "loop",
+    [
+        TransferFunction((1.0,), (1.0, -1.0)),  # stable where the gain is above 1
+        TransferFunction((6.0,), (1.0, 3.0, 2.0, 0.001)),
+        TransferFunction((2.0, 2.0), (1.0, 4.0, -1.0, -4.0)),
+        TransferFunction((1.0, -2.0), (1.0, 3.0, 2.0)),
+    ],
+    ids=["unstable pole", "integrator", "unstable pole and zero", "zero on the right"],
+)
+def test_encirclements_tell_what_the_closed_poles_tell(loop: TransferFunction, gain: float) -> None:
+    assert margins(loop * gain).stable == bool(np.all((loop * gain).closed().real < 0))
+
+
 def test_root_locus_starts_at_the_poles_and_ends_at_the_zeros() -> None:
     loop = TransferFunction((5 / 3, 5.0), (1.0, 6.0, 5.0))  # zero at -3, poles at -1 and -5
     few, many = root_locus(loop, [1e-9, 1e9])

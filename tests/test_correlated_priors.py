@@ -1,4 +1,4 @@
-"""Correlated priors against the density of a multivariate normal distribution in transformed parameters."""
+"""Priors as densities; correlated ones against a multivariate normal distribution in transformed parameters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import hystfit as hf
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
 from hystfit.inference.noise.white import White
-from hystfit.inference.priors import HalfNormal, LogitNormal, LogNormal, Normal, Uniform
+from hystfit.inference.priors import AbstractPrior, HalfNormal, LogitNormal, LogNormal, Normal, Uniform
 from hystfit.inference.problem import Problem
 
 EACH = {"c": LogNormal(1.2, 0.3), "rho": LogitNormal(-1.0, 1.0, 0.2, 0.5), "offset": Normal(0.1, 0.4)}
@@ -23,6 +23,28 @@ CORRELATION = np.array([[1.0, 0.7, -0.2], [0.7, 1.0, 0.1], [-0.2, 0.1, 1.0]])
 def problem() -> Problem:
     u = np.sin(np.linspace(0, 12, 60))
     return Problem(hf.BoucWen(), hf.Record(u=u, y=u + 0.1 * np.cos(np.linspace(0, 12, 60))))
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [
+        Normal(0.1, 0.4),
+        LogNormal(1.2, 0.3),
+        LogNormal(0.5, 0.6, edge=2.0, side=-1.0),
+        HalfNormal(0.7),
+        HalfNormal(0.7, edge=-1.0, side=-1.0),
+        Uniform(-1.0, 3.0),
+        LogitNormal(-1.0, 1.0, 0.2, 0.5),
+    ],
+    ids=str,
+)
+def test_a_prior_is_the_density_of_its_draws(prior: AbstractPrior) -> None:
+    x = np.linspace(-9.0, 9.0, 36_001)[1::2]  # middles of intervals between multiples of 0.001, where densities may end
+    density = np.exp(np.asarray(jax.vmap(prior.log_density)(jnp.asarray(x))))
+    assert density.sum() * (x[1] - x[0]) == pytest.approx(1.0, abs=1e-6)
+    draws = np.asarray(prior.sample(jax.random.key(0), (4000,)))
+    below = np.interp(draws, x + 0.5 * (x[1] - x[0]), np.cumsum(density) * (x[1] - x[0]))
+    assert scipy.stats.kstest(below, "uniform").pvalue > 0.01
 
 
 def test_the_log_prior_is_a_multivariate_normal_of_the_transformed_parameters(problem: Problem) -> None:

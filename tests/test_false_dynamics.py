@@ -31,6 +31,14 @@ def test_a_steep_transition_is_no_resonance(width: float, steep: float, samples:
     assert Code.DYNAMICS not in codes(sweep(55.0, width, steep, samples))
 
 
+def test_one_wave_is_no_resonance() -> None:
+    """The concentration in a river passes its largest value before the discharge does, once in a year."""
+    day = np.arange(366.0)
+    flow = 740 + 900 * np.exp(-(((day - 190) / 45) ** 2)) + 60 * np.sin(day / 9)
+    load = (0.9 * np.exp(-(((day - 170) / 40) ** 2)) + 0.05) * flow / 1000
+    assert Code.DYNAMICS not in codes(hf.Record(load, flow, t=86400 * day))
+
+
 def behind_two_lags(values: np.ndarray, time: float) -> np.ndarray:
     """Two first-order lags of this time constant [samples], by a plain loop."""
     first = second = values[0]

@@ -115,6 +115,15 @@ def test_errors_equal_linear_regression():
     assert [result[name].stderr for name in names] == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-6)
 
 
+def test_the_condition_is_that_of_centered_columns_of_unit_length(piezo, fitted):
+    """The offset takes the means of the other columns, so that it is no reason for a large condition."""
+    J = fitted.problem.linearize(fitted.x)[1].reshape(-1, len(fitted.free_names))[: len(piezo)]
+    others = J[:, [name != "offset" for name in fitted.free_names]]
+    others = others - others.mean(axis=0)
+    assert fitted.condition == pytest.approx(np.linalg.cond(others / np.linalg.norm(others, axis=0)), rel=1e-3)
+    assert fitted.condition > 10
+
+
 def test_correlated_residuals_widen_the_errors(piezo):
     rng = np.random.default_rng(1)
     slow = np.zeros(T.size)

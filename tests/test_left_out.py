@@ -42,17 +42,21 @@ def test_the_future_is_predicted_from_plain_refits_to_the_past():
     assert left_out_error(fit, "future") == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-4)
 
 
-def test_groups_are_predicted_from_plain_refits_to_the_others():
-    made = record(bouc_wen())
+@pytest.mark.parametrize(
+    "weights", [np.ones(U.size), np.where(np.arange(U.size) % 3, 0.5, 4.0)], ids=["equal", "unequal"]
+)
+def test_groups_are_predicted_from_plain_refits_to_the_others(weights):
+    made = record(bouc_wen()).replace(weight=weights)
     fit = hf.fit(hf.BoucWen(scheme="exact"), made)
-    squares, folds = [], held_out([made]).folds[0]
+    squares, folds = np.zeros(U.size), held_out([made]).folds[0]
     for k in range(folds.max() + 1):
-        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=np.where(folds == k, 0.0, 1.0))).predict(made)
-        squares.append((np.asarray(y)[folds == k] - made.y[folds == k]) ** 2)
-    assert len(squares) > 1
+        y = hf.fit(hf.BoucWen(scheme="exact"), made.replace(weight=np.where(folds == k, 0.0, weights))).predict(made)
+        squares[folds == k] = (np.asarray(y)[folds == k] - made.y[folds == k]) ** 2
+    held = weights * (folds >= 0)
+    assert folds.max() > 0
     error = left_out_error(fit)
-    assert error == pytest.approx(np.sqrt(np.mean(np.concatenate(squares))), rel=1e-4)
-    assert error > fit.train.rmse
+    assert error == pytest.approx(np.sqrt(np.average(squares, weights=held)), rel=1e-4)
+    assert error > np.sqrt(np.average((np.asarray(fit.predict(made)) - made.y) ** 2, weights=held))
     assert left_out_error(fit, most=1.01 * error) == error
     assert np.isposinf(left_out_error(fit, most=0.8 * error))
 

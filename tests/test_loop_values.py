@@ -226,3 +226,17 @@ def test_a_loop_that_was_cut_gives_what_its_whole_branch_shows_and_says_so():
     )
     assert not any(line.rows.values())
     assert "noise" in "\n".join(line.lines())
+
+
+def test_one_cycle_of_each_amplitude_gives_the_energy_of_the_largest():
+    """A force between the ends of growing strokes: only one branch crosses the whole range, and the last cycle ends in the middle."""
+    ends = [0.0, 1.0, -1.0, 2.0, -2.0, 3.0, -3.0, 0.0]
+    u = np.interp(np.linspace(0, 7, 1401), np.arange(8), ends)
+    slip, force = 0.0, []
+    for x in u:
+        slip = np.clip(slip, x - 0.5, x + 0.5)
+        force.append(4 * x + 10 * (x - slip))
+    found = values_of(hf.Record(u, np.array(force), u_unit="mm", y_unit="kN", u_name="Displacement", y_name="Force"))
+    # Of a spring and a Coulomb element of 10 kN/mm that slips at 5 kN: 4 times 5 kN times 2.5 mm of slip, less the corner at the start.
+    assert found["loop_area"].value == pytest.approx(4 * 5 * 2.5, rel=0.03)
+    assert found["secant_stiffness"].value == pytest.approx(4 + 5 / 3, rel=1e-3)

@@ -262,6 +262,18 @@ def test_results_of_a_ferroelectric_tester_are_met(measured):
             assert one.value == pytest.approx(one.stated, rel=1e-3), (record.name, one)
 
 
+def test_the_coercivities_of_coarse_loops_have_the_error_of_a_straight_line():
+    """Samples four widths of the switching apart, of loops without noise: only the distance of the samples makes errors."""
+    beyond = []
+    for shift in np.linspace(0.0, 0.9, 7):
+        h = np.append(np.linspace(1.5e6, -1.5e6, 18), np.linspace(-1.5e6, 1.5e6, 18)) + 1.7e5 * shift
+        j = np.concatenate([branch(h[:18]), -branch(-h[18:])])
+        found = values_of(hf.Record(h, j + MU0 * h, u_unit="A/m", y_unit="T", u_name="H", y_name="B"))
+        beyond.append(abs(found["HcJ"].value - HC) / found["HcJ"].stderr)
+    assert max(beyond) < 3
+    assert np.mean(beyond) > 0.1
+
+
 def test_a_magnetometer_file_gives_a_data_sheet_without_options(measured):
     record = hf.Dataset.of(hf.read(measured / "vsm_magmeas/VSM_MH.DAT"))[0]
     found = values_of(record)

@@ -55,6 +55,26 @@ def test_evidence_is_that_of_quadrature_over_both_modes(two_modes, run):
     assert abs(found.log_z - (one_mode + np.log(2))) < 3 * found.error
 
 
+def test_the_evidence_counts_the_part_of_a_prior_outside_the_bounds():
+    """c is positive, and five sixths of the mass of its prior lie below zero."""
+    u = np.sin(np.linspace(0, 12, 50))
+    truth = hf.BoucWen(c=0.5, mu=0.5, tau=3.0, rho=0.5)
+    y = np.asarray(hf.simulate(truth, u)[0]) + 0.1 * np.random.default_rng(0).normal(size=u.size)
+    known = [name for name in hf.ParameterSpace.of(truth).names if name != "c"]
+    fit = hf.fit(truth, hf.Record(u=u, y=y), starts=1, noise="iid", fix=known)
+    prior = {"c": priors.Normal(-1.0, 1.0)}
+    target = prepare(fit, noise="iid", priors=prior).target
+    edge = np.linspace(-8, 8, 81)
+    q = jnp.asarray(list(itertools.product(edge, repeat=2)))
+    logs = eqx.filter_jit(lambda q: jax.lax.map(lambda z: target.density.log_density(target.unwhitened(z)), q))(q)
+    expected = (
+        logsumexp(np.asarray(logs)) + 2 * np.log(edge[1] - edge[0]) + np.linalg.slogdet(np.asarray(target.factor))[1]
+    )
+    found = sample(fit, "nested", noise="iid", priors=prior, live=100, chains=1, seed=1).evidence
+    assert 3 * found.error < np.log(6)
+    assert abs(found.log_z - expected) < 3 * found.error
+
+
 @pytest.mark.slow
 def test_both_modes_hold_half_of_the_draws(run):
     posterior, _ = run

@@ -103,3 +103,14 @@ def test_offsets_rates_and_other_ranges_are_no_other_states(other: dict[str, flo
     else:
         second = dataclasses.replace(states(0.4 if "seconds" in other else 1.0, **other), name="second")
     assert not has(examined(hf.Dataset((states(1.0), second))).findings, Code.RECORDS_DIFFER)
+
+
+def test_noise_that_hides_records_alike_is_no_difference_between_them() -> None:
+    """Loops of one device under noise of 15 % of the range, all of which a fit leaves."""
+    u = np.tile(LOOP, 2)
+    y = sum(play(u, radius) for radius in (0.1, 0.3, 0.6))
+    noise = 0.15 * np.ptp(y) * np.random.default_rng(8).standard_normal((2, u.size))
+    data = hf.Dataset(tuple(hf.Record(u, y + row, name=name) for row, name in zip(noise, "ab", strict=True)))
+    result = hf.fit("prandtl-ishlinskii:plays=6", data, noise="iid")
+    assert result.status is Status.OK
+    assert has(result.notes, Code.MEASUREMENT_NOISE)

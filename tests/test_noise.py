@@ -150,6 +150,17 @@ def test_student_t_is_scipys():
     assert float(noise.log_density(setting, jnp.asarray(r)[None])) == pytest.approx(want, rel=1e-12)
 
 
+@pytest.mark.parametrize("dof", [2.5, 5.0, 40.0])
+def test_student_t_has_the_information_of_its_gaussian_scale(dof):
+    """Fisher information about the mean, the integral of (d log p / de)^2 p."""
+    e = np.linspace(-400.0, 400.0, 800_001)
+    log_p = scipy.stats.t.logpdf(e, dof, scale=0.6)
+    information = np.sum(np.gradient(log_p, e) ** 2 * np.exp(log_p)) * (e[1] - e[0])
+    assert float(StudentT(noise_white=0.6, noise_dof=dof).gaussian_scale()) == pytest.approx(
+        information**-0.5, rel=1e-4
+    )
+
+
 def test_records_add_and_padding_counts_nothing():
     setting, _, weight = setting_of(40, 5, missing=False)
     two = eqx.tree_at(

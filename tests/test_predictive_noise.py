@@ -1,10 +1,13 @@
 """Noise of predictive bands: its covariance, and its coverage where the noise has spikes and where it is Gaussian."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 import hystfit as hf
 from hystfit.data.batch import Batch
@@ -13,6 +16,7 @@ from hystfit.inference.noise.base import drive, resample
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.predictive import predictive_draws
 
 T, REPLICATES = 400, 60
 
@@ -102,6 +106,45 @@ def test_noise_that_is_not_gaussian_draws_from_its_own_distribution():
     )
     key, residual = jax.random.key(0), jnp.ones(setting.weight.shape)
     np.testing.assert_array_equal(noise.predictive(setting, key, setting, residual), noise.draw(setting, key))
+
+
+def test_beside_records_of_a_fit_the_noise_is_students_t_of_the_groups_left_out():
+    """The records err by 0.5 where each is left out, and by 0.01 where all are fitted."""
+    rng, u = np.random.default_rng(4), np.sin(np.arange(120) / 6)
+    model = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+    loop = lambda size, name: hf.Record(u=size * u, y=np.asarray(hf.simulate(model, size * u)[0]), name=name)
+    seen = [loop(size, f"{size}") for size in (0.6, 0.8, 1.0)]
+    seen = [record.replace(y=record.y + 0.01 * rng.normal(size=u.size)) for record in seen]
+    fit = dataclasses.replace(hf.fit(model, seen, start="model", starts=1), left_out=0.5)
+    row = np.append(fit.x, 0.01)
+    nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
+    names, many = (*fit.free_names, "noise_white"), np.tile(row, (1, 2000, 1))
+    posterior = Posterior(
+        fit,
+        "nuts",
+        "iid",
+        names,
+        ("",) * row.size,
+        many,
+        np.zeros((1, 2000)),
+        {},
+        nothing,
+        Status.OK,
+        (),
+        {},
+        0.0,
+        0,
+        {},
+    )
+    groups = fit.problem.held_out.count
+    assert groups < 10  # where Student's t is far from a normal distribution
+    ahead = loop(0.9, "other")
+    away = predictive_draws(posterior, ahead, 2000, 0) - np.mean([fit.predict(ahead)], axis=0)
+    for level in (0.5, 0.9, 0.98):  # 2000 draws and 120 samples of each, whose noise is that of 360 residuals
+        wanted = scipy.stats.t(groups, scale=0.5).ppf(0.5 + 0.5 * level)
+        assert np.quantile(np.abs(away), level) == pytest.approx(wanted, rel=0.1)
+    again = predictive_draws(posterior, seen[0], 2000, 0)
+    assert np.std(again - again.mean(axis=0)) == pytest.approx(0.01, rel=0.05)
 
 
 @pytest.mark.parametrize("noise", ["iid", "discrepancy"])

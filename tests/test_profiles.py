@@ -11,7 +11,8 @@ import scipy
 
 import hystfit as hf
 from hystfit.errors import ParameterError
-from hystfit.inference.noise import Setting
+from hystfit.inference.bounded_newton import BoundedNewton
+from hystfit.inference.noise import Setting, White
 from hystfit.inference.residuals import analyze
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
@@ -44,6 +45,22 @@ def fitted() -> hf.FitResult:
 def faint() -> hf.FitResult:
     """One small amplitude in much noise: classic Bouc-Wen trouble."""
     return hf.fit(TRUTH, loop(0.1, 0.01), starts=4, noise="iid")
+
+
+def test_a_search_begins_again_inside_the_bounds_of_all_but_the_held_parameter():
+    """A nuisance parameter on its bound hardly moves from there; the profiled one stays where the profile is."""
+    u = np.sin(np.linspace(0, 12, 50))
+    problem = hf.Problem(hf.BoucWen(c=1.0, mu=1.0, tau=2.0, rho=-1.0), hf.Record(u=u, y=u))
+    names, newton = (
+        list(problem.space.names),
+        BoundedNewton(problem, problem.whitened(White()), problem.space.vector(problem.model)),
+    )
+    at_bounds = newton.coordinates(newton.origin)
+    for held in ("mu", "rho", "c"):
+        x, inner = (problem.space.physical(v) for v in (at_bounds, newton.inside(at_bounds, names.index(held))))
+        moved = {name for name, before, after in zip(names, x, inner, strict=True) if abs(after - before) > 0.01}
+        assert moved == {"mu", "rho"} - {held}
+    assert newton.inside(newton.inside(at_bounds)) is None
 
 
 def test_profile_points_are_the_best_refits(fitted):

@@ -860,6 +860,14 @@ def test_one_amplitude_alone_covers_no_minor_loops_and_no_larger_input():
     assert not has(examined(many).findings, Code.MINOR_LOOPS)
 
 
+def test_the_ends_of_a_record_are_strokes_where_they_are_the_largest():
+    """From the top down, a small reversal at the bottom, and up again: no loop of the small reversal alone."""
+    u = np.interp(np.arange(161), [0, 60, 70, 80, 160], [1.0, -1.0, -0.8, -1.0, 1.0])
+    np.testing.assert_allclose(Coverage.of([Record(u, piezo(u))]).strokes, [2.0, 0.2])
+    first = np.interp(np.arange(161), [0, 40, 100, 160], [0.0, 1.0, -1.0, 0.5])  # the first magnetization is no stroke
+    np.testing.assert_allclose(Coverage.of([Record(first, piezo(first))]).strokes, [2.0])
+
+
 def test_constant_columns_are_reported_and_do_not_break():
     report = examined(Record(np.ones(50), np.arange(50.0), t=np.arange(50.0)))
     assert report.records[0].motion.monotonic

@@ -117,6 +117,166 @@ def test_targets_of_a_robot_are_no_measurements(names: tuple[str, str, str], tmp
     assert (record.u_name, record.y_name) == (header[2], header[4])
 
 
+def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
+    """The angle beside a torque that is commanded and measured."""
+    torque = np.round(0.1 * U, 4)
+    measured = np.round(torque + 0.002 * np.random.default_rng(4).standard_normal(N), 4)
+    text = "target_torque(Nm),angle(deg),actual_torque(Nm)\n" + rows(",", torque, Y, measured)
+    is_pair(one(tmp_path, text), measured, Y)
+
+
+@pytest.mark.parametrize(
+    ("header", "order"),
+    [
+        ("Time[s],Volume[uL],Left CA[deg],Right CA[deg],Baseline[mm]", "tuynd"),  # two sides of a drop
+        (
+            "Time,Current (A),Output Voltage (V),B-Field (T),H-Field (A/m)",
+            "tcvyu",
+        ),  # of a generator, and the two fields
+        ("Time [min],dm (%) - dry,Target % P/Po,Actual % P/Po,Temp [C],Mass [mg]", "tzsudy"),  # vapor sorption
+        ("alpha_deg,sense,C_L,C_D", "uwyn"),  # coefficients of a wing
+        ("Process,pF [-],Tension [hPa],Water Content [Vol%]", "wusy"),  # suction in soil
+        ("weight_g,R_kohm", "uy"),
+        ("Time (s),Pressure (mmHg),Outer diameter (um),Axial force (g)", "tuyn"),  # a vessel
+        ("LIC101.SP,LIC101.PV,LIC101.OUT", "dyu"),  # tags of process control
+        ("LIC-7/SP,LIC-7/PV,LIC-7/OUT", "dyu"),
+        ("frame,V_rms,CA_left_deg,CA_right_deg,base_mm", "kuynz"),  # electrowetting
+        ("t,HV [kV],stretch [-],leak [uA]", "tuyn"),
+        ("Pc [kPa],Sw [-]", "uy"),
+        ("input_angle_deg,output_angle_deg,torque_Nm", "uyn"),  # of a gear
+        ("pH,Vout_mV,T_degC", "uyd"),
+        ("vpd,sapf,ta,sw_in", "uydn"),  # a tree
+        ("exx,eyy,Stress (MPa)", "puy"),  # the strain across the load
+        ("H (kOe),B (kG),Bi (kG)", "ucz"),  # the induction of a magnet follows a straight line
+        ("Time(T),Voltage (V),Current (A)", "tuy"),
+    ],
+)
+def test_columns_of_devices_by_their_names(header: str, order: str, tmp_path: Path) -> None:
+    """u drives y; c and v are multiples of u with noise; n is a noisy y, s is u rounded or bent, k counts, d and z are others."""
+    noise = np.random.default_rng(5).standard_normal((4, N))
+    up = np.where(np.gradient(U) > 0, "up", "down")
+    bent = np.round(10 ** (U / 20), 2) if "Tension" in header else np.round(U)
+    columns = {
+        "t": np.arange(N), "k": np.arange(1, N + 1), "u": U, "y": Y, "p": -0.45 * U + 0.02 * noise[3],
+        "c": 0.02 * U + 1e-4 * noise[0], "v": 3 * U, "n": Y + 0.05 * noise[1], "s": bent,
+        "d": 25 + 0.01 * noise[2], "z": 10 + 0.1 * Y, "w": up,
+    }  # fmt: skip
+    y = columns["c"] if "c" in order[:2] and "y" not in order else Y
+    is_pair(one(tmp_path, header + "\n" + rows(",", *(columns[letter] for letter in order))), y=y)
+
+
+def test_the_measurement_of_what_was_set_drives_beside_it(tmp_path: Path) -> None:
+    set_values = np.append(RISE, RISE[-2::-1])
+    noise = np.random.default_rng(6).standard_normal((2, set_values.size))
+    measured, y = np.round(set_values + 0.3 * noise[0], 3), np.round(np.tanh(set_values / 30) + 0.01 * noise[1], 4)
+    text = "Temperature (K),Min. Temperature (K),Moment (emu)\n" + rows(",", measured, set_values, y)
+    is_pair(one(tmp_path, text), measured, y)
+
+
+def test_the_name_of_a_first_column_below_the_units(tmp_path: Path) -> None:
+    """As pandas writes columns of two levels and an index."""
+    text = "sensor,LVDT,LoadCell\nunit,mm,kN\ntime,,\n" + rows(",", 0.1 * np.arange(N), U, Y)
+    record = one(tmp_path, text)
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")
+    np.testing.assert_allclose(record.t, 0.1 * np.arange(N))
+
+
+def test_terminals_of_a_transistor_are_one_experiment(tmp_path: Path) -> None:
+    rise, noise = np.linspace(0, 90, 31), np.random.default_rng(7).standard_normal((2, 61))
+    gate = np.append(rise, rise[-2::-1])
+    drain = np.round(np.tanh(gate / 30) + 0.01 * noise[0], 4)
+    text = "DrainI,DrainV,GateI,GateV\n" + rows(",", drain, np.full(gate.size, 0.05), 1e-9 * noise[1], gate)
+    is_pair(one(tmp_path, text), gate, drain)
+
+
+def test_a_load_that_was_held_at_every_level_drives_the_settlement(tmp_path: Path) -> None:
+    load = np.repeat([0, 50, 100, 150, 200, 150, 100, 50, 0, 100, 200, 300, 400, 300, 200, 100, 0], 6)
+    settlement = np.round(0.03 * load + 0.3 * np.sin(0.7 * np.arange(load.size)), 3)
+    is_pair(one(tmp_path, "Load (kN),Settlement (mm)\n" + rows(",", load, settlement)), load, settlement)
+
+
+def test_pulses_of_a_current_do_not_drive_a_cell(tmp_path: Path) -> None:
+    """A titration: pulses of charge and rests, up and down; the charge that passed drives the voltage."""
+    pulse = np.tile(np.repeat([1.0, 0.0], 6), 10)
+    current = np.concatenate([pulse, -pulse])
+    charge = np.round(np.cumsum(current) * 0.01, 4)
+    voltage = np.round(3.3 + 0.4 * charge + 0.02 * current, 4)
+    text = "Test_Time(s),Current(A),Voltage(V),Capacity(Ah)\n"
+    is_pair(one(tmp_path, text + rows(",", 60 * np.arange(current.size), current, voltage, charge)), charge, voltage)
+
+
+def test_a_log_of_changes_has_no_set_values(tmp_path: Path) -> None:
+    """A room that a flow of water warms: a row whenever the temperature has changed by its last digit, at uneven times."""
+    room = np.append(np.arange(19.0, 21.05, 0.1), np.arange(20.9, 18.95, -0.1)).round(1)
+    time = np.cumsum(60 * (1 + np.arange(room.size) % 5 * (np.arange(room.size) % 3)))
+    flow = np.round(1000 + 300 * np.cos(np.arange(room.size) / 7) + 5 * np.sin(np.arange(room.size)), 1)
+    text = "time (s),Flow (L/min),Room temperature (degC)\n" + rows(",", time, flow, room)
+    is_pair(one(tmp_path, text), flow, room)
+
+
+def test_a_measurement_of_few_digits_was_not_set(tmp_path: Path) -> None:
+    """A sensor of one step in 0.1 mm stays for some samples and moves by one step up or down."""
+    phase = np.linspace(0, 4 * np.pi, 400)
+    u = np.round(50 + 30 * np.sin(phase) + 0.02 * np.cos(np.arange(400)), 3)
+    y = np.round(2 * np.sin(phase - 0.2), 1)
+    is_pair(one(tmp_path, "Voltage (V),Position (mm)\n" + rows(",", u, y)), u, y)
+
+
+def test_groups_at_conditions_that_share_a_time_are_records(tmp_path: Path) -> None:
+    columns = (0.1 * np.arange(N), U, Y, 2 * U, 3 * Y)
+    data = read(written(tmp_path, "t (s),V_1Hz (V),x_1Hz (um),V_5Hz (V),x_5Hz (um)\n" + rows(",", *columns), "a.csv"))
+    assert [record.name for record in data] == ["1Hz", "5Hz"]
+    is_pair(data[1], 2 * U, 3 * Y)
+    np.testing.assert_allclose(data[1].t, columns[0])
+    channels = "t (s),V_left (V),x_left (um),V_right (V),x_right (um)\n"
+    assert isinstance(read(written(tmp_path, channels + rows(",", *columns), "b.csv")), Record)
+
+
+@pytest.mark.parametrize(
+    "names", ["voltage_V,position_mm", "output (mV),applied force (N)", "sensor voltage [V],pressure [bar]"]
+)
+def test_what_was_set_by_equal_steps_drives_the_voltage_of_its_sensor(names: str, tmp_path: Path) -> None:
+    """A voltage that was set drives an actuator; beside a position that was set it is a measurement."""
+    set_values = np.append(RISE, RISE[-2::-1])
+    measured = np.round(0.02 * set_values + 0.01 * np.sin(np.arange(set_values.size)), 4)
+    first, second = names.split(",")
+    is_pair(one(tmp_path, f"{first},{second}\n" + rows(",", measured, set_values)), set_values, measured)
+    is_pair(one(tmp_path, "voltage_V,position_mm\n" + rows(",", set_values, measured), "b.csv"), set_values, measured)
+
+
+def test_words_glued_to_names_name_loops_side_by_side(tmp_path: Path) -> None:
+    for names, titles in (
+        ("vxSteel,vySteel,vxIron,vyIron", ["Steel", "Iron"]),
+        ("H_0.5T,m_0.5T,H_1.5T,m_1.5T", ["0.5T", "1.5T"]),
+    ):
+        data = read(written(tmp_path, f"{names}\n" + rows(",", U, Y, 2 * U, 3 * Y), "loops.csv"))
+        assert [record.name for record in data] == titles
+        is_pair(data[1], 2 * U, 3 * Y)
+
+
+def test_a_unit_in_the_cells_of_some_rows_loses_no_row(tmp_path: Path) -> None:
+    """The change from the way up in percent, which only the way down has."""
+    half = N // 2
+    lines = [f"{u},{y},{'' if k < half else f'{0.1 * k - 5:.1f}%'}" for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    is_pair(one(tmp_path, "\n".join(["strain,stress,change", *lines])))
+
+
+def test_tables_without_titles_whose_clock_goes_on_are_one_record(tmp_path: Path) -> None:
+    """Up, hold and down of a rheometer, each below its own header; another clock in each leaves them apart."""
+    thirds = np.array_split(np.arange(N), 3)
+
+    def text(start: float) -> str:
+        lines = []
+        for k, part in enumerate(thirds):
+            lines += [f"Interval:\t{k + 1}\t{part.size}", "Time\tShear Rate\tShear Stress", "[s]\t[1/s]\t[Pa]"]
+            lines += [f"{j - start * part[0]}\t{U[j]}\t{Y[j]}" for j in part] + [""]
+        return "\n".join(lines)
+
+    is_pair(one(tmp_path, text(0.0), "a.txt"))
+    assert len(read(written(tmp_path, text(1.0), "b.txt"))) == 3
+
+
 def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
     is_pair(one(tmp_path, "FIC101.SP,FIC101.PV,FIC101.OP\n" + rows(",", np.full(N, 50), Y, U)))
 

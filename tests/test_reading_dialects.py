@@ -72,6 +72,19 @@ def test_halves_of_the_day_in_a_third_field(tmp_path: Path) -> None:
     _check(_read(tmp_path, _rows(" ", ["2024-01-02"] * 6, clocks, U, Y)))
 
 
+def test_stamps_of_two_zones_are_times_of_one_clock(tmp_path: Path) -> None:
+    """Summer time begins after the second row."""
+    stamps = [
+        "2024-03-31T01:59:58+01:00",
+        "2024-03-31T01:59:59+01:00",
+        "2024-03-31T03:00:00+02:00",
+        "2024-03-30T23:00:01-02:00",
+    ]
+    values = zip(stamps, [0.0, 1.0, 3.0, -1.0], [0.1, 1.2, 2.8, -0.4], strict=True)
+    record = _read(tmp_path, "time,u,y\n" + "".join(f"{stamp},{u},{y}\n" for stamp, u, y in values))
+    np.testing.assert_allclose(record.t, [0, 1, 2, 3])
+
+
 def test_stamps_are_neither_input_nor_output(tmp_path: Path) -> None:
     text = "date time x\n" + _rows(" ", DAYS, CLOCKS, U)
     with pytest.raises(DataError, match="an input and an output"):
@@ -243,6 +256,19 @@ def test_codes_far_from_all_values_are_missing(code: str, tmp_path: Path) -> Non
     record = _read(tmp_path, "t,u,y\n" + _rows(",", T, U, [10, -0.125, code, 4.75, 6, 7]))
     _check(record, y=[10, -0.125, NAN, 4.75, 6, 7])
     assert _warned(record, Code.MISSING_VALUES)
+
+
+def test_one_code_that_cannot_be_a_value_makes_all_of_them_missing(tmp_path: Path) -> None:
+    """9999 is near the values about it at the peak, and far from them at the foot of the loop."""
+    y = 9000 - 500 * np.abs(np.arange(80) % 40 - 20.0)
+    coded = y.copy()
+    coded[[20, 40]] = 9999.0
+    rows = "".join(f"{k},{k % 40},{value}\n" for k, value in enumerate(coded))
+    record = _read(tmp_path, f"t,u,y\n{rows}")
+    assert np.flatnonzero(~record.used).tolist() == [20, 40]
+    peak = np.where(np.arange(80) == 20, 9999.0, y)
+    rows = "".join(f"{k},{k % 40},{value}\n" for k, value in enumerate(peak))
+    assert _read(tmp_path, f"t,u,y\n{rows}").used.all()
 
 
 def test_codes_within_the_values_are_measurements(tmp_path: Path) -> None:

@@ -134,10 +134,14 @@ def test_the_question_on_channels_without_names_offers_those_that_are_related(tm
     from hystfit.errors import DataError
 
     path = tmp_path / "output"
-    columns = (2 * U, 0.02 * NOISE, 0.02 * NOISE[::-1], Y, np.abs(Y))
-    path.write_text("".join(" ".join(map(str, row)) + "\n" for row in zip(*columns, strict=True)))
+    columns = [2 * U + 0.005 * NOISE, 0.02 * NOISE, 0.02 * NOISE[::-1], Y, np.abs(Y)]
+    text = lambda: "".join(" ".join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+    path.write_text(text())
     with pytest.raises(DataError, match="--input 0 --output 3 "):
         read(path)
+    columns[0] = 2 * U  # set by equal steps, as no measurement is
+    path.write_text(text())
+    is_pair(read(path), 2 * U, Y)
 
 
 def test_a_column_of_units_belongs_to_the_one_before_it(tmp_path: Path) -> None:

@@ -159,6 +159,19 @@ def test_an_old_magnetometer_has_its_settings_in_one_line(tmp_path: Path) -> Non
     assert (record.u_name, record.u_unit, record.y_name) == ("Field", "Oe", "Moment")
 
 
+def test_a_ramp_that_returns_to_where_it_began_parts_curves(tmp_path: Path) -> None:
+    """Two sweeps from the same field, between which the magnetometer saturates the sample without measuring."""
+    down = np.linspace(0.5, -0.5, 21)
+    table = [(0.5, -0.5, 21), (-0.5, 1.0, 21), (1.0, -0.5, 21), (-0.5, 0.5, 42)]
+    text = "MicroMag 2900/3900 Data File (Series 0016.002)\nDirect moment vs. field; Multiple segments\n\n"
+    text += SECTIONS.format(system="Hybrid SI", count=4) + SEGMENTS[16]
+    text += "".join(segment(16, k, *row) for k, row in enumerate(table, 1)) + f"\n{'Field':>14}{'Moment':>14}\n"
+    text += "".join(f"{u:+.6E},{np.tanh(3 * u):+.6E}\n" for u in (*down, *down[::-1]))
+    assert [record.u.tolist() for record in Dataset.of(read(written(tmp_path, text, "a.001")))] == [
+        pytest.approx(down.tolist()), pytest.approx(down[::-1].tolist())
+    ]  # fmt: skip
+
+
 def test_ramps_that_a_magnetometer_does_not_measure_part_reversal_curves(tmp_path: Path) -> None:
     rows, table, truth, number = [], [], [], itertools.count(1)
     for reversal in (0.5, 0.1, -0.4):
@@ -675,6 +688,20 @@ NAMED_OTHERWISE = {  # file, with the input, the output and the unit of the inpu
         ("AV", "AI", ""),
     ),
     "current of a coil": ("#strom magnetfeld\n" + "".join(f"{u:.8f} {y:.8f}\n" for u, y in PAIRS), ("strom", "magnetfeld", "")),
+    "the same unit of components": (
+        "Ha_x\tHa_y\t<M>_x\t<M>_y\nA/m\tA/m\tA/m\tA/m\n\n"
+        + "".join(f"{u:.8f}\t0\t{y:.8f}\t{1 - y * y:.6f}\n" for u, y in PAIRS),
+        ("Ha_x", "<M>_x", "A/m"),
+    ),
+    "ratio to the saturation": (
+        "$\\mu_0 H$ (mT),$M/M_s$\n" + "".join(f"{u:.8f},{y:.8f}\n" for u, y in PAIRS),
+        ("\u00b5_0 H (mT)", "M/M_s", "mT"),
+    ),
+    "axes of a plot below the units": (
+        "Magnetic Field,Moment,M. Std. Err.\nOe,emu,emu\nX,Y,yEr\n"
+        + "".join(f"{u:.8f},{y:.8f},{0.001 + 0.001 * y * y:.6f}\n" for u, y in PAIRS),
+        ("Magnetic Field", "Moment", "Oe"),
+    ),
     "iterator": (
         "iterator\tField Output (T)\tR\n" + "".join(f"{k}\t{u:.8f}\t{y:.8f}\n" for k, (u, y) in enumerate(PAIRS)),
         ("Field Output (T)", "R", "T"),
@@ -702,6 +729,15 @@ def test_settings_of_an_oscilloscope_beside_the_first_rows(tmp_path: Path) -> No
     record = one(written(tmp_path, "\n".join(rows) + "\n"))
     is_loop(record, np.repeat(FIELD, 10), np.repeat(MOMENT, 10))
     assert record.dt == pytest.approx(1e-5)
+
+
+def test_an_oscilloscope_states_its_interval_beside_the_names(tmp_path: Path) -> None:
+    """The first instant and the interval stand in the line of units, below their names, and the rows end in empty cells."""
+    text = "X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,-3.000000e-02,5.0e-05\n"
+    record = one(written(tmp_path, text + "".join(f"{k},{u:.8f},{y:.8f},,\n" for k, (u, y) in enumerate(PAIRS))))
+    is_loop(record)
+    assert (record.u_name, record.y_name, record.u_unit) == ("CH1", "CH2", "Volt")
+    assert record.dt == pytest.approx(5e-5)
 
 
 def test_a_magic_contribution_begins_with_a_rule_and_has_several_experiments(tmp_path: Path) -> None:

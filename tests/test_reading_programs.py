@@ -199,6 +199,7 @@ def test_headers_that_a_line_ends(header: str, tmp_path: Path) -> None:
         ("Delta_X\t0,001\t0,001", 0.001),
         ("Delta_X\t0.001\t0.002", None),
         ("Scan rate 20 mV/s", None),
+        ("Sample Interval (V) = 0.005", None),
         ("Sample time: 2019-03-02", None),
         ("Recording time: 30 s", None),
     ],

@@ -20,6 +20,7 @@ DRAWN = {
     "Markdown": ["# Loop 7", "", "| H (kA/m) | B (T) |", "| ---: | ---: |", *BARS],
     "framed": ["+----------+-------+", "| H (kA/m) | B (T) |", "+----------+-------+", *BARS, "+----------+-------+"],
     "simple": ["H (kA/m)  B (T)", "--------  -----", *ROWS],
+    "table of MATLAB": ["    H (kA/m)    B (T)", "    ________    _____", "", *(f"    {row}" for row in ROWS)],
     "names and units": ["H     B", "kA/m  T", "====  =====", *ROWS],
     "rows": [
         "H (kA/m)," + ",".join(row.split()[0] for row in ROWS),
@@ -51,6 +52,12 @@ DRAWN = {
     ],
     "LaTeX": ["$H$ ($\\mathrm{kA/m}$),$\\mathrm{B}$ (T)", *(row.replace(" ", ",") for row in ROWS)],
     "LaTeX powers": ["$\\mathbf{H}\\,(\\mathrm{kA/m})$;$B\\,(\\mathrm{T})$", *(row.replace(" ", ";") for row in ROWS)],
+    "LaTeX table": [
+        r"\begin{tabular}{rr}",
+        r"\toprule $H$ [$\si{\kilo\ampere\per\metre}$] & $B$ [$\si{\tesla}$] \\ \midrule",
+        *(row.replace(" ", " & ") + r" \\" for row in ROWS),
+        r"\end{tabular}",
+    ],
     "powers of ten": [
         "H (10^1 kA/m),B (×10⁻³ T)",
         *(f"{h / 10:.9g},{m * 1e3:.9g}" for h, m in zip(*PAIR, strict=True)),

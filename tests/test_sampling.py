@@ -393,6 +393,12 @@ def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted,
         assert posterior[name].std() == pytest.approx(width, rel=0.1)
         assert ensemble[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
         assert abs(ensemble[name].mean() - posterior[name].mean()) < 0.15 * width
+    setup = prepare(fitted, noise="iid")
+    at = eqx.filter_jit(lambda z: setup.target.density.log_density(z))
+    for drawn in (posterior, ensemble):
+        for chain, draw in ((0, 0), (1, 5), (1, -1)):
+            z = setup.problem.unconstrained(drawn.draws[chain, draw])
+            assert drawn.log_density[chain, draw] == pytest.approx(float(at(jnp.asarray(z))), abs=1e-6)
 
 
 @pytest.mark.slow

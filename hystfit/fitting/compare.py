@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
-from hystfit.fitting.comparison import MARGIN, STRONG, Comparison, Fits, Purpose, Row, handicap
+from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row, handicap
 from hystfit.fitting.comparison_run import WHITE, ComparisonRun, correlation_of, score_of
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_options import FitOptions
@@ -196,8 +196,8 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
-    """From best to worst; among errors that do not differ, converged fits, those without strong evidence against them by BIC, fewer
-    determined parameters and an inverse come first.
+    """From best to worst; among errors that do not differ, fits that converged and describe the loop, those without strong evidence
+    against them by BIC, fewer determined parameters and an inverse come first.
 
     A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better.
 
@@ -219,7 +219,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
     limit = min(bics, default=math.inf) + STRONG
     unlikely = lambda row: row.bic is not None and row.bic > limit
-    simple = sorted(alike, key=lambda row: (row.status is Status.NOT_CONVERGED, unlikely(row), *plain(row)))
+    simple = sorted(alike, key=lambda row: (row.status in UNFIT, unlikely(row), *plain(row)))
     return simple + ranked[len(alike) :]
 
 

@@ -16,6 +16,7 @@ SCHEMA = "hystfit.compare/1"
 # model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
 # less by it.
 MARGIN = 1.5
+UNFIT = (Status.NOT_CONVERGED, Status.POOR)  # of fits that did not converge or do not describe the loop
 STRONG = 10.0  # difference of BIC that is strong evidence against a model (Kass and Raftery 1995)
 Purpose = Literal["prediction", "inverse", "export"]
 
@@ -45,8 +46,8 @@ class Obstacles(Mapping[str, str]):
 
 
 def handicap(status: Status, inverts: bool) -> float:
-    """Factor by which a model must err less than others: one without convergence, or of a family without an inverse."""
-    return MARGIN ** ((status is Status.NOT_CONVERGED) + (not inverts))
+    """Factor by which a model must err less than others: one whose fit failed, or of a family without an inverse."""
+    return MARGIN ** ((status in UNFIT) + (not inverts))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -74,10 +74,11 @@ def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
 
 
 def strokes(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
-    """Change of u over each branch between two turning points, or over the ends of a record with fewer of them, shape (K,)."""
-    found = branches(u, threshold)
-    first, last = (found[1:-1] if len(found) > 2 else found).T
-    return np.abs(u[last] - u[first])
+    """Change of u over each branch between two turning points, and over the ends of a record where it is larger, shape (K,)."""
+    first, last = branches(u, threshold).T
+    change = np.abs(u[last] - u[first])
+    between = np.arange(change.size) % (change.size - 1 or 1) > 0
+    return change[between | (change > change[between].max(initial=0.0))]
 
 
 def distinct(values: Iterable[float], apart: float = APART) -> tuple[float, ...]:

@@ -127,6 +127,10 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
     if found is None:
         return None
     without, error, frequency, damping = found
+    if (
+        2 * np.pi * frequency * damping * x.size / stride < 1
+    ):  # it does not decay within the record, of which it describes one wave
+        return None
     ratio = coarse.frequency / frequency
     alone = 1 / (1 - ratio**2 + 2j * damping * ratio)
     high = int(np.argmax(np.abs(np.log(alone))))

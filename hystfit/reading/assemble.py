@@ -14,6 +14,7 @@ from hystfit.data.record import Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.params.units import quantity
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.cells import unit_of_epoch
 from hystfit.reading.column_names import column_unit
@@ -303,11 +304,11 @@ def _constants(table: Table, choice: Choice) -> dict[str, str]:
 
 
 def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: str, notes: list[Note]) -> Record:
-    time_unit = (
-        "s"
-        if choice.time is None
-        else table.units[choice.time] or unit_of_epoch(data["time"].min(), data["time"].max())
-    )
+    time_unit = "s" if choice.time is None else table.units[choice.time]
+    if quantity(time_unit) not in ("", "time"):  # Time(T): a letter in the place of the unit
+        time_unit = ""
+    if choice.time is not None:
+        time_unit = time_unit or unit_of_epoch(data["time"].min(), data["time"].max())
     part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
     if not time_unit:
         notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from importlib.resources import files
 
 from hystfit.params.units import quantity
-from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.names_with_units import RATIO, split_unit
 
 _VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
 _WORDS, _ROLES = (
@@ -20,21 +20,26 @@ _STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
 _DRIVERS = frozenset(_VOCABULARY["drivers"].split())
 _MEASURED = frozenset(_VOCABULARY["measured"].split())
 _SECONDARY = frozenset(_VOCABULARY["secondary"].split())
+SIDES = frozenset(_VOCABULARY["sides"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
 # Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas, VGS, I_D.
 _TERMINAL = re.compile(
     r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?"
-    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg])|_[DSBdsb])\d?|(V)[DSBdsb]\d?"
+    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
+    r"|(V)[DSBdsb]\d?"
 )
 _OF_DRAIN = re.compile(
     r"I[DdSs]\d?"
 )  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+# Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
+_TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
+_RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -46,11 +51,13 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T[a-z0-9]*", base) and by_unit in ("charge", "capacitance"):
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)", base) and by_unit in ("charge", "capacitance"):
         return "temperature"  # T or Ta in degrees Celsius without their sign
-    if base in ("p", "P") and by_unit == "stress":
-        return "pressure"  # whose unit is that of a stress
+    if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
+        return "pressure"  # whose unit is that of a stress, also the capillary one
     base = _field(base)
+    if RATIO.fullmatch(base) and not _RELATIVE_PRESSURE.search(base):
+        base = base[0]
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
@@ -63,11 +70,13 @@ def column_quantity(name: str, unit: str = "") -> str:
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
     kinds = _named_quantities(base)
-    if by_unit == "stress" and "potential" in _words(base):
+    if by_unit == "stress" and {"potential", "tension"}.intersection(_words(base)):
         return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
         if strong in kinds:
             return strong
+    if base.lower() == "time":
+        return "time"  # whatever stands in the place of its unit
     for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
@@ -102,6 +111,11 @@ def has_terminals(names: Iterable[str]) -> bool:
     return any(_OF_GATE.fullmatch(split_unit(name)[0]) for name in names)
 
 
+def is_terminal(name: str) -> bool:
+    """Whether a column is the voltage or current of one terminal of a device (GateV, DrainI)."""
+    return _TERMINAL.fullmatch(split_unit(name)[0]) is not None
+
+
 def is_drain(name: str) -> bool:
     """Whether a column of a transistor is the current of its drain or source."""
     return _OF_DRAIN.fullmatch(split_unit(name)[0]) is not None
@@ -112,12 +126,18 @@ def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
     if entity := _ENTITY.fullmatch(name):
         return "input" if entity[1] else "output"
+    if tag := _TAG.fullmatch(name):
+        return "input" if tag[1] else "output" if name.endswith("PV") else ""
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     first = base.lower().partition("_")[0]
     words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
-    roles = {_ROLES[word] for word in words if word in _ROLES}
+    told = [word for word in words if word in _ROLES]
+    others = {word for word in base.lower().split("_") if len(word) > 1} - {"in"}
+    if {*told} == {"in"} and others and not others.intersection(_WORDS):
+        return ""  # radiation that comes in: sw_in
+    roles = {_ROLES[word] for word in told}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage
     if roles == {"output"} and _DRIVERS.intersection(words):
@@ -162,10 +182,15 @@ def secondary(name: str) -> int:
 
 def _named_quantities(base: str) -> list[str]:
     """Quantities of the words in a name, those of its own words first."""
-    kinds = [_WORDS[word] for word in _words(base) if word in _WORDS]
+    known = [word for word in _words(re.sub(r"<(\w+)>", r"\1", base)) if word in _WORDS]
+    if len(set(known)) > 1:  # the axis of F_x is no displacement
+        known = [word for word in known if word not in ("x", "y", "z")]
+    kinds = [_WORDS[word] for word in known]
     kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
     if "displac" in base.lower():
         kinds.append("displacement")
+    if _RELATIVE_PRESSURE.search(base):
+        kinds.append("pressure")
     if symbol := _FIELD_SYMBOL.match(base):
         kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))
     return kinds

@@ -16,7 +16,7 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain
+from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.raw_table import Table
@@ -31,6 +31,9 @@ _SETTINGS = 0.01
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
+_INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
+_COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
+_B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -141,8 +144,10 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
     # A duration that goes up and down is no clock, unless its name is that of a time.
     named = [k for k in named if k in table.stamps or _is_clock(table, k)]
     if not named and len(free) + given > 2:
-        # The abscissa of a report of Abaqus is its X.
-        named = [k for k in free[:2] if table.names[k] in ("s", "X") and (np.diff(table.columns[k]) > 0).all()]
+        # The abscissa of a report of Abaqus is its X; of an oscilloscope, whose file states the interval, X numbers the samples.
+        numbers = lambda k: table.interval is not None and table.counts(k)
+        rises = lambda k: bool((np.diff(table.columns[k]) > 0).all()) and not numbers(k)
+        named = [k for k in free[:2] if table.names[k] in ("s", "X") and rises(k)]
     if named:
         back = lambda k: int(
             (np.diff(table.columns[k]) < 0).sum()
@@ -278,11 +283,18 @@ def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *,
         kinds.update({k: "current" for k in free if is_drain(table.names[k])})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
+    if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
+        kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
+    fields = [k for k in free if kinds[k] == "field"]
+    induced = [k for k in fields if _B_FIELD.match(table.names[k])]
+    if len(induced) < len(fields):  # the B field beside the H field
+        kinds.update(dict.fromkeys(induced, "induction"))
     _find_velocities(table, free, kinds)
     fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
     kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
-        kinds.update({k: "index" for k in free if kinds[k] == "" and table.counts(k)})
+        unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
+        kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k)})
 
 
 def _is_whole(values: np.ndarray) -> bool:
@@ -368,7 +380,7 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
     """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
-    unknown = [k for k in free if kinds[k] in ("", "flow") and not column_role(table.names[k])][:_FEW_UNKNOWN]
+    unknown = [k for k in free if kinds[k] in ("", "flow", "volume") and not column_role(table.names[k])][:_FEW_UNKNOWN]
     if len(unknown) > 2 or len(free) > len(unknown) > 1:
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):

@@ -17,6 +17,7 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.unseparated_curves import curves_at_conditions
 
 _MOST_CURVES = 10_000
@@ -26,7 +27,6 @@ _MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in tu
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
-_USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
@@ -85,7 +85,7 @@ def split_curves(
             "most; remove them, or write fewer curves in a file"
         )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
-    if choice.time is not None and _clock_goes_on(table.columns[choice.time], bounds[1:-1]):
+    if choice.time is not None and clock_goes_on(table.columns[choice.time], bounds[1:-1]):
         text = f"{len(bounds) - 1} blocks are read as one record: the time goes on at its usual steps from each to the next"
         notes.append(Note(Code.CURVES, text))
         return [("", np.arange(table.rows))], False
@@ -110,12 +110,6 @@ def split_curves(
             Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")
         )
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
-
-
-def _clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
-    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
-    steps = np.diff(clock)
-    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
 
 
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:

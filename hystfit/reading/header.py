@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import quantity
 from hystfit.reading import cells
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import is_unit, split_unit
 
 _SAMPLE = re.compile(
@@ -137,6 +138,10 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
     if place == 0:
         of_names, used = min(1, len(rows) - 1), min(2, len(rows))
+    elif place == 1 and len(rows) > 2 and distinct(rows[2]) and _meanings(rows[2]) > _meanings(rows[0]):
+        # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
+        rows[2] = [below or name for below, name in zip(rows[0], rows[2], strict=True)] if "" in rows[0] else rows[2]
+        of_names, used = 2, 3
     elif place is None or (place == 1 and distinct(rows[0])):  # units above the names
         of_names, used = 0, 1 if place is None else 2
     elif distinct(rows[0]) or place + 1 == len(rows):
@@ -147,6 +152,11 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     if not distinct(names) and used < len(rows) and len(set(rows[used])) == len(names):  # Force, Force under A, B
         names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
     return names, units, used
+
+
+def _meanings(names: Sequence[str]) -> int:
+    """How many of some names are those of a physical quantity."""
+    return sum(column_quantity(name) != "" for name in names)
 
 
 def unit_key(name: str) -> str:
@@ -284,7 +294,8 @@ def read_header(
             parts[0] = ""  # "Interval data:" before the names, above a row of units
         if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
             break
-        if width > 2 and (len(set(parts)) == 1 or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
+        alike = len(set(parts)) == 1 and not _are_units(_bare(parts), parts)
+        if width > 2 and (alike or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
             continue
         headers.append((position, parts))
     if not headers:

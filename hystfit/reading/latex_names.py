@@ -8,7 +8,9 @@ _MARKED = re.compile(r"\$[^$]*\$|\\(?:mathrm|mathit|mathbf|text|textrm|si|unit)\
 _FONTS = re.compile(r"\\(?:mathrm|mathit|mathbf|text|textrm|textit|rm|it|bf|left|right|si|unit)\b\s*")
 _LETTERS = {
     "mu": "µ", "Omega": "Ω", "lambda": "λ", "Delta": "Δ", "circ": "°", "degree": "°", "times": "×", "cdot": "·", "varepsilon": "epsilon",
-    "micro": "µ", "ohm": "Ω", "per": "/",
+    "micro": "µ", "ohm": "Ω", "per": "/", "kilo": "k", "milli": "m", "nano": "n", "mega": "M", "centi": "c", "ampere": "A", "metre": "m",
+    "meter": "m", "tesla": "T", "newton": "N", "pascal": "Pa", "volt": "V", "second": "s", "coulomb": "C", "celsius": "°C", "kelvin": "K",
+    "degreeCelsius": "°C", "percent": "%",
 }  # fmt: skip
 _COMMAND = re.compile(r"\\([A-Za-z]+)\s*")
 _SPACES = re.compile(r"(?:\\[,;:! ]|~)+")

@@ -56,6 +56,7 @@ _INCHES = re.compile(
 _OF_CIRCUITS = re.compile(
     r"(V)|I[a-z]?", re.IGNORECASE
 )  # voltage of a node, V(out), and current of an element, I(L1), Ic(Q1), in tables of SPICE
+RATIO = re.compile(r"([A-Za-z])/\1_?\w+")  # of a quantity to its own saturation or start: M/M_s, B/Bs, R/R0
 _WORD = 4  # letters from which a unit is written as a word
 _LONGEST_NAME = 200  # characters
 
@@ -90,6 +91,8 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
         name = match[1] + _CYRILLIC[match[2]] + match[3]
     if name in _BARE_UNITS:
         return name, _BARE_UNITS[name]
+    if RATIO.fullmatch(name):
+        return name, ""
     if len(name) >= _WORD and name.isalpha() and is_unit(name):
         return name, name  # Volts
     return (

@@ -67,10 +67,14 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     """
     dialect, first = text.dialect, int(block.index[0])
     low = max(0, first - 12)
-    cut = {k - low: block.rows[k] for k in range(low, first)}
-    names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)
     empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
     at_end = [k for k in empty if k >= len(dialect.kinds.rstrip(cells.MISSING))]
+    is_setting = lambda j, cell: j in at_end and cells.kind(cell, dialect.decimal) == cells.NUMBER
+    cut = {
+        k - low: ["" if is_setting(j, cell) else cell for j, cell in enumerate(block.rows[k])]
+        for k in range(low, first)
+    }
+    names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)
     for nameless in (at_end, extra, [*extra, *at_end], empty):
         if used or not nameless:
             continue

@@ -13,14 +13,16 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import column_role, is_bare_role, is_channel, parts_of, secondary, without_role
+from hystfit.reading.column_names import SIDES, column_role, is_bare_role, is_channel, parts_of, secondary, without_role
 from hystfit.reading.names_with_units import split_unit
-from hystfit.reading.quantity_points import DRIVE, PAIRS, RESPONSE, SELDOM
+from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
+    by_equal_steps,
     computed,
     explained,
     extent,
+    is_even,
     is_held,
     overtones,
     proportional,
@@ -38,14 +40,19 @@ _BARE = -1.0
 # Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output
 # there. The two are of one unit, or named alike, and differ by less than that part of the range: following errors are 0.001 to 0.05.
 _OVERTAKEN, _FOLLOWS = -5.0, 0.1
+# Points of a commanded load and its measurement, beside which the specimen moves.
+_FOLLOWED = -3.0
 # Points of a displacement or field whose range is less than that part of the largest one of its unit: a slip, an uplift or the strain of
 # a part; the component of a field across its direction, or its size, which has no sign; the component of a signal out of phase. Points of
 # components along one axis (Bx, mx).
 _PARTIAL, _OF_LARGEST, _ALONG = -1.0, 0.3, 1.0
+_TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half of that along it
 # Points of two columns of one part or axis by their names: more than those of two places.
 _SAME_PART = 0.5
-_OF_PARTS = ("displacement", "field", "induction")
+_OF_PARTS = ("displacement", "strain", "field", "induction")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
+# Points of columns that are called input and output and alike but for that: input_angle, output_angle.
+_PARTNERS = 2.0
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
@@ -61,6 +68,9 @@ _UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
 # one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
+# Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
+# the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
+_STRAIGHT, _TOGETHER = -1.0, 4.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
@@ -69,6 +79,9 @@ _WHITE, _NO_DRIVE = 0.3, -2.0
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
+# Points of an input that was set: it goes up and down by equal steps or holds, and the output does not. They outweigh the quantities (a
+# displacement that was set and the voltage of its sensor, a load and the displacement under it) but for a field and its induction.
+_SET_BY_STEPS = 8.0
 # Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
 # decides, as people write the main channel first; nothing smaller is evidence.
 TIE = 0.2
@@ -169,10 +182,17 @@ class _Evidence:
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.equal))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
-        points += _PARTIAL * self._is_partial[i] + _HELD_INPUT * self._is_held[i]
+        across = kinds[o] == "strain" and self._is_partial[o]
+        points += _PARTIAL * (self._is_partial[i] + across) + _HELD_INPUT * self._is_held[i]
         points += _NO_DRIVE * (not self.alone and self._smoothness[i] < _WHITE)
         points += _ALONG * (self._axis[i] == self._axis[o] != "") + _SAME_PART * self._of_one_part(i, o)
+        points += _PARTNERS * self._are_partners(i, o)
         points += _OVERTAKEN * self._set_values(i, o)
+        # Beside a set value that was measured too, the measurement drives.
+        twin = any(kinds[k] == kinds[i] != "" for k in self.ranks if k != i)
+        controlled = twin or (bool(self._measured) and self.roles[i] == "input")
+        answers = kinds[o] in RESPONSE and not self._by_steps[o]
+        points += _SET_BY_STEPS * (self._by_steps[i] and answers and not controlled)
         if not self.alone and kinds[i] == "temperature" and extent(self.table.columns[i]) < HEATED:
             points += _COLD
         told = {i, o} <= self.equal or self.roles[i] or self.roles[o]
@@ -193,10 +213,14 @@ class _Evidence:
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
-            same = self.kinds[reading.input] == self.kinds[reading.output]
-            copied = (same and proportional(u, y)) or repeats(u, y)
             unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
-            return unrelated + _COMPUTED + _COPY if computed(u, y) else unrelated + _COPY * copied
+            if computed(u, y):
+                return unrelated + _COMPUTED + _COPY
+            if repeats(u, y) or self._are_sides(reading.input, reading.output):
+                return unrelated + _COPY
+            kinds = self.kinds[reading.input], self.kinds[reading.output]
+            line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
+            return unrelated + (line * proportional(u, y) if line else 0.0)
 
         return [
             dataclasses.replace(
@@ -204,6 +228,16 @@ class _Evidence:
             )
             for reading in found
         ]
+
+    def _are_sides(self, i: int, o: int) -> bool:
+        """Whether two columns are one quantity at two sides of a specimen, by their names: "Left angle", "Right angle"."""
+        sides = self._parts[i] & SIDES, self._parts[o] & SIDES
+        return all(sides) and self._parts[i] - SIDES == self._parts[o] - SIDES and self.kinds[i] == self.kinds[o]
+
+    def _are_partners(self, i: int, o: int) -> bool:
+        """Whether the names of two columns differ by their roles alone."""
+        names = [without_role(self.table.names[k]) for k in (i, o)]
+        return (self.roles[i], self.roles[o]) == ("input", "output") and names[0] == names[1] != ""
 
     def _of_one_part(self, i: int, o: int) -> bool:
         """Whether names tell that two columns are of one part, and not a command and its own measurement."""
@@ -240,6 +274,7 @@ class _Evidence:
         def points(k: int) -> float:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
+            few &= not self._by_steps[k]
             return (
                 _SECONDARY * self._is_secondary(k)
                 + _RAW_VOLTS * _is_raw_signal(table, k)
@@ -281,15 +316,15 @@ class _Evidence:
         extents: dict[tuple[str, str], float] = {}
         vectors = {self._bases[k][:-1] for k, axis in self._axis.items() if axis}
         group = lambda k: (self.kinds[k], self.table.units[k])
-        for k in self.ranks:
+        summed = lambda k: bool((np.diff(self.table.columns[k]) >= 0).all())  # over the test: of no part or the whole
+        for k in (k for k in self.ranks if not summed(k)):
             extents[group(k)] = max(extents.get(group(k), 0.0), extent(self.table.columns[k]))
 
         def partial(k: int) -> bool:
             whole = extents.get(group(k), 0.0) if self.kinds[k] in _OF_PARTS else 0.0
-            of_part = (
-                bool(self.table.units[k] or self.kinds[k] == "strain")
-                and extent(self.table.columns[k]) < _OF_LARGEST * whole
-            )
+            strain = self.kinds[k] == "strain"
+            least = (_TRANSVERSE if strain else _OF_LARGEST) * whole
+            of_part = bool(self.table.units[k] or strain) and extent(self.table.columns[k]) < least
             return of_part or self._bases[k] in vectors
 
         return _ByColumn(partial)
@@ -323,10 +358,23 @@ class _Evidence:
     def _of_pair(self, i: int, o: int) -> float:
         """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
         kinds = self.kinds[i], self.kinds[o]
+        measured = self._measured.values()
+        # A load that is controlled, and nothing else, drives.
+        loads = [k for k, kind in zip((i, o), kinds, strict=True) if kind in LOADS and k in measured]
+        if loads and {self.kinds[k] for k in self._measured} <= {*LOADS}:
+            return _FOLLOWED if self._measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
         beside = o if kinds[0] == "current" else i
-        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in self._measured.values():
+        if "current" in kinds and self.kinds[beside] in ("displacement", "") and beside in measured:
             return PAIRS["current", "displacement"] * (beside == i)
         return PAIRS.get(kinds, 0.0)
+
+    @functools.cached_property
+    def _by_steps(self) -> _ByColumn:
+        columns = self.table.columns
+        times = (columns[k] for k, kind in self.kinds.items() if kind == "time" or k in self.table.stamps)
+        clocks = (time for time in times if not (np.diff(time) < 0).any())
+        logged = any(not is_even(clock) for clock in clocks)  # at each change of a value, by one digit of a sensor
+        return _ByColumn(lambda k: not logged and by_equal_steps(columns[k]))
 
     @functools.cached_property
     def _overtones(self) -> _ByColumn:

@@ -11,28 +11,30 @@ from collections.abc import Mapping
 # Points of a quantity as the input and as the output of a device.
 DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
-    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8,
-    "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
+    "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8, "volume": 1.0,
+    "diameter": 0.8,    "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
-    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
+    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8, "volume": 0.8,
+    "diameter": 1.8,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
+LOADS = ("force", "stress")
 _MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
 PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
-    | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge"), ("pressure", "loading")], 4.0)
-    | {("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
+    | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")], 4.0)
+    | {("pressure", "loading"): 4.0, ("pressure", "mass"): 4.0, ("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
     | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0}
     | {("strain", "stress"): 4.0, ("shear rate", "stress"): 4.0}
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
-            ("current", "displacement"), ("current", "induction"), ("induction", "moment"),
+            ("current", "displacement"), ("current", "induction"), ("induction", "moment"), ("pressure", "diameter"),
             ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
             *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
             ("displacement", "moment"),
@@ -50,6 +52,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
+    | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
 )  # fmt: skip

@@ -19,7 +19,7 @@ from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.bracket_rows import read_bracketed
 from hystfit.reading.charge_throughput import with_throughput
 from hystfit.reading.console_log import read_console_log
-from hystfit.reading.drawn_table import read_drawn_table
+from hystfit.reading.drawn_table import read_drawn_table, read_latex_table
 from hystfit.reading.easyexpert import read_easyexpert
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.igor_text import read_igor
@@ -156,6 +156,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_sections,
     read_tables,
     read_transposed,
+    read_latex_table,
     read_drawn_table,
     read_unit_cells,
     plain_text,

@@ -12,12 +12,13 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.branch_words import BRANCHES, words_of
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.column_names import column_quantity, is_terminal
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
-_WORD = re.compile(r"[^\W_]+")
+# Words between underscores and signs, and of CamelCase; a number keeps its decimals: 0.5T of H_0.5T.
+_WORD = re.compile(r"\d+\.\d+[^\W_]*|[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")
 _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name
@@ -53,8 +54,14 @@ def stacked(table: Table) -> Table | None:
         titles, names = (
             _titles([[table.names[k] for k in group] for group in groups]) if count % size == 0 else ([], [])
         )
+        units = {table.units[k] for k in there}
+        if len(units) == 1 and "" not in units:  # Ha_x, Ha_y, M_x, M_y in A/m: components of vectors
+            continue
         if titles and (below := _below_each_other(table, groups, titles)) is not None:
             return dataclasses.replace(below, names=tuple(names))
+    clock, rest = there[0], there[1:]
+    if column_quantity(table.names[clock], table.units[clock]) == "time":
+        return _at_conditions(table, clock, rest)
     half = count // 2
     if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
         return _below_each_other(table, [[there[k], there[k + half]] for k in range(half)])
@@ -70,6 +77,17 @@ def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     names = [f"{value} {unit}" for _, value, unit in titles]
     below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)
     return below and dataclasses.replace(below, names=(below.names[0], titles[0][0] or "output"))
+
+
+def _at_conditions(table: Table, clock: int, rest: Sequence[int]) -> Table | None:
+    """Groups of columns that share a time, of one experiment at each of several conditions (V_1Hz, x_1Hz, V_5Hz, x_5Hz)."""
+    for size in (size for size in range(2, len(rest) // 2 + 1) if len(rest) % size == 0):
+        groups = [rest[k : k + size] for k in range(0, len(rest), size)]
+        titles, names = _titles([[table.names[k] for k in group] for group in groups])
+        if titles and all(_condition(title) for title in titles):
+            below = _below_each_other(table, [[clock, *group] for group in groups], titles)
+            return below and dataclasses.replace(below, names=(table.names[clock], *names))
+    return None
 
 
 def _condition(name: str) -> tuple[str, str, str] | None:
@@ -96,7 +114,8 @@ def _titles(groups: Sequence[Sequence[str]]) -> tuple[list[str], list[str]]:
         [" ".join(w for w in name if w not in own) for name in names] for names, own in zip(words, shared, strict=True)
     ]
     titles = [" ".join(w for w in names[0] if w in own) for names, own in zip(words, shared, strict=True)]
-    told = all(own - common for own in shared) and len({*titles}) == len(titles)
+    told = not all(is_terminal(name) for name in groups[0])  # DrainI, DrainV, GateI, GateV
+    told &= all(own - common for own in shared) and len({*titles}) == len(titles)
     told &= not any(len(title) > 2 and column_quantity(title) not in ("", "index") for title in titles)  # pos, torque
     spelled = all(re.search(r"[^\W\d]", name) for name in rest[0])
     alike = spelled and all(other == rest[0] for other in rest) and len({*rest[0]}) == len(rest[0])

@@ -15,6 +15,11 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
 # than that part of the range, and two steps by that part of a power of ten.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
+# Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
+# which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
+_EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.2
+_LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
+_USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
 
@@ -144,3 +149,32 @@ def overtones(values: np.ndarray) -> float:
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
     peak, total = int(np.argmax(power)), float(power.sum())
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
+
+
+def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
+    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
+    steps = np.diff(clock)
+    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
+
+
+def is_even(clock: np.ndarray) -> bool:
+    """Whether most steps of a clock are usual ones: those of a test with holds, and not of a log of changes."""
+    steps = np.diff(clock[np.isfinite(clock)])
+    return steps.size == 0 or float(np.mean(steps <= _USUAL * np.median(steps))) > _EQUAL
+
+
+def by_equal_steps(values: np.ndarray) -> bool:
+    """Whether a column goes up and down by equal steps or is held equally long at every level, as one that was set: no measurement does."""
+    finite = values[np.isfinite(values)]
+    ends = np.flatnonzero(np.diff(finite))
+    held = np.diff(ends)
+    if ends.size > _FEWEST_COMPUTED and (dwell := int(np.median(held))) > 1:
+        ways = np.diff(finite)[ends] > 0
+        levels = np.unique(finite).size >= _LEVELS
+        return levels and float(np.mean(held == dwell)) > _EQUAL and _EACH_WAY < float(np.mean(ways)) < 1 - _EACH_WAY
+    steps = np.diff(finite)
+    if steps.size < _FEWEST_COMPUTED or not (step := float(np.median(np.abs(steps)))) > 0:
+        return False
+    equal = [float(np.mean(np.abs(steps - way) < _SAME_DIGIT * step)) for way in (step, -step)]
+    turns = float(np.mean(np.diff(np.sign(steps)) != 0))
+    return sum(equal) > _EQUAL and min(equal) > _EACH_WAY and turns < _TURNS

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import conversion
+from hystfit.params.units import conversion, quantity
 
 _OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|mess\w*)"
 _RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
@@ -38,6 +39,9 @@ _HERTZ = {
 def stated_interval(above: Sequence[str]) -> float | None:
     """The time between two rows [s]; None where the lines above the numbers state none, or several."""
     found = {interval for line in above if len(line) < 200 and (interval := _interval(line)) is not None}
+    for names, values in itertools.pairwise(line.split(",") for line in above[-2:]):
+        below = (value for name, value in zip(names, values, strict=False) if name.strip().lower() == "increment")
+        found |= {float(value) for value in below if re.fullmatch(_NUMBER, value.strip())}
     return found.pop() if len(found) == 1 else None
 
 
@@ -54,5 +58,7 @@ def _interval(line: str) -> float | None:
     if match["rate"]:
         factor = _HERTZ.get(unit.lower())
         return None if factor is None else 1.0 / (factor * value)
+    if unit and quantity(unit) != "time":  # "Sample Interval (V) = 0.001": a step of a sweep
+        return None
     factor = conversion(unit, "s") if unit else 1.0
     return None if factor is None else factor * value

@@ -19,6 +19,7 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -32,6 +33,7 @@ _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
 _COMMON = 0.5  # share of the names of two tables that both have, above which they are records of one kind
 _NAMED = 6  # tables named in a note
+_NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +76,21 @@ def read_tables(text: TextFile) -> Table | None:
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
-    return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
+    table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
+    return _one_test(table) or table
+
+
+def _one_test(table: Table) -> Table | None:
+    """Tables without titles and results of their own as blocks of one record; None where its clock does not go on from each to the next."""
+    clocks = (k for k, name in enumerate(table.names) if column_quantity(name, table.units[k]) == "time")
+    if table.part is None or any(part.stated or not part.name.startswith(_NUMBERED) for part in table.parts):
+        return None
+    if (clock := next(clocks, None)) is None:
+        return None
+    if not clock_goes_on(table.columns[clock], np.flatnonzero(np.diff(table.part)) + 1):
+        return None
+    notes = tuple(note for note in table.notes if note.code is not Code.CURVES)
+    return dataclasses.replace(table, curve=table.part, part=None, parts=(Part(),), notes=notes)
 
 
 def _alike(tables: dict[int, Table]) -> list[int]:
@@ -197,7 +213,7 @@ def _with_names(parts: Sequence[Part]) -> list[Part]:
     titles = [part.name for part in parts]
     if len({*titles, ""}) == len(parts) + 1:
         return [*parts]
-    return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
+    return [dataclasses.replace(part, name=f"{_NUMBERED}{k}") for k, part in enumerate(parts, start=1)]
 
 
 def _with_summary(text: TextFile, parts: Sequence[Part], others: Sequence[_Piece]) -> list[Part]:

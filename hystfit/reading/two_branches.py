@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.column_names import column_quantity, is_channel
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -74,9 +74,8 @@ def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
 
 def _pairs(table: Table) -> list[_Pair]:
     """Pairs of columns of numbers whose names differ only in the word of a branch."""
-    split = {
-        k: _branch(table.names[k]) for k in range(len(table.names)) if k not in table.labels and k not in table.stamps
-    }
+    numbers = (k for k in range(len(table.names)) if k not in table.labels and k not in table.stamps)
+    split = {k: _branch(table.names[k]) for k in numbers if not is_channel(table.names[k])}
     found = []
     for (i, (base, word)), (j, (other, word2)) in itertools.combinations(split.items(), 2):
         if not (word and word2) or base != other or table.units[i] != table.units[j]:

@@ -39,6 +39,10 @@ def read_unit_cells(text: TextFile) -> Table | None:
     units = _units(split(text.head[first], mark))
     if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(_FEWEST, len(rows) // 2):
         return None if text is written else plain_text(text)
+    while first - 1 in rows and len(split(text.head[first - 1], mark)) == len(
+        units
+    ):  # their cells with units are empty
+        first -= 1
     join = (mark or " ").join
     lines = list(text.lines)
     for k in range(first, len(lines)):

@@ -184,7 +184,8 @@ def crossing(
         curved = _beside_chord(*chord) * (1.0 if of_values is not None else abs(run / step))
         between = abs((level[k] / step) * (1 + level[k] / step) * curved)
         error = float(np.hypot(noise or 0.0, between))
-        return float(values[k] - level[k] * run / step), error if error > 0 else None
+        rounding = np.finfo(float).eps * float(np.abs(values).max())
+        return float(values[k] - level[k] * run / step), error if error > rounding else None
     if not np.ptp(values[near]):  # an input that is switched between levels
         return None
     # Noise crosses zero several times: a straight line through the samples about it.

@@ -168,12 +168,12 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
     branches = large_branches(u, y, turns)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    if not pairs:
+    cycles = large_cycles(u, y, pairs) if pairs or (branches and kind in STRUCTURAL) else []
+    if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs, sigma):
+    if not is_open(pairs or cycles, sigma):
         return (), (), (_NO_AREA,)
-    cycles = large_cycles(u, y, pairs)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))

@@ -48,7 +48,7 @@ class _Row:
 
 
 def _opposing(level: np.ndarray, field: np.ndarray, noise: float | None) -> Found | None:
-    """Opposing field where a level passes zero, and its error by the slope there: that of one sample, as the noise is correlated."""
+    """Opposing field where a level passes zero, and its error: that of one sample, as the noise is correlated, or between the samples."""
     found = crossing(level, field, noise)
     if found is None:
         last = int(np.argmin(field))  # a curve that was taken or listed up to its zero has no sample beyond
@@ -56,7 +56,8 @@ def _opposing(level: np.ndarray, field: np.ndarray, noise: float | None) -> Foun
         return (-float(field[last]), None) if ends else None
     near = np.argsort(np.abs(field - found[0]), kind="stable")[:_NEIGHBORS]
     slope = np.polyfit(field[near] - found[0], level[near], 1)[0] if np.ptp(field[near]) > 0 else 0.0
-    return -found[0], None if noise is None or slope == 0 else noise / abs(float(slope))
+    of_noise = None if noise is None or slope == 0 else noise / abs(float(slope))
+    return -found[0], max((error for error in (found[1], of_noise) if error is not None), default=None)
 
 
 def _coercivity(b: Branch, noise: float | None) -> Found | None:

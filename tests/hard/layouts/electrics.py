@@ -35,6 +35,27 @@ def _scope(draw: Draw, head: list[str], names: tuple[str, str, str], lead: list[
     return Layout("", {name: packed(draw, lines, ("utf-8",))}, loops(loop(drive, sensor)), may_ask=True, answer=answer)
 
 
+@kind("interval beside the units of an oscilloscope")
+def numbered(draw: Draw) -> Layout:
+    """Samples by their number; the first instant and the interval stand in the line of units."""
+    n = draw.whole(300, 1200)
+    u, y = _traces(draw, n)
+    step = draw.pick(1e-6, 4e-6, 2e-5, 1e-4)
+    one, two = Column("CH1", u, "Volt", ".5e", ""), Column("CH2", y, "Volt", ".5e", "")
+    cells = zip(range(n), one.cells, two.cells, strict=True)
+    lines = ["X,CH1,CH2,Start,Increment,", f"Sequence,Volt,Volt,{-step * n / 2:.6e},{step:.6e}"]
+    lines += [f"{k},{a},{b},," for k, a, b in cells]
+    t = Column("t", step * np.arange(n), "s", ".9e")
+    answer = {"input": "CH1", "output": "CH2"}
+    return Layout(
+        "",
+        {draw.pick("NewFile1.csv", "DS0003.CSV"): packed(draw, lines)},
+        loops(loop(one, two, t)),
+        may_ask=True,
+        answer=answer,
+    )
+
+
 @kind("Tektronix CSV")
 def tektronix(draw: Draw) -> Layout:
     head = [

@@ -65,3 +65,39 @@ def sweep(draw: Draw) -> Layout:
     t = Column("Time Stamp", 20.0 * np.arange(n), "s", ".1f", "sec")
     lines = table(draw, [*([t] if draw.chance(0.5) else []), *draw.shuffled([u, field]), y], any_dialect(draw))
     return Layout("", {draw.pick("MvsT.csv", "MT_1kOe.dat"): packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("sensor at set inputs")
+def at_set_inputs(draw: Draw) -> Layout:
+    """The voltage of a sensor at inputs that are set in equal steps, up and down, some with the output before the input."""
+    steps, runs = draw.whole(8, 25), draw.whole(1, 3)
+    up = np.arange(steps + 1) / steps
+    x = np.concatenate([[0.0], *(np.append(up[1:], up[-2::-1]) for _ in range(runs))])
+    name, unit, size = draw.pick(
+        ("Position", "mm", 25.0), ("Load", "N", 50.0), ("Pressure", "bar", 10.0), ("Angle", "deg", 90.0)
+    )
+    u = Column(name, size * x, unit, ".4f")
+    sensor = Column(
+        draw.pick("Voltage", "Sensor voltage", "Output"), 5 * draw.noise(lagging(draw, x, 0.1), 1e-3), "V", ".5f"
+    )
+    supply = Column("Supply", 5 + draw.rng.normal(0, 2e-4, x.size), "V", ".4f")
+    columns = [*draw.shuffled([u, sensor]), *([supply] if draw.chance(0.3) else [])]
+    lines = table(draw, columns, any_dialect(draw))
+    return Layout("", {draw.pick("cal.csv", "sensor_17.txt"): packed(draw, lines)}, loops(loop(u, sensor)))
+
+
+@kind("loop of a process control")
+def controller(draw: Draw) -> Layout:
+    """Set point, measurement and output of a controller by their tags; the output drives the valve."""
+    n = draw.whole(200, 600)
+    x = (1 + triangle(n, draw.whole(2, 4), 0.75)) / 2
+    mark, tag = (
+        draw.pick(".", "/", "_"),
+        f"{draw.pick('LIC', 'FIC', 'TIC', 'PIC')}{draw.pick('', '-')}{draw.whole(1, 999)}",
+    )
+    u = Column(f"{tag}{mark}{draw.pick('OUT', 'OP', 'CO', 'MV')}", 20 + 60 * x, "", ".3f")
+    y = Column(f"{tag}{mark}PV", 10 + 70 * draw.noise(lagging(draw, x, 0.15), 2e-3), "", ".3f")
+    goal = Column(f"{tag}{mark}SP", np.full(n, 50.0), "", ".1f")
+    t = Column("Time", 1.0 * np.arange(n), "s", ".1f")
+    lines = table(draw, [t, *draw.shuffled([u, y, goal])], any_dialect(draw))
+    return Layout("", {draw.pick("trend.csv", "loop.txt"): packed(draw, lines)}, loops(loop(u, y, t)))
