@@ -167,6 +167,17 @@ def test_the_spectrum_of_many_columns_is_that_of_their_singular_values() -> None
     np.testing.assert_allclose((known @ known.T)[2:, 2:], expected[1:, 1:], rtol=1e-6, atol=1e-12)
 
 
+def test_errors_of_many_columns_are_those_of_the_inverse_where_all_are_known() -> None:
+    """Also with the offset of a record among them, about which the others are centered."""
+    rows = np.random.default_rng(0).normal(size=(300, 100)) * np.geomspace(1e-3, 1e3, 100)
+    rows[:, 7] = 1.0
+    offsets = np.arange(100) == 7
+    values, root, back = _spectrum(Information(rows, 4.0, np.zeros(100)), np.ones(100, bool), offsets)
+    expected = np.linalg.svd(centered(rows, offsets)[0] / np.linalg.norm(centered(rows, offsets)[0], axis=0))[1]
+    np.testing.assert_allclose(values, expected, rtol=1e-9)
+    np.testing.assert_allclose(back @ root @ root.T @ back.T, 4.0 * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12)
+
+
 def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reversal curves: the design matrices of all curves, their rows, and copies of the Jacobian were ten times as much."""
     for module, name in ((blocks, "NUMBERS"), (smooth_system, "NUMBERS")):

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from hystfit.errors import ModelError
 from hystfit.models import AsymmetricBoucWen, BoucWen, simulate
 from hystfit.models.bouc_wen import unit_hysteresis
-from hystfit.models.bouc_wen_steps import phi, zero_crossing
+from hystfit.models.bouc_wen_steps import phi, trapezoid, zero_crossing
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
 PIEZO = dict(c=0.1542, mu=0.45, tau=0.01086, rho=0.88, h0=0.09, offset=1.5)
@@ -340,6 +340,18 @@ def test_derivatives_are_finite_at_rest_at_zero_and_on_the_bounds(model: Any) ->
     gradient = work_gradient(model, u)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree_util.tree_leaves(gradient))
     assert np.isfinite(states(model, u)).all()
+
+
+@pytest.mark.parametrize("amplitude", [1.0, 40.0], ids=["smooth", "held at the bound"])
+def test_the_derivative_that_is_written_out_is_that_of_the_formula(amplitude: float) -> None:
+    """In compiled scans too, where the same formula may be rounded in two ways."""
+    steps = jnp.diff(jnp.asarray(amplitude * path(3, 1.3)))
+
+    def slopes(step: Any) -> np.ndarray:
+        run = lambda x: jax.lax.scan(lambda h, dv: (new := step(h, dv, *x), new), 0.1 * x[0], steps)[1]
+        return np.asarray(jax.jit(jax.jacfwd(run))(jnp.array([0.9, 1.7, 0.4])))
+
+    np.testing.assert_allclose(slopes(trapezoid), slopes(trapezoid.__wrapped__), rtol=1e-9, atol=1e-9)
 
 
 # -- sampling and options ------------------------------------------------------------------------------------------------

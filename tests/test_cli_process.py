@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from hystfit import cli
+from hystfit.config import PROGRAM_FOLDER
 
 MAIN = [sys.executable, "-c", "from hystfit.cli import main; main()"]
 STARTED = [*MAIN[:2], "import sys; from hystfit.cli import main; print('started', file=sys.stderr, flush=True); main()"]
@@ -225,10 +226,17 @@ def test_a_command_that_was_killed_while_it_kept_a_program_spoils_no_later_one(p
     assert sys.platform != "linux" or list(programs.glob("*-cache"))
 
 
-def test_a_cache_folder_that_the_user_chose_is_used(monkeypatch):
-    monkeypatch.setenv(CACHE, "elsewhere")
+@pytest.mark.parametrize(
+    ("chosen", "traced"), [("elsewhere", str(Path("elsewhere") / "traced")), ("gs://bucket", None)]
+)
+def test_a_cache_folder_that_the_user_chose_is_used(monkeypatch, chosen, traced):
+    """Traced programs, without which half of the time of a fit is tracing, are kept in it where it is a folder."""
+    monkeypatch.setenv(CACHE, chosen)
+    monkeypatch.setenv(PROGRAM_FOLDER, "removed at the end")
+    monkeypatch.delenv(PROGRAM_FOLDER)
     cli.keep_programs()
-    assert os.environ[CACHE] == "elsewhere"
+    assert os.environ[CACHE] == chosen
+    assert os.environ.get(PROGRAM_FOLDER) == traced
 
 
 def test_without_a_cache_folder_commands_still_run(process, tmp_path):

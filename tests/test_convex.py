@@ -15,6 +15,7 @@ from hystfit.fitting.compare import SEARCH
 from hystfit.fitting.convex import Convex
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure_search import search_structure
+from hystfit.models import nonnegative
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.design import effective_number
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
@@ -77,6 +78,24 @@ def test_singular_normal_equations_have_a_bounded_solution(seed):
     oracle = scipy.optimize.lsq_linear(M, y, (np.where(bounded, 0, -np.inf), np.full(8, np.inf)), tol=1e-14).x
     assert (w[bounded] >= 0).all()
     assert np.sum((y - M @ w) ** 2) == pytest.approx(np.sum((y - M @ oracle) ** 2), abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", [40, 97])
+def test_exchanges_of_few_unknowns_that_go_in_circles_end(seed, monkeypatch):
+    """Ramps that begin close to each other are nearly collinear, as plays are; no fallback is needed."""
+    monkeypatch.setattr(nonnegative, "_by_root", None)
+    y, ramps = np.cumsum(np.random.default_rng(seed).normal(size=200)), np.linspace(0, 1, 60)
+    M = np.maximum(np.linspace(0, 1, 200)[:, None] - ramps, 0)
+    A, bounded = M.T @ M, ramps > 0
+    A += 1e-9 * np.trace(A) / 60 * np.eye(60)
+    w, _ = solve_nonnegative(A, M.T @ y, bounded)
+    root = np.linalg.cholesky(A).T
+    oracle = scipy.optimize.lsq_linear(
+        root, np.linalg.solve(root.T, M.T @ y), (np.where(bounded, 0, -np.inf), np.inf), tol=1e-14
+    ).x
+    cost = lambda w: 0.5 * w @ A @ w - w @ M.T @ y
+    assert (w[bounded] >= 0).all()
+    assert cost(w) <= cost(oracle) + 1e-9 * abs(cost(oracle))
 
 
 def test_columns_are_the_plays():

@@ -12,8 +12,10 @@ import pytest
 from numpy.polynomial import polynomial
 from scipy.integrate import solve_ivp
 
+from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models import Duhem, simulate
+from hystfit.models.duhem import _responses
 from hystfit.models.simulation import run
 
 F, G = (0.1, 1.0, 0.02, -0.03), (0.5, 0.05, -0.02)  # in powers of v
@@ -149,3 +151,17 @@ def test_the_exact_scheme_has_exact_derivatives_on_both_sides_of_its_switch() ->
 def test_an_unknown_scheme_is_refused() -> None:
     with pytest.raises(ModelError, match="midpoint, explicit or exact, got 'rk4'"):
         Duhem(scheme="rk4")  # type: ignore[arg-type]
+
+
+def test_responses_of_the_start_are_those_of_a_plain_loop() -> None:
+    """Midpoint steps  w += drive (f - w) + g dv,  linear in the coefficients of f and g and in the first output."""
+    v = np.cumsum(np.random.default_rng(3).normal(size=40))
+    columns, _ = _responses(Record(v, v), (0.5, 4.0), 3, 2, 0.7)
+    f, g, first = np.array([0.3, -1.0, 0.5]), np.array([0.2, 0.4]), 0.9
+    w, expected = first, [first]
+    for a, b in pairwise(v):
+        x, drive = (0.5 * (a + b) - 0.5) / 4.0, 0.7 * abs(b - a)
+        forced = drive * np.polynomial.legendre.legval(x, f) + (b - a) * np.polynomial.legendre.legval(x, g)
+        w = ((1 - 0.5 * drive) * w + forced) / (1 + 0.5 * drive)
+        expected.append(w)
+    np.testing.assert_allclose(columns @ np.concatenate([f, g, [first]]), expected, rtol=1e-12)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.errors import DataError
 from hystfit.identify.field_from_induction import FieldFromInduction, FluxSequence, _jackknife
 
 DT, COUNT, EDDY = 1e-6, 600, 4e-5
@@ -72,6 +73,15 @@ def test_the_error_of_the_loss_is_that_of_its_coefficients(model):
     drawn = np.random.default_rng(1).multivariate_normal(model.w, model.covariance, 80, method="eigh")
     losses = [dataclasses.replace(model, w=w).loss(0.2, 1e3)[0] for w in drawn]
     assert np.std(losses) == pytest.approx(model.loss(0.2, 1e3)[1], rel=0.3)
+
+
+def test_a_loss_beyond_the_sequences_is_refused(model):
+    """The saturating terms are clipped, and every coefficient is linear in the temperature: losses there were negative."""
+    with pytest.raises(DataError, match="flux density of 2 T"):
+        model.loss(2.0, 1e3)
+    with pytest.raises(DataError, match="temperature of 150 degC"):
+        model.loss(0.1, 1e3, temperature=150.0)
+    assert len(repr(model)) < 1000  # no matrices
 
 
 def test_bad_sequences_are_refused(model):

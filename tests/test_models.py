@@ -438,6 +438,10 @@ def test_name_of_a_model_makes_it_again(name):
     )
     assert registry.model_name(registry.make_model(expression)) == expression
     assert name in expression.split("+")
+    made = type(registry.MODELS[name].default)  # the class that its entry states is told without making one
+    assert [other for other, entry in registry.MODELS.items() if entry.makes(made)] == [
+        other for other, entry in registry.MODELS.items() if type(entry.default) is made
+    ]
 
 
 def test_settings_follow_a_name():

@@ -9,7 +9,7 @@ import hystfit as hf
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.quality.baselines import curve_scatter
-from hystfit.quality.equal_inputs import records_apart
+from hystfit.quality.equal_inputs import none_describes, records_apart
 
 from .conftest import examined
 
@@ -92,6 +92,28 @@ def test_records_of_two_states_are_asked_for_one_of_them(two_states: hf.Dataset)
     result = hf.fit("preisach-magnetic:n=16", two_states, noise="iid")
     assert result.status is Status.POOR
     assert has(result.notes, Code.RECORDS_DIFFER)
+
+
+def test_the_least_error_is_that_of_the_samples() -> None:
+    """A sine has most of its samples near the turning points, where the loops are close: the best one model errs less there."""
+    u = np.sin(np.linspace(0, 4 * np.pi, 2 * N))
+    loops = [made(u, np.tanh(4 * play(u, width)), noise=0.0, name=f"T={width}") for width in (0.3, 0.12)]
+    one, two = (record.y[N:] - record.y[N:].mean() for record in loops)
+    found = records_apart(loops)
+    assert found is not None
+    assert found.rms == pytest.approx(float(np.sqrt(np.mean((one - two) ** 2))) / 2, rel=0.05)
+
+
+def test_records_of_two_states_end_the_choice_of_a_model(two_states: hf.Dataset) -> None:
+    """No model changes the verdict; where most samples are of one state, a model may describe them, and all are tried."""
+    ranking = hf.compare(two_states)
+    assert ranking.winner.status is Status.POOR
+    assert has(ranking.winner.notes, Code.RECORDS_DIFFER)
+    assert len(ranking.fits) == 1
+    wide, narrow = two_states
+    many = made(np.tile(LOOP, 40), np.tanh(4 * play(np.tile(LOOP, 40), 0.3)), t=np.arange(40.0 * N), name="T=1")
+    assert none_describes([wide, narrow])
+    assert not none_describes([many, narrow])
 
 
 @pytest.mark.parametrize("other", [{"offset": 0.5}, {"seconds": 30.0}, {"range": 0.5}], ids=lambda one: next(iter(one)))

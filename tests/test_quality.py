@@ -9,6 +9,7 @@ import pathlib
 
 import numpy as np
 import pytest
+import scipy.ndimage
 import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -468,6 +469,14 @@ def test_lag_of_the_search_is_that_of_scipy(time):
     x, keep = np.random.default_rng(0).normal(size=(3000, 4)), np.exp(-1 / time)
     expected = x[0] + scipy.signal.lfilter([1 - keep], [1, -keep], x - x[0], axis=0)
     np.testing.assert_allclose(lagged(x, time), expected, atol=1e-12)
+
+
+def test_spline_through_the_input_is_that_of_scipy():
+    u = np.cumsum(np.random.default_rng(0).normal(size=300))
+    at = np.random.default_rng(1).uniform(0, 299, (7, 5))
+    at[0] = 0, 299, 17, 298.5, 0.5
+    expected = scipy.ndimage.map_coordinates(u, at[None], mode="mirror")
+    np.testing.assert_allclose(lagging._cubic_spline(u)(at), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(0.02, 0.1), (0.3, 0.02), (0.001, 1.5)])

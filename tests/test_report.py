@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import font_manager
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.fit import fit
@@ -386,6 +387,26 @@ def test_of_many_cycles_the_first_the_last_and_the_worst_are_shown():
     worst = plots.fit(many, "worst", axes())
     low, high = worst.get_xlim()
     assert 300 < low < 6.5 * 60 < high < 500
+
+
+def test_pictures_of_many_records_share_predictions_and_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """152 reversal curves were predicted for each of seven pictures, and drawn as 304 lines in each."""
+    u = np.sin(np.linspace(0, 2 * np.pi, 60))
+    parts = [Record(a * u, a * np.sin(np.linspace(0, 2 * np.pi, 60) - 0.3), name=f"{a}") for a in (0.4, 0.7, 1.0)]
+    fitted, runs = fit("prandtl-ishlinskii:plays=4", Dataset(tuple(parts)), noise="iid"), []
+    predict = type(fitted).predict
+    monkeypatch.setattr(type(fitted), "predict", lambda *a, **k: runs.append(1) or predict(*a, **k))
+    lines = report.page.pictures(fitted)["loop"].axes[0].get_lines()
+    assert len(runs) == len(parts)
+    assert [line.get_label() for line in lines] == ["measured", "model"]
+    x, y = (np.asarray(values) for values in lines[0].get_data())
+    gaps, shown = (
+        np.flatnonzero(np.isnan(x)),
+        [(record.u, np.where(record.used, record.y, np.nan)) for record in fitted.data],
+    )
+    assert (np.diff([-1, *gaps, x.size]) - 1).tolist() == [u.size for u, _ in shown]
+    np.testing.assert_array_equal(np.delete(x, gaps), np.concatenate([u for u, _ in shown]))
+    np.testing.assert_array_equal(np.delete(y, gaps), np.concatenate([part for _, part in shown]))
 
 
 def test_outliers_of_the_fit_are_clipped_and_counted():

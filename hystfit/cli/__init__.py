@@ -38,6 +38,10 @@ Options and examples of a verb: hystfit fit --help
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
 _COLLECTION = 500_000  # new objects between garbage collections; imports and traces make 400 000 that stay
+_COMPILED, _TRACED = (
+    "JAX_COMPILATION_CACHE_DIR",
+    "traced",
+)  # the folder of compiled programs, and in it that of traced ones
 _CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 
@@ -93,9 +97,11 @@ def keep_programs() -> None:
     """Keep compiled and traced programs in the user's cache folder, so that the next command need not make them again.
 
     Most of the time of a first fit is compilation, and half of the rest tracing. A folder that the user has
-    chosen (JAX_COMPILATION_CACHE_DIR) is respected.
+    chosen (JAX_COMPILATION_CACHE_DIR) is used as it is, with a folder of traced programs in it.
     """
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
+    if chosen := os.environ.get(_COMPILED):
+        if "://" not in chosen:  # JAX keeps programs in buckets too
+            os.environ.setdefault(PROGRAM_FOLDER, str(Path(chosen) / _TRACED))
         return
     # Programs are compiled for one processor, and several machines may share a home folder.
     folder = platformdirs.user_cache_path("hystfit") / "programs" / (platform.node() or "here")
@@ -104,8 +110,8 @@ def keep_programs() -> None:
         _remove_halves(folder)
     except OSError:
         return
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-    os.environ[PROGRAM_FOLDER] = str(folder / "traced")
+    os.environ[_COMPILED] = str(folder)
+    os.environ[PROGRAM_FOLDER] = str(folder / _TRACED)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_CACHE_BYTES))
 

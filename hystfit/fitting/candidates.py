@@ -112,7 +112,7 @@ def _way(record: Record) -> float:
 
 def _needs(name: str) -> list[Needs]:
     """What the parts of a model need; of a variant that `check` does not judge apart, what its family needs."""
-    models = [MODELS[part.partition(":")[0]].make() for part in name.split("+")]
+    models = [MODELS[part.partition(":")[0]].default for part in name.split("+")]
     of_family = lambda model: (vars(kind).get("needs") for kind in type(model).__mro__)
     needs = [
         model.needs or next((found for found in of_family(model) if isinstance(found, Needs)), None) for model in models

@@ -26,6 +26,7 @@ from hystfit.outcome import Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.quality.baselines import rounding_error
+from hystfit.quality.equal_inputs import none_describes
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
@@ -35,11 +36,15 @@ from hystfit.runs.threads import Workers
 def search(run: ComparisonRun, chosen: Candidates) -> None:
     """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
 
-    White residuals end it: what other models would describe better is noise. Where the search describes some of the noise too, models
-    with fewer parameters may predict better; they need no time, because a lag or creep would show in the residuals.
+    Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
+    would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
+    they need no time, because a lag or creep would show in the residuals.
     """
     first, *others = chosen.closed
     run.run((first,))
+    if none_describes(list(run.data)):
+        run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
+        return
     if white := run.is_white():
         lasting = _timeless(chosen.iterated)
         run.skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), WHITE)
@@ -130,7 +135,8 @@ def compare(
             stops those that cannot win: their fit errs more than the best model does in cross-validation, or their first fit errs one
             and a half times as much, or 5 % more where all its samples are held out in turn. A first fit starts from two points and is
             judged on the fitted samples; that of a model with elements has its default size, is judged by cross-validation on at most
-            2048 samples or so, and stops once the choices that lowered the error of another such model would not suffice.
+            2048 samples or so, and stops once the choices that lowered the error of another such model would not suffice. Records that
+            differ at equal inputs by more than a usable fit errs get one model, because none changes the verdict.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.

@@ -149,9 +149,11 @@ def _records_apart(fitted: Fitted) -> Note | None:
     missed = [record.name for record, error in zip(fitted.data, errors, strict=True) if error > POOR]
     if fitted.model.from_saturation:
         return None
+    apart = apart_note(fitted.parts) if fitted.thorough and fitted.percent > USABLE else None
+    if apart is not None:
+        return dataclasses.replace(apart, severity=Severity.ERROR)
     if 2 * len(missed) <= len(errors):
-        apart = apart_note(fitted.parts) if fitted.thorough and fitted.percent > USABLE else None
-        return None if apart is None else dataclasses.replace(apart, severity=Severity.ERROR)
+        return None
     text = (
         f"{len(missed)} of {len(errors)} records, such as {missed[0]!r}, are not described: the error of one is {max(errors):.3g} % of its "
         "range. If they are of different samples or devices, fit each alone (only=), or all of them by hystfit batch"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,6 +61,41 @@ class FluxSequence:
             raise DataError(f"at least {FEWEST} fields must be known, got {int(np.isfinite(self.h).sum())}")
 
 
+class Reach(NamedTuple):
+    """What sequences cover. Beyond it losses may be of either sign: at 150 degC that of a core measured from 25 to 70 degC was.
+
+    Attributes:
+        peak: largest flux density [T].
+        coldest, warmest: lowest and highest temperature [degC].
+    """
+
+    peak: float
+    coldest: float
+    warmest: float
+
+    @classmethod
+    def of(cls, sequences: Sequence[FluxSequence]) -> Reach:
+        """That of some sequences."""
+        warm = [one.temperature for one in sequences]
+        return cls(max(float(np.abs(one.b).max()) for one in sequences), min(warm), max(warm))
+
+    def check(self, peak: float, temperature: float) -> None:
+        """Refuse a flux density or a temperature beyond those covered.
+
+        Raises:
+            DataError: one of them is.
+        """
+        if peak > self.peak:
+            raise DataError(
+                f"a flux density of {peak:.4g} T is beyond the sequences fitted, which reach {self.peak:.4g} T"
+            )
+        if not self.coldest <= temperature <= self.warmest:
+            covered = f"{self.coldest:.4g} to {self.warmest:.4g} degC"
+            raise DataError(
+                f"a temperature of {temperature:.4g} degC is beyond the sequences fitted, which cover {covered}"
+            )
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class FieldFromInduction:
     """H = sum w_j s_j(B) + p1 x + p5 x^5 + (q9 x^9 + q21 x^21) / (1 - x^2) + r1 dB/dt + r2 d2B/dt2, x = B / Bs(T).
@@ -74,14 +110,16 @@ class FieldFromInduction:
         covariance: of w, by the jackknife over sequences, shape (28, 28); NaN of one sequence.
         saturation: Bs at 25 degC [T].
         drop: relative fall of Bs with the temperature [1/K].
+        reach: what the training sequences cover; None without any.
     """
 
     w: np.ndarray
-    size: np.ndarray
-    normal: np.ndarray
-    covariance: np.ndarray
+    size: np.ndarray = dataclasses.field(repr=False)
+    normal: np.ndarray = dataclasses.field(repr=False)
+    covariance: np.ndarray = dataclasses.field(repr=False)
     saturation: float = 0.47
     drop: float = 0.0025
+    reach: Reach | None = None
 
     @classmethod
     def fit(
@@ -121,7 +159,7 @@ class FieldFromInduction:
             normal, right = scaled[..., :-1].sum(0), scaled[..., -1].sum(0)
             w = np.linalg.solve(normal + ridge * np.eye(count), right)
             model = cls(w, size, normal, _jackknife(scaled, ridge), saturation, drop)
-        return model
+        return dataclasses.replace(model, reach=Reach.of(sequences))
 
     def stops(self, one: FluxSequence) -> np.ndarray:
         """Stops of B [T] from all histories, shape (T, histories, 8)."""
@@ -171,10 +209,12 @@ class FieldFromInduction:
             temperature: [degC].
 
         Raises:
-            DataError: an amplitude or frequency that is not positive.
+            DataError: an amplitude or frequency that is not positive, or a flux density or temperature beyond all sequences.
         """
         if not (peak > 0 and frequency > 0):
             raise DataError(f"peak and frequency must be positive, got {peak} and {frequency}")
+        if self.reach is not None:
+            self.reach.check(peak, temperature)
         dt = 1.0 / (_CYCLE * frequency)
         b = peak * np.sin(2 * np.pi * np.arange(2 * _CYCLE + 1) / _CYCLE)
         one = FluxSequence(b, np.zeros(b.size), dt, temperature)

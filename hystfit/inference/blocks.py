@@ -80,8 +80,12 @@ def gram_root(gram: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     """
     size = np.sqrt(np.diag(gram))
     size[size == 0] = 1.0
-    values, vectors = np.linalg.eigh(gram / size / size[:, None])
-    return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
+    scaled = gram / size / size[:, None]
+    try:
+        return np.linalg.cholesky(scaled).T * size
+    except np.linalg.LinAlgError:  # singular, to rounding
+        values, vectors = np.linalg.eigh(scaled)
+        return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
 
 
 def beside(

@@ -80,7 +80,7 @@ class Split:
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
     """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
-    models = space.of_records(x, len(records))
+    models = space.of_records(x, len(records), np.asarray)
     return (model.design_matrix(record.u, record.dt) for model, record in zip(models, records, strict=True))
 
 

@@ -80,16 +80,25 @@ def over(value: Array, m: Array) -> Array:
 
 
 def semi_implicit(q: Array, x: Array, m: Array, passed: Array, highest: Array) -> Array:
-    """Trapezoidal step, clipped between q and its bound where the step is too long.
+    """Trapezoidal step, clipped between q and its bound where the step is too long."""
+    half = 0.5 * passed
+    return _held(((1 - half) * q + m * x) / (1 + half), q, highest)
+
+
+def _held(moved: Array, q: Array, highest: Array) -> Array:
+    """The step from q to `moved`, clipped between q and its bound.
 
     On the bound q, the bound and the step agree. A selection takes the derivative of one of them there; those of `clip` are mixed, and
     for long steps they grow from sample to sample without limit.
     """
-    half = 0.5 * passed
-    moved = ((1 - half) * q + m * x) / (1 + half)
-    below = q <= highest
-    low, high = jnp.where(below, q, highest), jnp.where(below, highest, q)
+    low, high = _range(q, highest)
     return jnp.where(moved >= high, high, jnp.where(moved <= low, low, moved))
+
+
+def _range(q: Array, highest: Array) -> tuple[Array, Array]:
+    """q and its bound, the lower one first."""
+    below = q <= highest
+    return jnp.where(below, q, highest), jnp.where(below, highest, q)
 
 
 @jax.custom_jvp
@@ -101,19 +110,36 @@ def trapezoid(h: Array, dv: Array, m: Array, up: Array, down: Array) -> Array:
     """
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
     q = s * h
-    return s * semi_implicit(q, x, m, rate_integral(q, x, m, up, down), bound(m, up))
+    return s * _held(_unheld(q, x, m, up, down), q, bound(m, up))
+
+
+def _unheld(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
+    """q after a trapezoidal step: of the rate above zero, of that below, and of both where it crosses zero.
+
+    What the first two need of the way is known before q is, so that the next sample does not wait for their divisions.
+    """
+    above, below = 0.5 * up * x, 0.5 * down * x
+    each_above, each_below = 1 / (1 + above), 1 / (1 + below)
+    rise = m * x
+    crossing = above - 0.5 * over(down - up, m) * q
+    crossed = ((1 - crossing) * q + rise) / (1 + crossing)
+    risen = (1 - above) * each_above * q + rise * each_above
+    rising = (1 - below) * each_below * q + rise * each_below
+    return jnp.where(q >= 0, risen, jnp.where(-q < rise, crossed, rising))
 
 
 @trapezoid.defjvp
 def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     h, dv, m, up, down = values
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
-    q, new = s * h, trapezoid(*values)
+    q, highest = s * h, bound(m, up)
+    moved = _unheld(q, x, m, up, down)
+    new = s * _held(moved, q, highest)
     below = over(rise_below_zero(q, x, m), m)
     half = 0.5 * rate_integral(q, x, m, up, down)
-    moved = ((1 - half) * q + m * x) / (1 + half)
-    free = s * new == moved
-    stays = ~free & (s * new == q)
+    low, high = _range(q, highest)
+    above, short = moved > high, moved < low
+    free, stays = ~(above | short), (above & (high == q)) | (short & (low == q))
     pinned = ~free & ~stays  # on the bound m / up
     safe, each = jnp.where(up > 0, up, 1.0), 1 / (1 + half)
     turn = jnp.where(free, -0.5 * s * (q + moved) * each, 0.0)  # by the integral of the rates

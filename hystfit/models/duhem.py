@@ -23,6 +23,7 @@ from hystfit.models.starting import first_output, fit_linear, input_range, thinn
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
+from hystfit.quality.recursions import recursion
 
 Scheme = Literal["midpoint", "explicit", "exact"]
 
@@ -259,9 +260,7 @@ def _responses(
     g = np.polynomial.legendre.legvander(x, n - 1) * dv[:, None]
     forcing = np.concatenate([f, g], axis=1) / (1 + 0.5 * drive)[:, None]
     decay = (1 - 0.5 * drive) / (1 + 0.5 * drive)
-    columns = np.zeros((v.size, m + n + 1))
-    columns[0, -1] = 1.0
-    for k in range(1, v.size):
-        columns[k] = decay[k - 1] * columns[k - 1]
-        columns[k, :-1] += forcing[k - 1]
+    sides = np.zeros((v.size, m + n + 1))
+    sides[0, -1], sides[1:, :-1] = 1.0, forcing
+    columns = recursion((1.0, -np.append(decay, 0.0)), sides)
     return columns[used], record.y[used]

@@ -111,7 +111,7 @@ class Lag(AbstractHysteresis):
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
         body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt)
+        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll=2)
         return jnp.stack(state), y
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
@@ -128,10 +128,11 @@ class Lag(AbstractHysteresis):
         second = recursion((1.0, -decay), (1.0 - decay) * x + decay * passed * (before - x))
         return rest + clock.samples(second[:, 0])
 
-    def _factors(self, dt: Array) -> tuple[Array, Array]:
-        """How much of a deviation is left after the time dt, in each lag and from the first in the second."""
+    def _factors(self, dt: Array) -> tuple[Array, ...]:
+        """Parts of the outputs after the time dt: of each output in itself, of the first in the second, of the input in either."""
         passed = 2.0 * dt / self.tau
-        return jnp.exp(-passed), passed
+        kept, reached = jnp.exp(-passed), -jnp.expm1(-passed)
+        return kept, kept * passed, reached, reached - kept * passed
 
     def start(self, records: Sequence[Record]) -> Lag:
         """Three samples."""
@@ -146,11 +147,11 @@ class Lag(AbstractHysteresis):
         return CPart.of(self, "lag", first=self.rest == "first")
 
 
-def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, Array]) -> tuple[Array, Array]:
+def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, ...]) -> tuple[Array, Array]:
     """Outputs of two lags in a row after a step to u."""
-    decay, passed = factors
-    first, second = state[0] - u, state[1] - u
-    return u + decay * first, u + decay * (second + passed * first)
+    kept, passed, reached, through = factors
+    first, second = state
+    return kept * first + reached * u, kept * second + (passed * first + through * u)
 
 
 class SecondOrder(AbstractHysteresis):
@@ -176,7 +177,7 @@ class SecondOrder(AbstractHysteresis):
         """Without exponential, sine and cosine where the sampling is even."""
         before = jnp.concatenate([u0[None], u[:-1]])
         body = lambda state, row, factors: (new := self._moved(state, *row, factors), new[0])
-        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt)
+        state, y = scan_in_time(body, (state[0], state[1]), (before, u), self._factors, dt, unroll=2)
         return jnp.stack(state), y
 
     def _factors(self, dt: Array) -> tuple[Array, ...]:
@@ -194,9 +195,10 @@ class SecondOrder(AbstractHysteresis):
         per_time, e_by_e, e_by_v, v_by_e, v_by_v = factors
         slope = (u1 - u0) * per_time
         lag = 2.0 * self.zeta / self.omega * slope
-        e, v = state[0] - u0 + lag, state[1] - slope
-        moved = u1 - lag + e_by_e * e + e_by_v * v, slope + v_by_e * e + v_by_v * v
-        return jnp.where(per_time > 0, moved[0], state[0]), jnp.where(per_time > 0, moved[1], state[1])
+        # What the input adds does not wait for the state.
+        position = jnp.where(per_time > 0, u1 - lag + e_by_e * (lag - u0) - e_by_v * slope, 0.0)
+        speed = slope + v_by_e * (lag - u0) - v_by_v * slope
+        return (position + e_by_v * state[1]) + e_by_e * state[0], (speed + v_by_e * state[0]) + v_by_v * state[1]
 
     def start(self, records: Sequence[Record]) -> SecondOrder:
         """The resonance that the records show; at a tenth of the sampling rate where they show none."""

@@ -23,7 +23,7 @@ class Entry:
     """A model that users choose by name.
 
     Attributes:
-        maker: "module:attribute" within `hystfit.models`, imported when it is used.
+        maker: "module:Class" or "module:Class.constructor" within `hystfit.models`, imported when it is used.
         place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
         doc: what it is for, one line.
         variant: whether a model of this class is this variant; the last entry that fits gives its name.
@@ -42,6 +42,11 @@ class Entry:
     def make(self) -> Callable[..., AbstractHysteresis]:
         """Builds the model with its defaults, or with settings by name."""
         return functools.partial(attribute(f"hystfit.models.{self.maker}"), **self.preset)
+
+    def makes(self, kind: type) -> bool:
+        """Whether it makes models of this class, told without importing or making one."""
+        module, _, constructor = self.maker.partition(":")
+        return (kind.__module__, kind.__name__) == (f"hystfit.models.{module}", constructor.partition(".")[0])
 
     @functools.cached_property
     def default(self) -> AbstractHysteresis:

@@ -11,6 +11,9 @@ _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before few 
 # equations of 1891 weights ended after 25, 24 and 34 exchanges, where one by one they did not.
 _WORST = 0.3
 _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
+# Unknowns up to which they are then exchanged one by one, at most as often as there are: 62 ended after 49 exchanges, 2 ms, where the
+# fallback and the import of its solver take 80 ms.
+_FEW = 100
 
 
 def solve_nonnegative(
@@ -63,9 +66,7 @@ def solve_several(
         better = count < fewest[waiting]
         patience[waiting] = np.where(better, _PATIENCE, patience[waiting] - 1)
         fewest[waiting] = np.minimum(count, fewest[waiting])
-        alone = patience[waiting] < 0  # Murty's rule: one at a time always ends
-        wrong &= ~alone[:, None] | (np.cumsum(wrong[:, ::-1], axis=1)[:, ::-1] == 1)
-        active[waiting] = on ^ wrong
+        active[waiting] = on ^ np.where(patience[waiting, None] < 0, _last(wrong), wrong)
         waiting = waiting[count > 0]
         if not waiting.size:
             return found, active
@@ -81,15 +82,22 @@ def _wrong(w: np.ndarray, dual: np.ndarray, b: np.ndarray, bounded: np.ndarray, 
     return bounded & np.where(active, w < -slack, dual < steep)
 
 
+def _last(wrong: np.ndarray) -> np.ndarray:
+    """The last of the unknowns on the wrong side: by Murty's rule an exchange of one at a time always ends."""
+    return wrong & (np.cumsum(wrong[..., ::-1], axis=-1)[..., ::-1] == 1)
+
+
 def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     fewest, patience = b.size + 1, _PATIENCE
-    for _ in range(_LIMIT):
+    for exchange in range(_LIMIT + (b.size if b.size <= _FEW else 0)):
         w, dual = _solve_on(A, b, active)
         wrong = _wrong(w, dual, b, bounded, active)
         count = int(wrong.sum())
         if count == 0:
             return np.where(bounded, np.maximum(w, 0.0), w), active
-        if count < fewest:
+        if exchange >= _LIMIT:
+            wrong = _last(wrong)
+        elif count < fewest:
             fewest, patience = count, _PATIENCE
         elif patience:
             patience -= 1

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import types
+from collections.abc import Mapping
 
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
@@ -31,7 +33,7 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
     if isinstance(choice, AbstractHysteresis):
         return choice
     if isinstance(choice, type) and issubclass(choice, AbstractHysteresis):
-        named = [name for name, kind in _kinds().items() if kind is choice]
+        named = [name for name, entry in MODELS.items() if entry.makes(choice)]
         return MODELS[named[0]].default if named else _made(choice)
     if not isinstance(choice, str):
         raise ModelError(
@@ -104,13 +106,8 @@ def model_name(model: AbstractHysteresis) -> str:
     """
     if isinstance(model, AbstractComposition):
         return "+".join(model_name(part) for part in model.parts)
-    fitting = [name for name, kind in _kinds().items() if type(model) is kind and MODELS[name].variant(model)]
+    fitting = [name for name, entry in MODELS.items() if entry.makes(type(model)) and entry.variant(model)]
     return ":".join([fitting[-1], *MODELS[fitting[-1]].changed(model)]) if fitting else type(model).__name__
-
-
-@functools.cache
-def _kinds() -> dict[str, type[AbstractHysteresis]]:
-    return {name: type(entry.default) for name, entry in MODELS.items()}
 
 
 def tried() -> tuple[str, ...]:
@@ -118,7 +115,8 @@ def tried() -> tuple[str, ...]:
     return tuple(dict.fromkeys(expression for entry in MODELS.values() for expression in entry.tried))
 
 
-def judged() -> dict[str, Needs]:
+@functools.cache
+def judged() -> Mapping[str, Needs]:
     """The data that models need, by the first name of each class with these needs; `check` reports on these."""
     first: dict[tuple[type[AbstractHysteresis], Needs], str] = {}
     counts: dict[str, int] = {}
@@ -128,13 +126,14 @@ def judged() -> dict[str, Needs]:
             if not any(issubclass(type(model), kind) and model.needs == needs for kind, needs in first):
                 first[type(model), model.needs] = name
             counts[name] = sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
-    return {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+    found = {name: dataclasses.replace(needs, parameters=counts[name]) for (_, needs), name in first.items()}
+    return types.MappingProxyType(found)
 
 
 def judged_as(name: str) -> str | None:
     """Name under which `judged` has the needs of a model; None where it declares none."""
     model = MODELS[name].default
     same = lambda row, needs: (
-        isinstance(model, _kinds()[row]) and dataclasses.replace(needs, parameters=0) == model.needs
+        isinstance(model, type(MODELS[row].default)) and dataclasses.replace(needs, parameters=0) == model.needs
     )
     return next((row for row, needs in judged().items() if same(row, needs)), None)

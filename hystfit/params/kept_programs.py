@@ -53,14 +53,23 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
 
     def call(*trees: Any) -> Any:
         leaves, structure = jax.tree_util.tree_flatten(trees)
-        traced = tuple(isinstance(leaf, _ARRAYS) for leaf in leaves)
-        arrays = [leaf for leaf, is_array in zip(leaves, traced, strict=True) if is_array]
-        if any(isinstance(array, jax.core.Tracer) for array in arrays):
-            return otherwise(*trees)
-        fixed = [leaf for leaf, is_array in zip(leaves, traced, strict=True) if not is_array]
-        shapes = tuple((array.shape, str(array.dtype)) for array in arrays)  # the dtype of a random key has no value
-        key = (traced, shapes, structure, tuple((type(leaf), leaf) for leaf in fixed))
+        arrays, fixed, kinds = (
+            [],
+            [],
+            [],
+        )  # of every leaf its shape and dtype, or None for one that stays in the program
+        for leaf in leaves:
+            if isinstance(leaf, jax.core.Tracer):
+                return otherwise(*trees)
+            if isinstance(leaf, _ARRAYS):
+                arrays.append(leaf)
+                kinds.append((leaf.shape, leaf.dtype))
+            else:
+                fixed.append(leaf)
+                kinds.append(None)
+        key = (tuple(kinds), structure, tuple((type(leaf), leaf) for leaf in fixed))
         if key not in programs:
+            traced = tuple(kind is not None for kind in kinds)
 
             def flat(*arrays: Any) -> Any:
                 mixed = iter(arrays), iter(fixed)
@@ -68,9 +77,11 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
 
             dtypes = [jax.dtypes.canonicalize_dtype(array.dtype, allow_extended_dtype=True) for array in arrays]
             exact = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in zip(arrays, dtypes, strict=True)]
+            # The dtype of a random key has no value.
+            shapes = tuple((array.shape, str(array.dtype)) for array in arrays)
             with making:  # chains in threads ask for the same program
                 if key not in programs:
-                    programs[key] = _program(flat, (_name(function), *key), exact)
+                    programs[key] = _program(flat, (_name(function), traced, shapes, *key[1:]), exact)
         program = programs[key]
         return otherwise(*trees) if program is None else program(*arrays)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -244,11 +244,16 @@ class ParameterSpace:
         """The tree at x, with the parameters of record number `record`."""
         return self.coordinates.assemble(np.asarray(x, float), record)
 
-    def of_records(self, x: Sequence[float] | np.ndarray, records: int) -> Iterator[Any]:
-        """The tree at x for each record in turn: the same one where no leaf differs from record to record."""
+    def of_records(
+        self, x: Sequence[float] | np.ndarray, records: int, place: Callable[[Any], Any] = to_device
+    ) -> Iterator[Any]:
+        """The tree at x for each record in turn: the same one where no leaf differs from record to record.
+
+        `place` makes the leaves that x sets, see `Coordinates.assemble`.
+        """
         own = self.coordinates.constant_at or any(per_record for *_, per_record in self.coordinates.layout)
-        every = (self.assembled(x, k) for k in range(records))
-        return every if own else itertools.repeat(self.assembled(x), records)
+        made = (self.coordinates.assemble(np.asarray(x, float), k, place) for k in range(records if own else 1))
+        return made if own else itertools.repeat(next(made), records)
 
     def covariance(self, z: Any, covariance_z: np.ndarray) -> np.ndarray:
         """Covariance of x from that of z, to first order."""

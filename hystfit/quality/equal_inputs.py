@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from hystfit.quality.baselines import USABLE
 from hystfit.quality.loops import SAME_LEVEL, closed_loops, loop_branches
 from hystfit.quality.record_quality import SPEEDS_APART
 
-_GRID = np.linspace(0.02, 0.98, 97)  # parts of the range at which loops are compared, apart from the turning points
+_EDGES = np.linspace(0.015, 0.985, 98)
+_GRID = (_EDGES[1:] + _EDGES[:-1]) / 2  # parts of the range at which loops are compared, apart from the turning points
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,14 +25,18 @@ class _Loop:
         name: of the record.
         low, high: range of its input.
         duration: of the loop; None without time.
-        outputs: of the rising and then of the falling branch at `_GRID`, without their mean.
+        samples: number of the loop's.
+        outputs: of the rising and then of the falling branch at `_GRID`, without the mean of the samples.
+        counts: of the samples next to each of these.
     """
 
     name: str
     low: float
     high: float
     duration: float | None
+    samples: int
     outputs: np.ndarray
+    counts: np.ndarray
 
     def like(self, other: _Loop) -> bool:
         """Whether the other loop has the same input: its range and, where both are timed, its speed."""
@@ -47,25 +52,29 @@ class RecordsApart:
 
     Attributes:
         names: of the records.
-        rms: least rms error of one model on their largest loops, each with an offset of its own [y].
+        rms: least rms error of one model on the samples of their largest loops, each with an offset of its own [y].
+        samples: number of those loops'.
     """
 
     names: tuple[str, ...]
     rms: float
+    samples: int
 
 
-def records_apart(records: Iterable[Record]) -> RecordsApart | None:
+def records_apart(records: Sequence[Record]) -> RecordsApart | None:
     """The records of equal inputs that are furthest apart; None where no two have loops over one range at one speed."""
-    loops = [loop for loop in map(_largest_loop, records) if loop is not None]
+    loops = [loop for loop in map(_largest_loop, records if len(records) > 1 else ()) if loop is not None]
     groups = [[other for other in loops if loop.like(other)] for loop in loops]
-    found = [
-        RecordsApart(
-            tuple(loop.name for loop in group), float(np.sqrt(np.var([one.outputs for one in group], axis=0).mean()))
-        )
-        for group in groups
-        if len(group) > 1
-    ]
+    found = [_apart(group) for group in groups if len(group) > 1]
     return max(found, key=lambda one: one.rms, default=None)
+
+
+def _apart(group: Sequence[_Loop]) -> RecordsApart:
+    outputs, counts = (np.array([getattr(loop, name) for loop in group]) for name in ("outputs", "counts"))
+    mean = (counts * outputs).sum(axis=0) / np.maximum(counts.sum(axis=0), 1)
+    samples = sum(loop.samples for loop in group)
+    rms = float(np.sqrt((counts * (outputs - mean) ** 2).sum() / samples))
+    return RecordsApart(tuple(loop.name for loop in group), rms, samples)
 
 
 def apart_note(records: Sequence[Record]) -> Note | None:
@@ -73,9 +82,7 @@ def apart_note(records: Sequence[Record]) -> Note | None:
 
     Its option reads the first of them, where they are curves of one file.
     """
-    found = records_apart(records)
-    used = [record.y[record.used] for record in records]
-    span = max(float(y.max()) for y in used) - min(float(y.min()) for y in used)
+    found, (span, _) = records_apart(records), _range_and_samples(records)
     if found is None or 100 * found.rms <= USABLE * span:
         return None
     first, *others = found.names
@@ -86,6 +93,18 @@ def apart_note(records: Sequence[Record]) -> Note | None:
     of_one_file = len({record.source for record in records}) == 1
     option = ("only", first.partition("=")[2] or first) if of_one_file else None
     return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option)
+
+
+def none_describes(records: Sequence[Record]) -> bool:
+    """Whether equal inputs alone let any one model err more on all samples than a usable fit may: no choice of a model changes that."""
+    found, (span, samples) = records_apart(records), _range_and_samples(records)
+    return found is not None and 100 * found.rms * np.sqrt(found.samples / samples) > USABLE * span
+
+
+def _range_and_samples(records: Sequence[Record]) -> tuple[float, int]:
+    """Range of the outputs that count, and their number."""
+    every = np.concatenate([record.y[record.used] for record in records])
+    return float(np.ptp(every)), every.size
 
 
 def _largest_loop(record: Record) -> _Loop | None:
@@ -103,5 +122,8 @@ def _largest_loop(record: Record) -> _Loop | None:
     centers, rising, falling = loop_branches(u[part], y[part])
     at = low + (high - low) * _GRID
     outputs = np.concatenate([np.interp(at, centers, branch) for branch in (rising, falling)])
+    place, upward = (u[part] - low) / (high - low), np.gradient(u[part]) > 0
+    counts = np.concatenate([np.histogram(place[way], _EDGES)[0] for way in (upward, ~upward)])
+    outputs -= np.average(outputs, weights=counts) if counts.any() else outputs.mean()
     duration = None if record.t is None else float(record.t[loop.stop] - record.t[loop.start])
-    return _Loop(record.name, low, high, duration, outputs - outputs.mean())
+    return _Loop(record.name, low, high, duration, part.stop - part.start, outputs, counts)

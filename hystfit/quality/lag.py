@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.linalg.lapack import dgtsv
 
 from hystfit.data.preparation import smooth
 
@@ -58,6 +59,25 @@ def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
     if not noise:
         return u
     return smooth(u, 7)
+
+
+def _cubic_spline(values: np.ndarray) -> Spline:
+    """The cubic B-spline through samples, shape (T,), mirrored at its ends.
+
+    As by `scipy.ndimage.map_coordinates`, whose import takes as long as the lag.
+    """
+    size = values.size
+    beside, inner = np.ones(size - 1), np.full(size, 4.0)
+    above, below = np.append(2.0, beside[1:]), np.append(beside[1:], 2.0)
+    coefficients = np.pad(dgtsv(below, inner, above, 6 * values)[3], 2, mode="reflect")
+
+    def spline(at: Any) -> np.ndarray:
+        left = np.clip(np.floor(at).astype(int), 0, size - 1)
+        s = at - left
+        weights = (1 - s) ** 3, 4 - 3 * s**2 * (2 - s), 1 + 3 * s * (1 + s - s**2), s**3
+        return np.sum([weight * coefficients[left + k] for k, weight in enumerate(weights, start=1)], axis=0) / 6
+
+    return spline
 
 
 def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
@@ -128,16 +148,13 @@ def estimate_lag(
         None with fewer than three usable turns, where branches are too short or hold at the turn, or without a best delay
         within a quarter of a branch and 20 samples.
     """
-    from scipy.ndimage import map_coordinates, spline_filter1d  # its import takes 0.1 s
-
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     if reversals.size < 2:
         return None
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:
         return None
-    coefficients = spline_filter1d(_smooth(u, u_noise), mode="mirror")
-    spline = lambda at: map_coordinates(coefficients, np.atleast_1d(at)[None], prefilter=False, mode="mirror")
+    spline = _cubic_spline(_smooth(u, u_noise))
     delays = np.arange(-reach, reach + 0.25, 0.5)
     estimates = []
     for near in NEAR:

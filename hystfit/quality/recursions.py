@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
@@ -12,11 +14,12 @@ def lagged(columns: np.ndarray, time: float) -> np.ndarray:
     return columns[0] + recursion((1.0, -keep), (1 - keep) * (columns - columns[0]))
 
 
-def recursion(taps: tuple[float, ...], columns: np.ndarray) -> np.ndarray:
+def recursion(taps: Sequence[float | np.ndarray], columns: np.ndarray) -> np.ndarray:
     """Columns y with taps[0] y[k] + taps[1] y[k - 1] + ... = columns[k], from rest: a banded triangular system.
 
-    As by `scipy.signal.lfilter`, whose import takes as long as a fit.
+    A tap that varies has a value for each sample y that it multiplies. As by `scipy.signal.lfilter`, whose import takes as long as a fit.
     """
     band = np.empty((len(taps), len(columns)), order="F")
-    band[:] = np.array(taps)[:, None]
+    for diagonal, tap in zip(band, taps, strict=True):
+        diagonal[:] = tap
     return dtbtrs(band, columns, uplo="L")[0]

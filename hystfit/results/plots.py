@@ -18,6 +18,7 @@ from hystfit.results.colors import DARK, FAINT, HELD_OUT, MODEL, SECOND, THIRD
 from hystfit.results.estimates import ParameterEstimate, grouped
 from hystfit.results.labels import substitute_missing_glyphs, use_available_fonts
 from hystfit.results.record_plots import (
+    Trace,
     draw_autocorrelation,
     draw_cycle_errors,
     draw_loop,
@@ -167,9 +168,14 @@ def fit(
 
         ax = plt.subplots(layout="constrained")[1]
     assert ax is not None
+    return draw(result, kind, ax, [] if kind in _OF_PARAMETERS else traces_of(result, data, refit_offset))
+
+
+def draw(result: FitResult, kind: str, ax: Axes, traces: list[Trace]) -> Axes:
+    """One of the `KINDS` of pictures; those of records show the traces, which several pictures share."""
     if kind in _OF_PARAMETERS:
         return _OF_PARAMETERS[kind](result, ax)
-    _OF_RECORDS[kind](traces_of(result, data, refit_offset), ax)
+    _OF_RECORDS[kind](traces, ax)
     ax.spines[["top", "right"]].set_visible(False)
     use_available_fonts(ax)
     return ax

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,6 +50,14 @@ class Trace:
         self.residual_label = substitute_missing_glyphs(axis_label("measured - model", record.y_unit))
         self.axis_label = "sample" if record.t is None else substitute_missing_glyphs(f"time [{record.t_unit}]")
 
+    def outputs(self, mask: np.ndarray) -> np.ndarray:
+        """Measured outputs of some samples, NaN for the others."""
+        return np.where(mask, self.y, np.nan)
+
+    def residuals(self, mask: np.ndarray) -> np.ndarray:
+        """Residuals of some samples, NaN for the others."""
+        return np.where(mask, self.residual, np.nan)
+
 
 def traces_of(result: FitResult, data: Any, refit_offset: bool) -> list[Trace]:
     """Records one after another along one axis."""
@@ -76,12 +85,16 @@ def thin(most: int, *columns: np.ndarray) -> np.ndarray:
     return np.array(sorted(kept))
 
 
-def _line(ax: Axes, x: np.ndarray, y: np.ndarray, label: str, color: str, width: float) -> None:
-    """A line with one entry in the legend and gaps where y is missing."""
-    if not np.isfinite(y).any():
+def _line(ax: Axes, parts: Iterable[tuple[np.ndarray, np.ndarray]], label: str, color: str, width: float = 0.0) -> None:
+    """The same line of several records, one artist with gaps between them and where y is missing; points where it has no width."""
+    shown = [(x, y) for x, y in parts if np.isfinite(y).any()]
+    if not shown:
         return
-    known = ax.get_legend_handles_labels()[1]
-    ax.plot(x, y, color=color, lw=width, label=None if label in known else label, rasterized=x.size > _RASTER)
+    x, y = (
+        np.concatenate([row for part in column for row in (part, [np.nan])][:-1]) for column in zip(*shown, strict=True)
+    )
+    style: dict[str, Any] = {"lw": width} if width else {"ls": "", "marker": ".", "ms": 2}
+    ax.plot(x, y, color=color, label=label, rasterized=not width or x.size > _RASTER, **style)
 
 
 def _selected_cycles(trace: Trace) -> dict[str, tuple[int, slice]]:
@@ -99,9 +112,9 @@ def _selected_cycles(trace: Trace) -> dict[str, tuple[int, slice]]:
     return {name: (k + 1, cut(k)) for name, k in at.items() if k != worst or name == "largest error"}
 
 
-def selects_cycles(result: FitResult) -> bool:
-    """Whether pictures of a fit show some of its many cycles."""
-    return len(result.data) == 1 and bool(_selected_cycles(traces_of(result, None, False)[0]))
+def selects_cycles(traces: list[Trace]) -> bool:
+    """Whether pictures show some of many cycles."""
+    return len(traces) == 1 and bool(_selected_cycles(traces[0]))
 
 
 def draw_loop(traces: list[Trace], ax: Axes) -> None:
@@ -110,13 +123,10 @@ def draw_loop(traces: list[Trace], ax: Axes) -> None:
         _some_cycles(traces[0], shown, ax)
         return
     share = max(1, _LOOP_POINTS // len(traces))
-    for trace in traces:
-        at = thin(share, trace.u, trace.y, trace.predicted)
-        _line(ax, trace.u[at], np.where(trace.held, trace.y, np.nan)[at], "measured, not fitted", HELD_OUT, 3.8)
-        _line(ax, trace.u[at], np.where(trace.seen, trace.y, np.nan)[at], "measured", MEASURED, 2.4)
-    for trace in traces:
-        at = thin(share, trace.u, trace.y, trace.predicted)
-        _line(ax, trace.u[at], trace.model[at], "model", MODEL, 0.9)
+    chosen = [(t, thin(share, t.u, t.y, t.predicted)) for t in traces]
+    _line(ax, ((t.u[at], t.outputs(t.held)[at]) for t, at in chosen), "measured, not fitted", HELD_OUT, 3.8)
+    _line(ax, ((t.u[at], t.outputs(t.seen)[at]) for t, at in chosen), "measured", MEASURED, 2.4)
+    _line(ax, ((t.u[at], t.model[at]) for t, at in chosen), "model", MODEL, 0.9)
     column_label(ax, "x", *traces[0].columns["u"])
     column_label(ax, "y", *traces[0].columns["y"])
     ax.legend(frameon=False)
@@ -172,11 +182,10 @@ def _legend_above(ax: Axes) -> None:
 def draw_series(traces: list[Trace], ax: Axes) -> None:
     """Measured and simulated output over time."""
     share = max(1, _POINTS // len(traces))
-    for trace in traces:
-        at = thin(share, trace.y, trace.predicted)
-        for mask, label, color in ((trace.seen, "measured", MEASURED), (trace.held, "measured, not fitted", HELD_OUT)):
-            _line(ax, trace.axis[at], np.where(mask, trace.y, np.nan)[at], label, color, 2.6)
-        _line(ax, trace.axis[at], trace.model[at], "model", MODEL, 0.9)
+    chosen = [(t, thin(share, t.y, t.predicted)) for t in traces]
+    _line(ax, ((t.axis[at], t.outputs(t.seen)[at]) for t, at in chosen), "measured", MEASURED, 2.6)
+    _line(ax, ((t.axis[at], t.outputs(t.held)[at]) for t, at in chosen), "measured, not fitted", HELD_OUT, 2.6)
+    _line(ax, ((t.axis[at], t.model[at]) for t, at in chosen), "model", MODEL, 0.9)
     column_label(ax, "y", *traces[0].columns["y"])
     ax.set_xlabel(_axis(traces))
     ax.margins(x=0.01)
@@ -191,10 +200,9 @@ def _axis(traces: list[Trace]) -> str:
 def draw_residuals(traces: list[Trace], ax: Axes) -> None:
     """Residuals over time."""
     share = max(1, _POINTS // len(traces))
-    for trace in traces:
-        at = thin(share, trace.residual)
-        for mask, label, color in ((trace.seen, "fitted", MODEL), (trace.held, "not fitted", HELD_OUT)):
-            _line(ax, trace.axis[at], np.where(mask, trace.residual, np.nan)[at], label, color, 0.8)
+    chosen = [(t, thin(share, t.residual)) for t in traces]
+    _line(ax, ((t.axis[at], t.residuals(t.seen)[at]) for t, at in chosen), "fitted", MODEL, 0.8)
+    _line(ax, ((t.axis[at], t.residuals(t.held)[at]) for t, at in chosen), "not fitted", HELD_OUT, 0.8)
     ax.axhline(0.0, color="black", lw=0.7)
     if any(trace.held.any() for trace in traces) and any(trace.seen.any() for trace in traces):
         _legend_above(ax)
@@ -206,13 +214,9 @@ def draw_residuals(traces: list[Trace], ax: Axes) -> None:
 def draw_residuals_over_input(traces: list[Trace], ax: Axes) -> None:
     """Residuals over the input."""
     share = max(1, _POINTS // len(traces))
-    for trace in traces:
-        at = thin(share, trace.u, trace.residual)
-        for mask, label, color in ((trace.held, "not fitted", HELD_OUT), (trace.seen, "fitted", MODEL)):
-            y = np.where(mask, trace.residual, np.nan)[at]
-            if np.isfinite(y).any():
-                label = None if label in ax.get_legend_handles_labels()[1] else label
-                ax.plot(trace.u[at], y, ".", ms=2, color=color, label=label, rasterized=True)
+    chosen = [(t, thin(share, t.u, t.residual)) for t in traces]
+    _line(ax, ((t.u[at], t.residuals(t.held)[at]) for t, at in chosen), "not fitted", HELD_OUT)
+    _line(ax, ((t.u[at], t.residuals(t.seen)[at]) for t, at in chosen), "fitted", MODEL)
     ax.axhline(0.0, color="black", lw=0.7)
     column_label(ax, "x", *traces[0].columns["u"])
     ax.set_ylabel(traces[0].residual_label)

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy.sparse
+import scipy  # loads its subpackages when they are first used
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record

@@ -11,8 +11,8 @@ from hystfit.data.record import Record
 from hystfit.outcome import fragment
 from hystfit.results.estimates import grouped
 from hystfit.results.loop_values import MEASURED
-from hystfit.results.plots import fit as draw
-from hystfit.results.record_plots import selects_cycles
+from hystfit.results.plots import draw
+from hystfit.results.record_plots import selects_cycles, traces_of
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.report.text_report import (
@@ -52,7 +52,8 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     """Figures by file name, made without global state of matplotlib."""
     from matplotlib.figure import Figure
 
-    kinds = ["loop", "cycle-errors"] if selects_cycles(result) else ["loop"]
+    traces = traces_of(result, None, False)
+    kinds = ["loop", "cycle-errors"] if selects_cycles(traces) else ["loop"]
     kinds += ["series", "worst"] if sum(map(len, result.data)) > 600 else ["series"]  # samples that one picture shows
     kinds += ["residuals", "residuals-input", "autocorrelation", "parameters"]
     kinds += ["weights"] if result.model.plays() else []
@@ -62,11 +63,12 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     for kind in kinds:
         height = min(12.0, max(2.4, 1.2 + 0.3 * count)) if kind == "parameters" else 4.0
         figures[kind] = Figure(figsize=(5.6, height), layout="constrained")
-        draw(result, kind, figures[kind].subplots())
+        draw(result, kind, figures[kind].subplots(), traces)
     if test is not None:
+        traces = traces_of(result, test, refit_offset)
         for name, kind in (("test", "loop"), ("test-series", "series")):
             figures[name] = Figure(figsize=(5.6, 4.0), layout="constrained")
-            draw(result, kind, figures[name].subplots(), data=test, refit_offset=refit_offset)
+            draw(result, kind, figures[name].subplots(), traces)
     return figures
 
 
