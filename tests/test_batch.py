@@ -223,6 +223,23 @@ def test_a_loop_without_a_fit_is_a_row_with_its_reason(folder):
     assert np.isnan([table[name] for name in ("c", "c_stderr", "rmse", "samples")]).all()
 
 
+def test_a_curve_without_a_loop_is_a_row_and_the_others_of_its_file_are_fitted(tmp_path):
+    path = tmp_path / "curves.csv"
+    first, missing = measured(1, 150), np.full(150, np.nan)
+    rows = [
+        (k, *row) for k, y in enumerate([first.y, missing, first.y]) for row in zip(first.t, first.u, y, strict=True)
+    ]
+    lines = [",".join("" if np.isnan(value) else f"{value:.9g}" for value in row) for row in rows]
+    path.write_text("\n".join(["specimen,t_s,u_V,y_um", *lines]))
+    with pytest.raises(DataError, match="no finite value"):
+        hf.read(path, by="specimen")
+    fits = hf.fit_many("bouc-wen", path, reading={"by": "specimen"}, **QUICK)
+    assert fits.counts == {"ok": 2, "failed": 1}
+    (failed,) = [row for row in fits if not row.usable]
+    assert "no finite value" in failed.reason
+    assert "specimen=1" in failed.name
+
+
 def test_a_loop_that_breaks_the_numerics_does_not_end_the_batch(monkeypatch, records):
     judge = work.judge
 
@@ -556,6 +573,8 @@ def test_the_command_writes_table_page_and_reports(folder, tmp_path, capsys):
     }  # fmt: skip
     reports = list((out / "reports").glob("*/report.html"))
     assert len(reports) == 1
+    assert {path.name for path in reports[0].parent.iterdir()} == {"report.html", "report.txt"}  # with its pictures
+    assert reports[0].read_text().count("data:image/svg+xml") >= 6
     assert f'href="{reports[0].relative_to(out)}"' in (out / "overview.html").read_text()
     assert cli.run([*arguments, "--out", str(out)]) == 1  # resumes
     assert cli.run([*arguments, "--seed", "1", "--out", str(out)]) == 2

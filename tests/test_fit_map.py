@@ -9,11 +9,14 @@ import h5py
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 import xarray as xr
 
 import hystfit as hf
 from hystfit.batch import fit_map as maps
+from hystfit.batch import loop_map
+from hystfit.batch.simulated_rows import simulate_rows
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.outcome import Status
 
@@ -142,6 +145,35 @@ def test_tables_and_pictures(tmp_path: Path) -> None:
     assert np.ma.is_masked(np.ma.masked_invalid(shown)[0, 1])
     assert found.outliers("mu")[1, 3]
     plt.close(figure)
+
+
+def test_a_long_table_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = fitted()
+    whole = pd.read_parquet(found.save(tmp_path / "whole.parquet"))
+    monkeypatch.setattr(loop_map, "_ROWS", 2 * SHAPE[1])
+    table = pd.read_parquet(found.save(tmp_path / "map.parquet"))
+    pd.testing.assert_frame_equal(table, whole)
+    assert pq.ParquetFile(tmp_path / "map.parquet").num_row_groups > 1
+    np.testing.assert_array_equal(table["mu"].to_numpy().reshape(SHAPE), found["mu"])
+    np.testing.assert_array_equal(table["y"].to_numpy().reshape(SHAPE), np.indices(SHAPE)[0])
+
+
+def test_loops_of_few_samples_have_reasons() -> None:
+    for samples in (2, 7):
+        found = hf.fit_map("bouc-wen", U[:samples], cube()[..., :samples], workers=1, starts=1)
+        assert not found.ok.any()
+        assert len(found.reasons) == found.alone.size
+
+
+def test_programs_do_not_depend_on_the_number_of_sound_loops() -> None:
+    """Every part of a map has another number of them, and each compiled programs of its own: 1 kB of memory a loop."""
+    outputs = cube()[1:].reshape(-1, SAMPLES).copy()
+    fit = lambda y: hf.fit_map("bouc-wen", U, y, T, workers=1, starts=1)
+    fit(outputs)
+    before = simulate_rows._cache_size()
+    outputs[2] = np.nan
+    fit(outputs)
+    assert simulate_rows._cache_size() == before
 
 
 @pytest.mark.parametrize("ending", ["nc", "parquet", "zarr"])

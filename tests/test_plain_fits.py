@@ -7,9 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 import hystfit as hf
-from hystfit.batch import plain_fits, row_accuracy, simulated_rows, work
-from hystfit.batch.alike import Group, Loops
+from hystfit.batch import plain_fits, plain_judge, row_accuracy, simulated_rows, work
+from hystfit.batch.alike import Common, Group, Loops
 from hystfit.batch.row import row_of
+from hystfit.data.dataset import Dataset
+from hystfit.fitting.fit_setup import set_up_fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
@@ -92,6 +94,21 @@ def test_a_loop_that_needs_a_closer_look_is_not_plain_and_the_others_are_unharme
     fits = plain_fits.fit_plain(hf.BoucWen(), [Group(record(outputs()[0]), y)], work.FitOptions(), held=False)
     assert not fits.judged.plain[-1]
     assert fits.judged.plain.sum() >= LOOPS - 1
+
+
+def test_information_that_is_singular_spares_the_errors_of_the_others() -> None:
+    """Two parameters of equal effect; `inv` raises for all loops where one matrix is singular."""
+    rng = np.random.default_rng(0)
+    options = work.FitOptions(starts=1)
+    setup = set_up_fit(hf.BoucWen(), Dataset.of(record(outputs()[0])), options)
+    common = Common(setup, np.zeros((0, 5)), np.zeros(0), np.zeros((3, 5)))
+    J = rng.normal(size=(3, 50, 5))
+    J[1, :, 2] = J[1, :, 3] = np.round(J[1, :, 2])
+    gram, x = J.swapaxes(1, 2) @ J, np.tile(setup.problem.space.vector(setup.points[0]), (3, 1))
+    stderr, _, regular = plain_judge._errors(common, x, np.ones((3, 5)), gram, np.full(3, 1e-8))
+    assert not regular[1]
+    for k in (0, 2):
+        np.testing.assert_allclose(stderr[k], 1e-4 * np.sqrt(np.diag(np.linalg.inv(gram[k]))), rtol=1e-9)
 
 
 def test_sound_outputs_of_white_noise_are_most() -> None:
@@ -185,7 +202,7 @@ def test_the_size_of_a_step_says_where_a_model_has_advice(model: AbstractHystere
     """Of many models at once, beside the sentences of each."""
     space = ParameterSpace.of(model)
     x = space.vector(model) * np.geomspace(0.01, 20, 24)[:, None] ** (np.array(space.names) == RATES[type(model)])
-    ratio = space.coordinates.assemble_stacked(x).step_ratio(U)
+    ratio = space.coordinates.assemble_stacked(x).step_ratio(np.abs(np.diff(U)).max())
     told = [bool(one.advice(U)) for one in space.coordinates.assemble_rows(x)]
     assert 0 < sum(told) < len(told)
     assert (ratio > 1).tolist() == told

@@ -35,30 +35,37 @@ _GLANCE = 3  # steps of every start, before the best one goes on: a loop that is
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
 
-class Group(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Group:
     """Loops over one input: a record with its numbers and labels, and their outputs, shape (N, T)."""
 
     record: Record
     y: Float[np.ndarray, "N T"]
 
-    @property
+    @functools.cached_property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest of each output."""
+        y = self.y if self.record.used.all() else self.y[:, self.record.used]
+        return y.min(axis=1), y.max(axis=1)
+
+    @functools.cached_property
     def sizes(self) -> Float[np.ndarray, "N 3"]:
         """Natural sizes of input, output and time of each loop."""
-        y, record = self.y[:, self.record.used], self.record
+        (low, high), record = self._ends, self.record
         interval = 100 * (record.sampling_interval or _TYPICAL)
-        same = np.tile([0.5 * np.ptp(record.u), 1.0, interval], (len(y), 1))
-        same[:, 1] = 0.5 * np.ptp(y, axis=1)
+        same = np.tile([0.5 * np.ptp(record.u), 1.0, interval], (len(low), 1))
+        same[:, 1] = 0.5 * (high - low)
         return same
 
     @property
     def levels(self) -> Float[np.ndarray, " N"]:
         """Middle of each output over its half range."""
-        y = self.y[:, self.record.used]
-        return (y.max(axis=1) + y.min(axis=1)) / np.ptp(y, axis=1)
+        low, high = self._ends
+        return (high + low) / (high - low)
 
     def take(self, rows: np.ndarray) -> Group:
-        """Some of the loops."""
-        return self._replace(y=self.y[rows])
+        """Some of the loops, whose numbers rise."""
+        return self if len(rows) == len(self.y) else Group(self.record, self.y[rows])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +110,8 @@ class Loops:
         u, dt, weight = (np.zeros((len(self.groups), 1, length)) for _ in range(3))
         outputs = np.zeros((len(self), 1, length))
         start = 0
-        for k, (record, y) in enumerate(self.groups):
+        for k, group in enumerate(self.groups):
+            record, y = group.record, group.y
             at = np.arange(len(record)) if kept is None else kept[k]
             elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
             u[k, 0], dt[k, 0, : at.size] = record.u[-1], elapsed
@@ -149,8 +157,11 @@ class Common(NamedTuple):
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
         columns = [rows[0] for rows in (u, dt, weight)]
         if len(loops.groups) > 1:
-            of_loop = np.repeat(np.arange(len(u)), [len(group.y) for group in loops.groups])
-            columns = [rows[of_loop] for rows in (u, dt, weight)]
+            counts = [len(group.y) for group in loops.groups]
+            columns = [u, dt, weight]
+            if max(counts) > 1:
+                of_loop = np.repeat(np.arange(len(u)), counts)
+                columns = [rows[of_loop] for rows in columns]
             own = eqx.tree_at(inputs, own, (True, True, True))
         on_host = eqx.tree_at(inputs, on_host, tuple(columns))
         on_host = eqx.tree_at(places, on_host, (y, self.scale(loops), sizes))

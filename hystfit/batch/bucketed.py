@@ -10,6 +10,7 @@ import numpy as np
 
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.lanes import Ends, Stack, descend_lanes
+from hystfit.fitting.least_squares import ROUGH, ROUND, ROUNDS
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, gain_within
 from hystfit.fitting.thinning import thin
@@ -17,8 +18,7 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
 SHORT = 256  # samples on which starts are compared, and loops with each other
-STEPS, _MORE = 25, 60  # of every start, of the best one
-_ROUGH = 1e-5  # predicted decrease of the cost, relative to it, at which starts have converged
+_MORE = 60  # steps of the best start on all samples
 
 
 class Task(NamedTuple):
@@ -31,7 +31,7 @@ class Task(NamedTuple):
     @classmethod
     def of(cls, problem: Problem, starts: np.ndarray) -> Task:
         """The task of a problem."""
-        return cls(problem, thin(problem, SHORT) if len(starts) > 1 else None, starts)
+        return cls(problem, thin(problem) if len(starts) > 1 else None, starts)
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -54,7 +54,7 @@ def solve_together(tasks: Sequence[Task]) -> list[Estimate | None]:
 
 
 def solve_stack(
-    full: Stack, short: Stack | None, starts: np.ndarray, steps: int = STEPS
+    full: Stack, short: Stack | None, starts: np.ndarray, steps: int = ROUND
 ) -> tuple[Ends, np.ndarray, np.ndarray]:
     """Where the best start of each record ended, the costs of all, shape (N, S), and the linearizations for each record.
 
@@ -62,28 +62,25 @@ def solve_stack(
         full: the problems of N records.
         short: on fewer samples; None where starts are compared on all.
         starts: unconstrained, shape (N, S, p).
-        steps: of every start, before the best one goes on.
+        steps: of every start; after as many as `hystfit.fit` takes, the best and the first continue as they do there.
     """
     count, several, p = starts.shape
-    records = np.arange(count)
-    rough = descend_lanes(
-        full if short is None else short,
-        np.repeat(records, several),
-        starts.reshape(-1, p),
-        gain=_ROUGH,
-        steps=steps,
-    )
-    costs = rough.cost.reshape(count, several)
-    best = several * records + np.argmin(costs, axis=1)
-    ends = descend_lanes(
-        full,
-        records,
-        np.asarray(rough.normal.z)[best],
-        gain=gain_within(EXACT, full.samples),
-        steps=_MORE,
-        damping=np.asarray(rough.damping)[best],
-    )
-    return ends, costs, ends.steps + rough.steps.reshape(count, several).sum(axis=1)
+    records, some = np.arange(count), full if short is None else short
+    lanes = np.repeat(records, several)
+    rough = descend_lanes(some, lanes, starts.reshape(-1, p), gain=ROUGH, steps=steps)
+    z, cost, damping, taken = rough.normal.z, rough.cost, rough.damping, rough.steps
+    least = lambda: several * records + np.argmin(cost.reshape(count, several), axis=1)
+    going = np.union1d(least(), several * records) if several > 1 and steps >= ROUND else least()[:0]
+    going = going[~rough.converged[going] & ~rough.beaten[going] & np.isfinite(cost[going])]
+    if going.size:
+        more = descend_lanes(some, lanes[going], z[going], gain=ROUGH, steps=ROUNDS * ROUND)
+        taken[going] += more.steps
+        better = more.cost <= cost[going]
+        at = going[better]
+        z[at], cost[at], damping[at] = (values[better] for values in (more.normal.z, more.cost, more.damping))
+    best, exact = least(), gain_within(EXACT, full.samples)
+    ends = descend_lanes(full, records, z[best], gain=exact, steps=_MORE, damping=damping[best])
+    return ends, cost.reshape(count, several), ends.steps + taken.reshape(count, several).sum(axis=1)
 
 
 def _estimate(task: Task, z: np.ndarray, cost: Any, converged: Any, costs: np.ndarray, steps: Any) -> Estimate | None:

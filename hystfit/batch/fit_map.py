@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.batch.alike import Group
-from hystfit.batch.loop_map import LoopMap
+from hystfit.batch.loop_map import LoopMap, shared
 from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
 from hystfit.batch.row import Row
 from hystfit.batch.work import Work, fit_alone_rows
@@ -80,6 +80,7 @@ def fit_map(
 
     def run(number: int, part: slice) -> Columns:
         columns = _kept(place, number, work, frame, y, part)
+        columns |= {name: shared(columns[name]) for name in ("status", "codes")}
         with telling:
             count = next(done)
             if progress:

@@ -194,7 +194,7 @@ class Fits(WithStatus):
             MissingExtraError: a package for this kind of file is not installed.
         """
         if (path := Path(path)).suffix != ".csv":
-            return write_table(path, self.to_dataframe, self.to_xarray)
+            return write_table(path, lambda: [self.to_dataframe()], self.to_xarray)
         units = self.column_units()
         columns = {with_unit(name, units.get(name, "")): values for name, values in self.columns().items()}
         with writing_file(path) as scratch:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,6 +28,7 @@ _OUTER = (0.05, 0.5, 0.95)
 _NUMBERS = ("rmse", "error_percent", "max_error_percent")
 _FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
 _AXES = ("x", "y", "z")
+_ROWS = 2**14  # of a table that are made at once
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -101,8 +103,8 @@ class LoopMap(WithStatus):
             stderr={name: joined(f"stderr {name}") for name in names},
             quantities={name.removeprefix("quantity "): joined(name) for name in known},
             errors={name: joined(name) for name in _NUMBERS},
-            statuses=_shared(joined("status")),
-            codes=_shared(joined("codes")),
+            statuses=joined("status"),
+            codes=joined("codes"),
             reasons=reasons,
             alone=joined("alone").astype(bool),
             units=units,
@@ -255,11 +257,7 @@ class LoopMap(WithStatus):
             MissingExtraError: xarray is not installed.
         """
         xarray = optional("xarray", "frames", "to_xarray")
-        names = (
-            _AXES[: len(self.shape)][::-1]
-            if len(self.shape) <= len(_AXES)
-            else [f"axis{k}" for k in range(len(self.shape))]
-        )
+        names = self._axes
         data: dict[str, Any] = {}
         for name, values in {**self.values, **self.quantities}.items():
             data[name] = (names, values, {"units": self.units.get(name, "")})
@@ -277,10 +275,23 @@ class LoopMap(WithStatus):
             HystfitError: the file cannot be written; an older one stays.
             MissingExtraError: a package for this kind of file is not installed.
         """
-        return write_table(path, lambda: self.to_xarray().to_dataframe().reset_index(), self.to_xarray)
+        return write_table(path, self._frames, self.to_xarray)
+
+    def _frames(self) -> Iterator[Any]:
+        """Parts of the table with one row a loop: a data frame takes three times the memory of the map."""
+        data, first, rows = self.to_xarray(), self._axes[0], max(1, _ROWS * self.shape[0] // len(self))
+        data = data.assign_coords({first: np.arange(self.shape[0])})
+        for begin in range(0, self.shape[0], rows):
+            yield data.isel({first: slice(begin, begin + rows)}).to_dataframe().reset_index()
+
+    @property
+    def _axes(self) -> Sequence[str]:
+        """Names of the axes of the array."""
+        count = len(self.shape)
+        return _AXES[:count][::-1] if count <= len(_AXES) else [f"axis{k}" for k in range(count)]
 
 
-def _shared(texts: np.ndarray) -> np.ndarray:
-    """The same texts as objects, each different one once, so that a loop costs a pointer."""
+def shared(texts: np.ndarray) -> np.ndarray:
+    """The same texts as objects, each different one once in a process, so that a loop costs a pointer."""
     different, numbers = np.unique(texts, return_inverse=True)
-    return np.array(different.tolist(), object)[numbers].reshape(texts.shape)
+    return np.array([sys.intern(text) for text in different.tolist()], object)[numbers].reshape(texts.shape)

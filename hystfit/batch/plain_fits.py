@@ -10,7 +10,6 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
-from hystfit.batch.bucketed import STEPS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
@@ -24,6 +23,7 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
+from hystfit.fitting.least_squares import ROUND
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -176,8 +176,8 @@ def _examples(
     """Plain loops judged alone, one of each set of notes; None where such a judgment is another one."""
     rows = list[Row]()
     for k in notes.examples():
-        (record, y), watch = loops.take(np.array([k])).groups[0], Stopwatch()
-        record = record.replace(y=y[0])
+        group, watch = loops.take(np.array([k])).groups[0], Stopwatch()
+        record = group.record.replace(y=group.y[0])
         row = row_of("", "", record, judge(setup_of(common, record, options), estimate(k), options, watch))
         errors = np.array([np.nan if value is None else value for value in row.stderr.values()], float)
         same = (row.status, row.codes, row.reason) == (Status.OK, notes.codes(k), notes.reason(k))
@@ -191,7 +191,7 @@ def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Esti
     """Estimates of loops that are not plain, but close, by their numbers: from every start to its end, which is on no bound."""
     if not rest.size:
         return {}
-    ends, stack, costs = solve_alike(common, loops.take(rest), STEPS)
+    ends, stack, costs = solve_alike(common, loops.take(rest), ROUND)
     coordinates, space = stack.objective.coordinates, common.setup.problem.space
     x = coordinates.physical(ends.normal.z, np)
     on_bound = np.logical_or(*space.reached(x, ON_BOUND, np.asarray(coordinates.scale))).any(axis=1)

@@ -26,9 +26,11 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.coverage import coverage_notes
+from hystfit.quality.loops import largest_step
 
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _AT_BOUND = 2e-4  # relative distance to a bound
+_SINGULAR = 1e-15  # least eigenvalue of information with a diagonal of ones, below which it is that of rounding errors
 
 
 class Judged(NamedTuple):
@@ -92,10 +94,13 @@ def _errors(
     The information about x is `gram` over `variance`; `scale` is that of the parameters.
     """
     space = common.setup.problem.space
-    size = np.sqrt(np.einsum("npp->np", gram))
+    size, eye = np.sqrt(np.einsum("npp->np", gram)), np.eye(x.shape[1])
     sound = np.isfinite(gram).all(axis=(1, 2)) & (size > 0).all(axis=1)
-    gram, size = np.where(sound[:, None, None], gram, np.eye(x.shape[1])), np.where(sound[:, None], size, 1.0)
-    inverse = np.linalg.inv(gram / size[:, :, None] / size[:, None, :]) / size[:, :, None] / size[:, None, :]
+    size = np.where(sound[:, None], size, 1.0)
+    scaled = np.where(sound[:, None, None], gram / size[:, :, None] / size[:, None, :], eye)
+    sound &= np.linalg.eigvalsh(scaled)[:, 0] > _SINGULAR
+    gram, scaled = (np.where(sound[:, None, None], matrices, eye) for matrices in (gram, scaled))
+    inverse = np.linalg.inv(scaled) / size[:, :, None] / size[:, None, :]
     stderr = np.sqrt(variance[:, None] * np.einsum("npp->np", inverse))
     others = ~space.offsets
     centered = gram[:, others][:, :, others]
@@ -203,13 +208,14 @@ def _advised(common: Common, loops: Loops, judged: Judged) -> np.ndarray:
     if type(model).advice is AbstractHysteresis.advice:
         return np.zeros(len(loops), bool)
 
+    largest = loops.each(lambda group: np.full(len(group.y), largest_step(group.record.u)))
+    ratio = coordinates.assemble_stacked(judged.x).step_ratio(largest)
+    if ratio is not None:
+        return judged.plain & (ratio > 1)
+
     def of_group(group: Group, x: np.ndarray, plain: np.ndarray) -> np.ndarray:
         advised, data = np.zeros(len(x), bool), Dataset.of(group.record)
-        ratio = coordinates.assemble_stacked(x[plain]).step_ratio(group.record.u)
-        if ratio is None:
-            advised[plain] = [bool(notes_of_model(data, one)) for one in coordinates.assemble_rows(x[plain])]
-        else:
-            advised[plain] = ratio > 1
+        advised[plain] = [bool(notes_of_model(data, one)) for one in coordinates.assemble_rows(x[plain])]
         return advised
 
     return loops.each(of_group, judged.x, judged.plain)

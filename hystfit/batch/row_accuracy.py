@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Group, Loops
-from hystfit.batch.simulated_rows import chunks, simulate_rows, simulated
+from hystfit.batch.simulated_rows import chunks, shared_and_own, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
 from hystfit.fitting.fit_warnings import BEGINS, SHORT
 from hystfit.fitting.fitted import VISIBLE
@@ -29,7 +29,7 @@ from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
 from hystfit.results.accuracy import NOISY, persistent_error
 
-_ON_CURVE = 2**12  # samples on which a curve is fitted: its error is known to a percent
+_ON_CURVE = 2**11  # samples on which a curve is fitted: its error is known to 2 %
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four
 _SPARSE = 0.9  # noise by differences of order 6 over that of order 3, below which it still contains the signal
 _ROUNDED = 0.06  # of the least step between neighbors: noise below it may be rounding
@@ -55,8 +55,6 @@ def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
 
 def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> Any:
     """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool."""
-    if y.shape[1] < _FEWEST:
-        return xp.zeros(len(y), bool)
     low, high = y.min(axis=1, keepdims=True), y.max(axis=1, keepdims=True)
     stays = xp.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
     steps = xp.diff(y, axis=1)
@@ -67,7 +65,7 @@ def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> A
 
 
 def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
-    """Orthonormal polynomials over the input for `curve_errors`, on at most 4096 samples at even distances."""
+    """Orthonormal polynomials over the input for `curve_errors`, on at most 2048 samples at even distances."""
     u = u[:: _stride(u.size)]
     low, high = u.min(), u.max()
     return np.linalg.qr(np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree))[0]
@@ -159,8 +157,11 @@ def _on_gpu(loops: Loops) -> Any:
 
 
 def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
-    finite = xp.isfinite(y).all(axis=1)
-    rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))  # keeps warnings away from rows that are out
+    if y.shape[1] < _FEWEST:
+        return xp.zeros(len(y), bool), xp.full(len(y), xp.nan)
+    finite, rows = xp.isfinite(y).all(axis=1), y
+    if xp is not np or not finite.all():  # keeps warnings away from rows that are out
+        rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))
     varies = rows.max(axis=1) - rows.min(axis=1) > 1e-12 * xp.abs(rows).max(axis=1)
     noise = row_noise(rows, xp)
     return finite & varies & sound_rows(rows, noise, xp), noise
@@ -205,8 +206,8 @@ def _of_group(group: Group, predicted: np.ndarray, noise: np.ndarray) -> Accurac
 
 
 def _of_group_on_device(group: Group, coordinates: Coordinates, z: Any, noise: np.ndarray, device: Any) -> Accuracy:
-    record, scales = group.record, np.asarray(coordinates.scale)
-    shared = placed((coordinates, record.u, record.dt, _Frame.of(group)), device)
+    (one, scales), record = shared_and_own(coordinates), group.record
+    shared = placed((one, record.u, record.dt, _Frame.of(group)), device)
     rows = []
     for at, count in chunks(len(z), len(record)):
         part = _accuracy_on_device(*shared, *placed((scales[at], z[at], group.y[at], noise[at]), device))

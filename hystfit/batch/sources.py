@@ -35,16 +35,24 @@ class Source(NamedTuple):
         """Path of the file; "" for a record."""
         return self.name if self.record is None else ""
 
-    def loops(self, reading: Mapping[str, Any]) -> list[tuple[str, Record]]:
+    def loops(self, reading: Mapping[str, Any], unread: dict[str, str] | None = None) -> list[tuple[str, Record]]:
         """Name and record of each loop: a file may hold several curves.
+
+        Args:
+            reading: arguments of `hystfit.read`.
+            unread: takes the reasons of curves that cannot be read, by the names of their loops.
 
         Raises:
             HystfitError, OSError: the file cannot be read.
         """
         if self.record is not None:
             return [(self.name, self.record)]
-        data = Dataset.of(read(self.name, **reading))
-        return [(self.name if len(data) == 1 else f"{self.name}: {record.name}", record) for record in data]
+        failed: dict[str, str] = {}
+        data = Dataset.of(read(self.name, **reading, unread=failed))
+        name = lambda curve: self.name if len(data) + len(failed) == 1 else f"{self.name}: {curve}"
+        if unread is not None:
+            unread |= {name(curve): reason for curve, reason in failed.items()}
+        return [(name(record.name), record) for record in data]
 
 
 def sources_of(loops: Iterable[str | Path | Record] | str | Path) -> list[Source]:

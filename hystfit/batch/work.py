@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import inspect
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +19,7 @@ from hystfit.config import enable_x64, one_blas_thread
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.errors import HystfitError, ParameterError
+from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit import fit
 from hystfit.fitting.fit_model import judge
@@ -37,6 +36,7 @@ from hystfit.results.result import FitResult
 
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
+_LOOKED_AT = 64  # samples of an input by which it is compared first
 _SAMPLES = 2**20  # read before they are fitted, so that memory is bounded
 
 
@@ -209,12 +209,16 @@ def _each(step: Callable[[Work, _Loop], object], work: Work, loops: Sequence[_Lo
 
 
 def _read(work: Work, source: Source) -> list[_Loop]:
+    unread: dict[str, str] = {}
     try:
-        return [_Loop(source, name, record) for name, record in source.loops(work.reading)]
+        loops = [_Loop(source, name, record) for name, record in source.loops(work.reading, unread)]
     except Exception as error:  # as in `_each`
-        loop = _Loop(source, source.name)
-        loop.fails(error)
-        return [loop]
+        loops, unread = [_Loop(source, source.name)], {}
+        loops[0].fails(error)
+    for name, reason in unread.items():
+        loops.append(_Loop(source, name))
+        loops[-1].fails(DataError(reason))
+    return loops
 
 
 def _convert(work: Work, loop: _Loop) -> None:
@@ -236,11 +240,9 @@ def _fit_plain(work: Work, loops: Sequence[_Loop]) -> None:
     for alike in kinds.values():
         if len(alike) < FEWEST:
             continue
-        inputs: dict[bytes, list[_Loop]] = defaultdict(list)
-        for loop in alike:
-            inputs[_input(cast(Record, loop.record))].append(loop)
-        if not _fit_groups(work, list(inputs.values())):  # weights have a design matrix for each input
-            for same in inputs.values():
+        inputs = _by_input(alike)
+        if not _fit_groups(work, inputs):  # weights have a design matrix for each input
+            for same in inputs:
                 if FEWEST <= len(same) < len(alike):
                     _fit_groups(work, [same])
 
@@ -271,12 +273,20 @@ def _kind(record: Record) -> Any:
     return labels, record.t is None, repr(record.notes), bucket(len(record))
 
 
-def _input(record: Record) -> bytes:
-    """A digest of input, weights and time."""
-    digest = hashlib.sha256()
-    for column in (record.u, record.weight, record.t):
-        digest.update(b"" if column is None else column.tobytes())
-    return digest.digest()
+def _by_input(loops: Sequence[_Loop]) -> list[list[_Loop]]:
+    """Loops of equal input, weights and time beside each other."""
+    found: dict[bytes, list[list[_Loop]]] = defaultdict(list)
+    for loop in loops:
+        record = cast(Record, loop.record)
+        near = found[record.u[:: max(1, len(record) // _LOOKED_AT)].tobytes()]
+        same = next((one for one in near if _equal_inputs(cast(Record, one[0].record), record)), None)
+        near.append([loop]) if same is None else same.append(loop)
+    return [same for near in found.values() for same in near]
+
+
+def _equal_inputs(a: Record, b: Record) -> bool:
+    columns = (a.u, b.u), (a.weight, b.weight), (a.t, b.t)
+    return all(one is other or np.array_equal(one, other) for one, other in columns)
 
 
 def _pose(work: Work, loop: _Loop) -> None:

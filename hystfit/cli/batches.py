@@ -127,6 +127,6 @@ def _write_reports(fits: Fits, count: int, folder: Path) -> dict[str, str]:
             name = re.sub(r"[^\w.-]+", "_", Path(row.name).name)[:80]
             place = folder / "reports" / f"{name}-{(row.sha256 or '')[:8]}"
             place.mkdir(parents=True, exist_ok=True)
-            write_into(result, place, wording=Wording("fit", saved=False, translate=as_options))
+            write_into(result, place, wording=Wording("fit", saved=False, translate=as_options), files=False)
             addresses[row.name] = f"reports/{place.name}/report.html"
     return addresses

@@ -1,14 +1,14 @@
 """Levenberg-Marquardt for many lanes at once: pairs of a record and a start, of problems that differ in their numbers alone.
 
-Lanes that go together take their steps side by side in one program, some steps a round, and those that have ended leave between two
-rounds: all on a GPU, chunks that fit the cache on a CPU. Few lanes take their steps on the host, by a program that linearizes one after
-another and takes less time to compile; so do those that are not done after one round there.
+On a GPU, lanes take their steps side by side in one program, some steps a round, and those that have ended leave between two rounds.
+On a CPU they take their steps on the host, and a program linearizes them: some side by side where there are many, as the numbers of one
+vector of the processor, else one after another, which takes less time to compile.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,17 +19,17 @@ from jaxtyping import Array, Float
 
 from hystfit.config import device_of_many, first_device
 from hystfit.fitting.levenberg_marquardt import Lane, advanced, approached, beaten
-from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_one_scan
+from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_lanes, suits_one_scan
 from hystfit.inference.objective import Objective
 from hystfit.params.coordinates import REAL
 from hystfit.params.host_arrays import compiled
 
 MANY = 1024  # lanes from which a GPU is worth its programs and copies
-# Lanes that take their steps on the host at once: interrupts come through between steps, and arrays stay small.
-_CHUNK = 64
-_BESIDE = 256  # lanes that go together on a CPU, in the cache; a step took 0.6 of the time of one after another, at 1000 samples
+# Lanes that take their steps on the host at once, few or many: interrupts come through between steps, and arrays stay small.
+_CHUNK = 64, 256
+_BESIDE = 16  # lanes side by side on a CPU: 0.5 of the time of one after another (Bouc-Wen), 0.4 (Duhem), 0.9 (LuGre)
+_PAYS = 2**18  # samples of all lanes from which the program that linearizes some side by side pays
 _FEW = 64  # part of the lanes on a GPU that the CPU takes over: the next smaller program would take longer to compile
-_PAYS = 4096  # lanes from which their program pays
 _SAMPLES = 2**19  # of all lanes of such a call, at most
 _TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
 _UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on an H100, and 22 ms at one sample a turn
@@ -64,6 +64,11 @@ class Stack(eqx.Module):
         """The objective of one record, or of several."""
         leaves, treedef = jax.tree_util.tree_flatten(self.objective)
         return treedef.unflatten([leaf[k] if own else leaf for leaf, own in zip(leaves, self.own, strict=True)])
+
+    def side_by_side(self, function: Callable[[Objective, Any], Any]) -> Callable[[Stack, Any], Any]:
+        """A function of an objective and of something that belongs to it, of stacks like this one and rows of such things."""
+        axes = jax.tree_util.tree_structure(self).unflatten([0 if own else None for own in self.own])
+        return jax.vmap(lambda one, rows: function(one.objective, rows), in_axes=(axes, 0))
 
     @property
     def samples(self) -> int:
@@ -125,13 +130,10 @@ def descend_lanes(
     if device.platform != "cpu":
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
             lane.put(part, _together(stack, numbers[part], lane.rows(part), tolerance, steps, device))
-    elif len(z) >= _PAYS and suits_one_scan(stack.at(0)):
-        for part in _parts(left, _BESIDE):
-            going = lane.rows(part)
-            lane.put(part, _together(stack, numbers[part], going, tolerance, min(_ROUND, steps), device, _BESIDE))
     left, given_up = left[~lane.ended & (lane.steps < steps)], np.zeros(len(z), bool)
-    for part in _parts(left, _chunk(stack.samples)):
-        ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps)
+    many = left.size * stack.samples >= _PAYS
+    for part in _parts(left, _chunk(stack.samples, many)):
+        ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps, many)
         lane.put(part, ended)
     cost = np.where(given_up, approached(lane, numbers), lane.best.cost)
     return Ends(lane.best, lane.converged, lane.steps, cost, given_up, lane.damping)
@@ -142,9 +144,10 @@ def device_for(lanes: int) -> Any:
     return (device_of_many() if lanes >= MANY else None) or first_device("cpu")
 
 
-def _chunk(samples: int) -> int:
-    """Lanes that take their steps on the host at once."""
-    return max(1, min(_CHUNK, _SAMPLES // samples))
+def _chunk(samples: int, many: bool) -> int:
+    """Lanes that take their steps on the host at once, of many a multiple of those that go side by side."""
+    most = max(1, min(_CHUNK[many], _SAMPLES // samples))
+    return most - most % _BESIDE if many and most > _BESIDE else most
 
 
 def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
@@ -153,16 +156,19 @@ def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
         yield lanes[begin : begin + size]
 
 
-def _on_host(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int) -> tuple[Lane, np.ndarray]:
+def _on_host(
+    stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, many: bool
+) -> tuple[Lane, np.ndarray]:
     """Lanes at their ends, and which were given up; their program has room for any number of lanes of a chunk."""
-    room_for, samples, bounded = _chunk(stack.samples), stack.samples, stack.bounded
+    room_for, samples, bounded = _chunk(stack.samples, many), stack.samples, stack.bounded
+    linearized = _linearized_beside if many else _linearized
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
     data = placed(stack.take(padded(records)), first_device("cpu")) if any(stack.own) else stack
     given_up, count = np.zeros(len(records), bool), len(records)
     going = np.arange(count)
     while going.size:
         where, points = padded(going), padded(lane.trial[going])
-        new = Normal(*_first(_linearized(data, where, points, np.int64(going.size)), going.size))
+        new = Normal(*_first(linearized(data, where, points, np.int64(going.size)), going.size))
         with np.errstate(all="ignore"):  # of simulations that are not finite, whose steps are rejected
             lane.put(going, advanced(lane.rows(going), new, gain, samples, bounded, np))
         given_up |= beaten(lane, records)
@@ -178,28 +184,42 @@ def _linearized(stack: Stack, records: Array, z: Float[Array, "L p"], count: Arr
         new = normal_at(stack.at(records[k]), z[k])
         return jax.tree_util.tree_map(lambda all_rows, value: all_rows.at[k].set(value), rows, new)
 
+    return tuple(jax.lax.fori_loop(0, count, one, _no_rows(*z.shape)))
+
+
+@compiled
+def _linearized_beside(stack: Stack, records: Array, z: Float[Array, "L p"], count: Array) -> tuple[Array, ...]:
+    """`_linearized`, some lanes side by side where that takes less time."""
+    if not suits_lanes(stack.at(0)):
+        return _linearized(stack, records, z, count)
     lanes, p = z.shape
-    none = Normal(jnp.zeros((lanes, p)), jnp.zeros(lanes), jnp.zeros((lanes, p)), jnp.zeros((lanes, p, p)))
-    return tuple(jax.lax.fori_loop(0, count, one, none))
+    width = min(_BESIDE, lanes)
+
+    def some(k: Array, rows: Normal) -> Normal:
+        begin = jnp.minimum(k * width, lanes - width)
+        at = lambda values: jax.lax.dynamic_slice_in_dim(values, begin, width)
+        new = stack.side_by_side(normal_in_scan)(stack.take(at(records)), at(z))
+        put = lambda all_rows, values: jax.lax.dynamic_update_slice_in_dim(all_rows, values, begin, 0)
+        return jax.tree_util.tree_map(put, rows, new)
+
+    return tuple(jax.lax.fori_loop(0, -(-count // width), some, _no_rows(lanes, p)))
 
 
-def _together(
-    stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, device: Any, least: int = 1
-) -> Lane:
-    """Lanes at their ends, or after some steps, side by side on a device, where the data lie all the while.
+def _no_rows(lanes: int, p: int) -> Normal:
+    return Normal(jnp.zeros((lanes, p)), jnp.zeros(lanes), jnp.zeros((lanes, p)), jnp.zeros((lanes, p, p)))
 
-    There is room for `least` lanes and records, so that any smaller number takes the same program. The last few lanes are left.
-    """
+
+def _together(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, device: Any) -> Lane:
+    """Lanes at their ends, or after some steps, side by side on a device, where the data lie all the while; the last few are left."""
     among, place = np.unique(records, return_inverse=True)
-    rows = stack.take(among[np.minimum(np.arange(max(room(among.size), least)), among.size - 1)])
-    data, going, most = placed(rows, device), np.arange(len(records)), max(room(len(records)), least)
+    rows = stack.take(among[np.minimum(np.arange(room(among.size)), among.size - 1)])
+    data, going, most = placed(rows, device), np.arange(len(records)), room(len(records))
     sizes = [-(-most // part) for part in (_FEW, 8, 1)]  # each is a program
     while going.size > most // _FEW:
         capacity = next(size for size in sizes if size >= going.size)
         at = going[np.minimum(np.arange(capacity), going.size - 1)]
         arguments = placed((place[at], lane.rows(at)), device)
-        unroll = 1 if device.platform == "cpu" else _UNROLL
-        new = _advance_all(data, *arguments, gain, min(_ROUND, steps), unroll)
+        new = _advance_all(data, *arguments, gain, min(_ROUND, steps), _UNROLL)
         new = _first(new, going.size)
         lane.put(going, new)
         going = going[~new.ended & (new.steps < steps)]
@@ -228,10 +248,9 @@ def _advance_all(stack: Stack, records: Array, lane: Lane, gain: Array, most: in
     normal = in_scan if suits_one_scan(stack.at(0)) else normal_at
     samples, bounded = stack.samples, stack.bounded
 
-    def some_steps(own: Stack, lane: Lane) -> Lane:
+    def some_steps(objective: Objective, lane: Lane) -> Lane:
         end = lane.steps + most
-        once = lambda lane: advanced(lane, normal(own.objective, lane.trial), gain, samples, bounded, jnp)
+        once = lambda lane: advanced(lane, normal(objective, lane.trial), gain, samples, bounded, jnp)
         return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
 
-    axes = jax.tree_util.tree_structure(stack).unflatten([0 if own else None for own in stack.own])
-    return jax.vmap(some_steps, in_axes=(axes, 0))(stack.take(records), lane)
+    return stack.side_by_side(some_steps)(stack.take(records), lane)

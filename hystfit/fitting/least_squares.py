@@ -20,11 +20,11 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
-_ROUGH = 1e-6  # decrease of the cost that the linear model promises, relative to it, which is left to the polish
+ROUGH = 1e-6  # decrease of the cost that the linear model promises, relative to it, which is left to the polish
 _TOLERANCES = 1e-8, 1e-10  # of the dogleg: relative and absolute, on z and on the cost
 # Steps of every start, and how many times as many more for the best and the first: of 90 starts of 18 simulated steel coupons 92 % reach
 # the best basin in 30 steps, 89 % in 25.
-_ROUND, _ROUNDS = 30, 4
+ROUND, ROUNDS = 30, 4
 # Error after the first round over the most that can win, above which a first look ends: of 69 first looks at 11 measured files further
 # rounds left 0.65 of the error in one, and 0.95 to 1 in the others.
 _FAR = 2.0
@@ -93,7 +93,7 @@ class LeastSquares(AbstractEstimator):
 
     def _continue(self, objective: Objective, ended: _Ended, number: int) -> None:
         """Further rounds for one start, in place."""
-        for _ in range(_ROUNDS):
+        for _ in range(ROUNDS):
             if ended.converged[number] or ended.beaten[number] or not np.isfinite(ended.cost[number]):
                 return
             again = self._run(objective, ended.z[number][None])
@@ -104,7 +104,7 @@ class LeastSquares(AbstractEstimator):
 
     def _run(self, objective: Objective, starts: np.ndarray) -> _Ended:
         if self.method == "lm":
-            ends = descend_lanes(Stack.of([objective]), np.zeros(len(starts), int), starts, gain=_ROUGH, steps=_ROUND)
+            ends = descend_lanes(Stack.of([objective]), np.zeros(len(starts), int), starts, gain=ROUGH, steps=ROUND)
             return _Ended(ends.normal.z, ends.cost, ends.converged, ends.steps, ends.beaten)
         runs = [_dogleg(objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
         parts = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
@@ -136,7 +136,7 @@ def _dogleg(objective: Objective, z0: Array) -> tuple[Array, Array, Array, Array
         z0,
         args=objective,
         options={"jac": "fwd"},
-        max_steps=_ROUND,
+        max_steps=ROUND,
         throw=False,
     )
     cost = 0.5 * jnp.sum(objective.misfit_at(solution.value) ** 2)

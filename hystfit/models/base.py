@@ -161,13 +161,13 @@ class AbstractHysteresis(AbstractDynamics):
         """
         return ()
 
-    def step_ratio(self, u: np.ndarray) -> Any:
-        """Largest step of an input over the longest that the scheme is trusted with: above 1, and only then, there is `advice`.
+    def step_ratio(self, largest: Any) -> Any:
+        """The largest step of an input over the longest that the scheme is trusted with: above 1, and only then, there is `advice`.
 
         None for models whose advice depends on more. Where the parameters have a leading axis of N, the result has it.
 
         Args:
-            u: input, shape (T,).
+            largest: step of an input between two samples, or those of N inputs [u].
         """
         return None
 

@@ -34,6 +34,7 @@ from hystfit.models.starting import best_of_grid, input_range, offset_columns, t
 from hystfit.models.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
+from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
@@ -121,11 +122,11 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.step_ratio(u))
+        return coarse(self.step_ratio(largest_step(u)))
 
-    def step_ratio(self, u: np.ndarray) -> Any:
+    def step_ratio(self, largest: Any) -> Any:
         """See `AbstractHysteresis`."""
-        return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), u)
+        return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), largest)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
@@ -199,9 +200,9 @@ class BoucWenStep(AbstractStepInverse):
         return Root(u0 + s * x, slope > 0)
 
 
-def step_ratio(scheme: str, rate: Any, u: np.ndarray) -> Any:
-    """`rate` times the largest step of u, shape (T,), over that for which the cheap scheme is trusted; 0 for the exact one."""
-    return np.asarray(rate) * (scheme != "exact") * np.max(np.abs(np.diff(u)), initial=0.0) / COARSE
+def step_ratio(scheme: str, rate: Any, largest: Any) -> Any:
+    """`rate` times the largest step of an input over that for which the cheap scheme is trusted; 0 for the exact one."""
+    return np.asarray(rate) * (scheme != "exact") * largest / COARSE
 
 
 def coarse(ratio: Any) -> tuple[str, ...]:

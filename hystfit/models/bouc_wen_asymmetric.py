@@ -31,6 +31,7 @@ from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.starting import input_range
 from hystfit.params.param import param
+from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 
 
@@ -122,12 +123,12 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.step_ratio(u))
+        return coarse(self.step_ratio(largest_step(u)))
 
-    def step_ratio(self, u: np.ndarray) -> Any:
+    def step_ratio(self, largest: Any) -> Any:
         """See `AbstractHysteresis`."""
         rate = np.asarray(self.tau) * (1 + np.abs(self.rho)) * np.maximum(1.0, self.n)
-        return step_ratio(self.scheme, rate, u)
+        return step_ratio(self.scheme, rate, largest)
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:
         """As `BoucWen`, with the backbone's polynomials among the linear unknowns."""

@@ -27,6 +27,7 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
+from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 
 # Of the starting values: yield displacement over the half range, n, strength and stiffness lost over the record, pinching.
@@ -134,7 +135,7 @@ class BoucWenBaberNoori(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the substeps."""
-        return substep_advice(float(np.max(np.abs(np.diff(u)), initial=0.0)) / float(self.zy), self.substeps)
+        return substep_advice(largest_step(u) / float(self.zy), self.substeps)
 
     def uniaxial_material(self) -> UniaxialMaterial:
         """`BoucWen` of OpenSees, which degrades, or `BWBN`, which pinches; the energy there is that here times kappa_w zy.

@@ -28,6 +28,7 @@ from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
+from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 
 
@@ -85,7 +86,7 @@ class BoucWenForce(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where the sampling is too coarse for the substeps."""
-        return substep_advice(float(self.rho) * float(np.max(np.abs(np.diff(u)), initial=0.0)), self.substeps)
+        return substep_advice(float(self.rho) * largest_step(u), self.substeps)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Flattest and steepest where |w| is largest: after the whole range from rest, which no other path within it exceeds."""

@@ -21,6 +21,7 @@ from hystfit.models.shapes import Scalar, State
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
+from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 from hystfit.quality.recursions import recursion
 
@@ -198,11 +199,12 @@ class Duhem(AbstractHysteresis):
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
         """Where a step is too long for the scheme: beyond its stable range, or so that the error alternates in sign."""
-        drive = float(self.alpha) * float(np.max(np.abs(np.diff(u)), initial=0.0))
+        largest = largest_step(u)
+        drive = float(self.alpha) * largest
         remedy = (
             "sample faster, or take the exact step (scheme='exact'; at the shell :scheme=exact after the model's name)"
         )
-        if self.step_ratio(u) <= 1:
+        if self.step_ratio(largest) <= 1:
             return ()
         if self.scheme == "explicit" and drive >= _UNSTABLE:
             return (
@@ -210,10 +212,9 @@ class Duhem(AbstractHysteresis):
             )
         return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
 
-    def step_ratio(self, u: np.ndarray) -> Any:
+    def step_ratio(self, largest: Any) -> Any:
         """See `AbstractHysteresis`."""
-        limit = _ALTERNATES.get(self.scheme, np.inf)
-        return np.asarray(self.alpha) * np.max(np.abs(np.diff(u)), initial=0.0) / limit
+        return np.asarray(self.alpha) * largest / _ALTERNATES.get(self.scheme, np.inf)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Those on both sides of each branch of the loop over the whole range, between which all others run."""

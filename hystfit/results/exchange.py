@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -93,12 +94,12 @@ def to_xarray(result: FitResult) -> Any:
     return xarray.Dataset(data, where, {"model": result.name, "status": str(result.status)})
 
 
-def write_table(path: str | Path, frame: Callable[[], Any], dataset: Callable[[], Any]) -> Path:
+def write_table(path: str | Path, frames: Callable[[], Iterable[Any]], dataset: Callable[[], Any]) -> Path:
     """Write a table of many fits, whole or not at all: .parquet, .nc (netCDF) or .zarr (a Zarr store of format 2).
 
     Args:
         path: of the file or store; one that exists is replaced.
-        frame: makes the pandas data frame of a Parquet table.
+        frames: makes the pandas data frames of a Parquet table, part by part.
         dataset: makes the xarray data set of the others.
 
     Raises:
@@ -113,12 +114,25 @@ def write_table(path: str | Path, frame: Callable[[], Any], dataset: Callable[[]
         optional(package, "frames", f"a table in {path.suffix}")
     with writing_file(path) as scratch:
         if path.suffix == ".parquet":
-            frame().to_parquet(scratch, engine="pyarrow", index=False)
+            _write_parquet(scratch, frames())
         elif path.suffix == ".nc":
             scratch.write_bytes(dataset().to_netcdf(engine="h5netcdf"))  # HDF5 can crash on a full disk
         else:  # format 3 has no common metadata of all arrays, and no types of text, that all programs read
             dataset().to_zarr(scratch, zarr_format=2, consolidated=True)
     return path
+
+
+def _write_parquet(path: Path, frames: Iterable[Any]) -> None:
+    """A Parquet table with a row group for each part."""
+    import pyarrow
+    from pyarrow import parquet
+
+    with contextlib.ExitStack() as stack:
+        writer = None
+        for frame in frames:
+            part = pyarrow.Table.from_pandas(frame, preserve_index=False)
+            writer = writer or stack.enter_context(parquet.ParquetWriter(path, part.schema))
+            writer.write_table(part.cast(writer.schema))
 
 
 def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -217,8 +217,10 @@ def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.
     low, high = (extreme.reduceat(np.append(u, u[-1]), edges)[::2] for extreme in (np.minimum, np.maximum))
     middle, half, duration = 0.5 * (low + high), 0.5 * (high - low), t[last] - t[first]
 
+    widths, total = 0.5 * np.diff(t), np.zeros(t.size)
+
     def integral(y: np.ndarray) -> np.ndarray:
-        total = np.append(0.0, np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t)))
+        np.cumsum((y[1:] + y[:-1]) * widths, out=total[1:])
         return total[last] - total[first]
 
     squares = integral(u**2) - 2 * middle * integral(u) + middle**2 * duration

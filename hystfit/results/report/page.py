@@ -144,12 +144,13 @@ def write_into(
     test: Data | None = None,
     refit_offset: bool = False,
     wording: Wording | None = None,
+    files: bool = True,
 ) -> None:
-    """Write the files of `write` into an existing folder, with its arguments."""
+    """Write the files of `write` into an existing folder, with its arguments; without `files`, no pictures beside those of the page."""
     wording = wording or Wording()
     shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
     (folder / "report.txt").write_text(text_report(result, wording), encoding="utf-8")
-    for name, picture in shown.items():
+    for name, picture in shown.items() if files else ():
         _write_png(picture.figure, folder / f"{name}.png")
         picture.figure.set_layout_engine("none")  # as laid out for the PNG
         (folder / f"{name}.svg").write_bytes(picture.svg)
