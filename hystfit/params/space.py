@@ -249,7 +249,10 @@ class ParameterSpace:
     ) -> Iterator[Any]:
         """The tree at x for each record in turn: the same one where no leaf differs from record to record.
 
-        `place` makes the leaves that x sets, see `Coordinates.assemble`.
+        Args:
+            x: physical parameters, shape (p,).
+            records: their number.
+            place: makes the leaves that x sets, see `Coordinates.assemble`.
         """
         own = self.coordinates.constant_at or any(per_record for *_, per_record in self.coordinates.layout)
         made = (self.coordinates.assemble(np.asarray(x, float), k, place) for k in range(records if own else 1))
