@@ -152,3 +152,14 @@ def test_a_shortened_step_is_no_sign_of_convergence() -> None:
         scipy.optimize.least_squares(lambda z: np.asarray(misfit(posed.objective, z)), z, max_nfev=30).cost
         for z in starts[:3]
     )
+
+
+@pytest.mark.parametrize("seed", [5, 27, 37, 50])
+def test_no_step_is_taken_blindly_along_a_direction_that_noise_alone_determines(seed):
+    """A line in noise: the model contains lines, so that its fit errs no more than the best of them."""
+    phase = np.arange(240) / 240
+    u = np.sin(12 * np.pi * phase) * (0.3 + 0.7 * phase)
+    y = 3 + 0.01 * u + 0.004 * np.random.default_rng(seed).normal(size=u.size)
+    fit = hf.fit(hf.BoucWen(scheme="exact"), hf.Record(u=u, y=y), noise="iid")
+    line = y - np.polyval(np.polyfit(u, y, 1), u)
+    assert fit.train.rmse < 1.01 * np.sqrt(np.mean(line**2))

@@ -27,7 +27,7 @@ from hystfit.inference.noise import (
     White,
 )
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import analyze, diagnose
+from hystfit.inference.residuals import analyze, diagnose, excess_kurtosis
 from hystfit.inference.whitened import restricted
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
@@ -264,6 +264,13 @@ def test_diagnosis_names_the_noise(kind, want):
         problem = Problem(model, record)
         names.append(diagnose(analyze(problem, solve(problem, "lm", 1, 0).x)).recommended)
     assert names.count(want) >= 2, names
+
+
+def test_the_kurtosis_of_residuals_has_no_unit():
+    rows = [np.random.default_rng(0).standard_t(5, size=400)]
+    differences = np.diff(rows[0])
+    for size in (1e-100, 1.0, 1e120):
+        assert excess_kurtosis([size * rows[0]]) == pytest.approx(scipy.stats.kurtosis(differences), rel=1e-9)
 
 
 def test_the_noise_model_in_use_is_not_recommended():

@@ -36,6 +36,9 @@ _CLOSE = 0.5  # excess of the cost over that of a converged start, within which 
 # Part of the tolerance that the next step may leave by the decrease that the last one left, where it is taken without looking: steps of
 # Bouc-Wen left up to 0.06 times the tolerance where 0.01 was expected.
 _EXPECTED = 0.01
+# The longest step that is taken so: along a direction that noise alone determines, the linear model promises as little of any step, and one
+# of a hundred took the slope of a loop to 1e116.
+_SURE_STEP = 0.02
 _BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
 
 
@@ -116,17 +119,19 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     settled = ~better | (promised <= gain * best.cost + floor)
     crease = ~better & (damping >= _SHORT_STEP) & (promised <= _CREASE / samples * best.cost)
     # What one step leaves of the promised decrease, the next one leaves of it, or less: damping falls.
-    sure = (
-        better
-        & near
-        & (promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised))
-    )
+    expected = promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised)
+    sure = better & near & expected & (_longest(whole, bounded, xp) <= _SURE_STEP)
     best = best._replace(z=xp.where(sure[..., None], best.z + whole, best.z))
     ended = (lane.last & settled) | sure | crease | (damping >= MOST_DAMPING) | xp.isinf(best.cost)
     way = xp.where(near[..., None], whole, step)
-    longest = xp.max(xp.where(bounded, xp.abs(way), 0.0), axis=-1, initial=0.0)
-    trial = best.z + way * xp.minimum(1.0, LONGEST_STEP / xp.maximum(longest, 1e-300))[..., None]
+    shorter = LONGEST_STEP / xp.maximum(_longest(way, bounded, xp), 1e-300)
+    trial = best.z + way * xp.minimum(1.0, shorter)[..., None]
     return Lane(best, trial, damping, promised, lane.last | near | crease, ended, lane.steps + 1)
+
+
+def _longest(step: Array, bounded: np.ndarray, xp: ModuleType) -> Array:
+    """The largest change of a parameter that has bounds, in its unconstrained coordinate."""
+    return xp.max(xp.where(bounded, xp.abs(step), 0.0), axis=-1, initial=0.0)
 
 
 def _scaled(point: Normal, samples: int, bounded: np.ndarray, xp: ModuleType) -> tuple[Array, Array]:

@@ -245,7 +245,8 @@ def excess_kurtosis(rows: list[np.ndarray]) -> float:
         return 0.0
     differences -= differences.mean()
     squares = np.square(differences, out=differences)  # a power of 4 takes several times as long
-    return float(np.mean(np.square(squares)) / max(float(squares.mean()) ** 2, 1e-300) - 3)
+    squares /= max(float(squares.mean()), 1e-300)
+    return float(np.mean(np.square(squares))) - 3
 
 
 def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
