@@ -1,7 +1,8 @@
-"""NUTS with default settings from ten seeds on six records: three measured, a bundled one, and two whose posteriors are hard.
+"""NUTS with default settings from ten seeds on five records: two measured, a bundled one, and two whose posteriors are hard.
 
 Thin: so little saturation that data determine c (1 - mu) and mu c tau, and their parts only through the priors. Small: one small amplitude
-under slow and white noise, which does not determine tau and rho.
+under slow and white noise, which does not determine tau and rho. Of the sets of `bands`, that of a piezo stack is left out: a run over its
+14 parameters takes more than five minutes.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def _simulated(model: hf.BoucWen, u: np.ndarray, white: float, slow: float) -> h
 def fits(results: Results) -> Iterator[tuple[str, Callable[[], hf.FitResult]]]:
     """The records that are found, as fits to be made."""
     yield from {"bundled": bundled, "thin": thin, "small": small}.items()
-    for case in CASES:
+    for case in CASES[1:]:
         loaded = results.load(f"{case.name}:", case.source)
         if loaded is not None:
             fitted = case.split(loaded[0])[0]
