@@ -427,3 +427,21 @@ def test_a_signal_that_repeats_the_input_is_no_output(tmp_path: Path) -> None:
     record = one(tmp_path, head + "\n".join(rows) + "\n", "cv.DTA")
     np.testing.assert_allclose(record.u, U / 80, atol=1e-5)
     np.testing.assert_allclose(record.y, Y * 1e-6, rtol=1e-4)
+
+
+def test_how_a_logger_averaged_is_no_name(tmp_path: Path) -> None:
+    """Names that mean something above units, and below these how each column was averaged."""
+    text = '"TOA5","CR1000","1","table"\n"TIMESTAMP","RECORD","Pressure_Avg","Strain_Avg"\n'
+    text += '"TS","RN","kPa","microstrain"\n"","","Avg","Avg"\n'
+    for k in range(60):
+        text += (
+            f'"2021-05-04 09:{30 + k // 60}:{k % 60:02d}",{k},{50 * np.sin(k / 6):.4f},{35 * np.sin(k / 6 - 0.3):.4f}\n'
+        )
+    path = tmp_path / "Table1.dat"
+    path.write_text(text, encoding="utf-8")
+    record = read(path)
+    assert isinstance(record, Record)
+    assert {(record.u_name, record.u_unit), (record.y_name, record.y_unit)} == {
+        ("Pressure_Avg", "kPa"),
+        ("Strain_Avg", "microstrain"),
+    }

@@ -140,7 +140,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         of_names, used = min(1, len(rows) - 1), min(2, len(rows))
     elif place == 1 and len(rows) > 2 and distinct(rows[2]) and _meanings(rows[2]) > _meanings(rows[0]):
         # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
-        rows[2] = [below or name for below, name in zip(rows[0], rows[2], strict=True)] if "" in rows[0] else rows[2]
+        rows[2] = [rows[0][0], *rows[2][1:]] if rows[0][0] and not any(rows[0][1:]) else rows[2]
         of_names, used = 2, 3
     elif place is None or (place == 1 and distinct(rows[0])):  # units above the names
         of_names, used = 0, 1 if place is None else 2
