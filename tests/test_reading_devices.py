@@ -601,3 +601,16 @@ def test_a_number_before_a_unit_multiplies_the_column(tmp_path: Path) -> None:
     record = one(tmp_path, "Displacement (mm),Force (x100 N)\n" + rows(",", U, Y))
     assert record.y_unit == "N"
     is_pair(record, U, 100 * Y)
+
+
+def test_the_field_of_a_magnet_drives_beside_its_set_current(tmp_path: Path) -> None:
+    """The current goes by equal steps, as what was set does; the field was measured and is proportional to it."""
+    current = np.concatenate([np.linspace(8, -8, 81), np.linspace(-8, 8, 81)[1:]])
+    field = 50 * current + 0.4 * np.random.default_rng(0).normal(size=current.size)
+    rises = np.gradient(current) > 0
+    kerr = np.tanh((current - np.where(rises, 1.0, -1.0)) / 2)
+    text = "Applied field (kA/m),Intensity (mV),Magnet current (A)\n"
+    text += "".join(f"{h:.2f},{y:.5f},{i:.4f}\n" for h, y, i in zip(field, kerr, current, strict=True))
+    (tmp_path / "loop.dat").write_text(text, encoding="utf-8")
+    record = read(tmp_path / "loop.dat")
+    assert (record.u_name, record.u_unit, record.y_unit) == ("Applied field (kA/m)", "kA/m", "mV")

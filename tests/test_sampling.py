@@ -249,17 +249,22 @@ def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():
         assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside))
 
 
+def chunks_of(nuts, target, key, count):
+    """A chain of this many chunks after a warm-up, each beside what the warm-up left."""
+    warm = nuts.warm(target, key)
+    q = jnp.asarray(warm["q"])
+    for k in range(count):
+        chunk = nuts.chunk(target, warm, q, jax.random.fold_in(key, k))
+        q = jnp.asarray(chunk["q"][-1])
+        yield warm, chunk
+
+
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     target, found = prepare(fitted, noise="iid").target, []
     for goal in (0.65, 0.85):
         nuts, shares = Nuts(target_accept=goal, jumps=False), []
         for key in jax.random.split(jax.random.key(3), 4):
-            warm = nuts.warm(target, key)
-            q = jnp.asarray(warm["q"])
-            for k in range(4):
-                chunk = nuts.chunk(target, warm, q, jax.random.fold_in(key, k))
-                q = jnp.asarray(chunk["q"][-1])
-                shares.append(chunk["acceptance"].mean())
+            shares += [chunk["acceptance"].mean() for _, chunk in chunks_of(nuts, target, key, 4)]
         found.append(np.mean(shares))
     np.testing.assert_allclose(found, [0.65, 0.85], atol=0.06)
 
@@ -340,11 +345,7 @@ def test_jumps_between_trajectories_leave_a_skewed_density_as_it_is(fitted):
     target = of_kind(LogGamma, fitted, [1.0, 1.0])
     target, nuts, drawn = dataclasses.replace(target, bend=Bend(jnp.zeros(2, bool), jnp.zeros(2))), Nuts(), []
     for key in jax.random.split(jax.random.key(2), 2):
-        warm = nuts.warm(target, key)
-        q = jnp.asarray(warm["q"])
-        for k in range(40):
-            chunk = nuts.chunk(target, warm, q, jax.random.fold_in(key, k))
-            q = jnp.asarray(chunk["q"][-1])
+        for warm, chunk in chunks_of(nuts, target, key, 40):
             drawn.append(adapted(target, warm).v_of(chunk["q"], np))
             np.testing.assert_array_equal(chunk["steps"] == 0, np.arange(50) % 10 > 0)
             np.testing.assert_array_equal(np.isnan(chunk["acceptance"]), chunk["steps"] == 0)

@@ -16,9 +16,10 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
+from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
+from hystfit.reading.quantities_by_others import tell_by_others
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import computed, proportional, same_loop
 
@@ -28,13 +29,6 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
-_FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
-_SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
-_POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
-_INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
-_COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
-_B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
-_SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +189,7 @@ def _guess_pair(
         raise _too_few(table, free, given, clock)
     if not table.named:
         free = _without_copies(table, free, given, notes)
-    _tell_by_others(table, free, kinds, many=len(free) + len(given) > 2)
+    tell_by_others(table, free, kinds, many=len(free) + len(given) > 2)
     for k in free:  # a copy of the time is one more time
         if clock is not None and np.array_equal(table.columns[k], table.columns[clock], equal_nan=True):
             kinds[k] = "time"
@@ -254,53 +248,6 @@ def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int
         f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of changing numbers{beside}. "
         f"The columns are {table.describe()}; {remedy}"
     )
-
-
-def _tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, many: bool) -> None:
-    """Quantities of names that mean different things beside different columns.
-
-    Args:
-        table: of the columns.
-        free: columns that may be input or output.
-        kinds: quantities of the columns, which are changed.
-        many: whether there are more columns than a pair.
-    """
-    among = lambda *names: any(kinds[k] in names for k in free)
-    if among("strain"):
-        kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
-    if among("displacement"):  # v beside x is a velocity
-        kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
-    if not among(
-        "field", "induction", "voltage", "electric field"
-    ):  # q beside a torque or current is an angle of a joint
-        kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
-        if among("force", "current"):
-            kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    if {"X", "Y"} <= {split_unit(name)[0] for name in table.names} and among(*_SWEPT):  # of a lock-in amplifier
-        kinds.update({k: "" for k in free if table.names[k] == "X"})
-        kinds.update({k: "phase" for k in free if table.names[k].lower() in _POLAR})
-    if among("voltage") and has_terminals(table.names):
-        kinds.update({k: "current" for k in free if is_drain(table.names[k])})
-    if among("capacitance"):  # D beside C is a loss, and Q its inverse
-        kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
-    if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
-        kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
-    fields = [k for k in free if kinds[k] == "field"]
-    induced = [k for k in fields if _B_FIELD.match(table.names[k])]
-    if len(induced) < len(fields):  # the B field beside the H field
-        kinds.update(dict.fromkeys(induced, "induction"))
-    _find_velocities(table, free, kinds)
-    fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
-    kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
-    if table.named and many:
-        unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
-        kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k)})
-
-
-def _is_whole(values: np.ndarray) -> bool:
-    """Whether a column has whole numbers alone."""
-    known = values[np.isfinite(values)]
-    return bool((known == np.round(known)).all())
 
 
 def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, int]) -> None:
@@ -376,28 +323,6 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether `other` has the very values of `one`, or their opposites, at most samples where that moves."""
     moves = np.diff(one, prepend=one[0]) != 0
     return bool(moves.any() and max(np.mean(one[moves] == sign * other[moves]) for sign in (1, -1)) > 0.5)
-
-
-def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
-    unknown = [k for k in free if kinds[k] in ("", "flow", "volume") and not column_role(table.names[k])][:_FEW_UNKNOWN]
-    if len(unknown) > 2 or len(free) > len(unknown) > 1:
-        for k, of in itertools.permutations(unknown, 2):
-            if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
-                kinds[k] = "velocity"
-    bare = {table.names[k]: k for k in free if not table.units[k]}
-    if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
-        kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}
-
-
-def _is_rate(column: np.ndarray, of: np.ndarray) -> bool:
-    """Whether a column has the shape of the rate of another one."""
-    with np.errstate(all="ignore"):  # of numbers near the largest
-        rate = np.gradient(of)
-        known = np.isfinite(rate) & np.isfinite(column)
-        if known.sum() <= 9 or not (np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0):
-            return False
-        return bool(np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE)
 
 
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:
