@@ -38,10 +38,8 @@ Options and examples of a verb: hystfit fit --help
 Exit status: 0 usable, 1 finished but not usable, 2 bad input or usage, 130 interrupted.
 """
 _COLLECTION = 500_000  # new objects between garbage collections; imports and traces make 400 000 that stay
-_COMPILED, _TRACED = (
-    "JAX_COMPILATION_CACHE_DIR",
-    "traced",
-)  # the folder of compiled programs, and in it that of traced ones
+_COMPILED = "JAX_COMPILATION_CACHE_DIR"  # variable with the folder of compiled programs
+_TRACED = "traced"  # folder in it of traced ones
 _CACHE_BYTES = 2**28  # of compiled programs; those unused for longest are removed first
 
 

@@ -214,9 +214,8 @@ def determine(
     spreads, wide = _wide_axes(scaled[:, kept])
     open_axes = np.hstack([wide, scaled[:, ~kept] / np.linalg.norm(scaled[:, ~kept], axis=0)])
     every = root.copy()
-    every[space.offsets[live]] = (
-        back[space.offsets[live]] @ root
-    )  # the other rows of this matrix are those of the identity
+    shifts = space.offsets[live]
+    every[shifts] = back[shifts] @ root  # the other rows of this matrix are those of the identity
     known = every[:, kept]
     full = known @ known.T if inside is None else inside[np.ix_(at, at)]
     joint[np.ix_(at, at)] = full if kept.all() else every @ every.T

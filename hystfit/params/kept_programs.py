@@ -53,11 +53,8 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
 
     def call(*trees: Any) -> Any:
         leaves, structure = jax.tree_util.tree_flatten(trees)
-        arrays, fixed, kinds = (
-            [],
-            [],
-            [],
-        )  # of every leaf its shape and dtype, or None for one that stays in the program
+        arrays, fixed = [], []
+        kinds = []  # of every leaf its shape and dtype, or None for one that stays in the program
         for leaf in leaves:
             if isinstance(leaf, jax.core.Tracer):
                 return otherwise(*trees)

@@ -24,14 +24,10 @@ CHUNK = 50  # draws in one compiled call, and between two writes to disk
 _TRIES = 4  # jumps for each draw
 _EVERY = 10  # draws, of which the first is the end of a trajectory
 _FREEDOM = 10.0  # of the t distribution
-_WIDER = (
-    1.25  # times the standard deviations of the posterior: else chains stay in its skewed tails for hundreds of jumps
-)
+_WIDER = 1.25  # times the standard deviations of the posterior: else chains stay in its skewed tails for long
 _ROUNDS = 3  # of 200 weighted draws each, which improve a fit to the positions of a warm-up
 _CHECKS = 5  # of 200 draws each, by which the last fit is judged: 200 are too few to tell a funnel
-_EFFICIENT = (
-    0.3  # effective fraction of draws: 0.5 to 0.7 for the posteriors of Bouc-Wen models, at most 0.25 for funnels
-)
+_EFFICIENT = 0.3  # effective fraction of draws: 0.5 to 0.7 for posteriors of Bouc-Wen models, at most 0.25 for funnels
 _NEVER = -1e300  # logarithm of a weight of zero
 
 
