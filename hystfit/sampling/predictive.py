@@ -17,6 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array, Float
 
 from hystfit.config import verb
@@ -29,7 +30,9 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.inference.weights import free_columns
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
+from hystfit.quality.held_out import correlation_length
 from hystfit.results.result import FitResult
+from hystfit.sampling.amplitude_error import AmplitudeError
 from hystfit.sampling.posterior import Posterior
 
 
@@ -94,7 +97,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         density, about = problem.trimmed().density, None
     noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), key, about))[:, : len(record)]
     if result.left_out is not None and not is_fitted(result, record):
-        noise = noise * _widening(result.left_out, problem.held_out.count, y, noise, seed)[:, None]
+        y = y + _error_beyond(result, record, y, noise, seed)
     return result.to_unit_of(given, y + noise)
 
 
@@ -103,22 +106,43 @@ def is_fitted(result: FitResult, record: Record) -> bool:
     return record.name in [fitted.name for fitted in result.data]
 
 
-def _widening(left_out: float, groups: int, y: np.ndarray, noise: np.ndarray, seed: int) -> Float[np.ndarray, " count"]:
-    """Factor of the noise of each draw by which the variance of predictions is that of the error on held-out groups, or larger.
+def _error_beyond(
+    result: FitResult, record: Record, y: np.ndarray, noise: np.ndarray, seed: int
+) -> Float[np.ndarray, "count T"]:
+    """Error of the model over a record that was not fitted, as far as neither the draws nor the noise explain it.
 
-    The part that the draws do not explain is a variance known from one number per group, whose errors have one cause: the factors make
-    it a scaled inverse chi-squared variable, and the band of few groups that of Student's t.
+    Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and the error on the groups that the fit held out
+    otherwise, whose errors have one cause each. It is known from few values, so that its draws are those of Student's t.
 
     Args:
-        left_out: rms error on the groups [y].
-        groups: their number.
+        result: the fit.
+        record: in its units.
         y, noise: predictions without noise, and noise, shape (count, T) [y].
-        seed: of the factors.
+        seed: of the draws.
     """
-    explained = float(np.mean(noise**2))
-    missing = max(left_out**2 - float(np.mean(np.var(y, axis=0))) - explained, 0.0)
-    scale = groups / np.random.default_rng(seed).chisquare(groups, size=len(noise))
-    return np.sqrt(1 + missing / max(explained, 1e-12 * left_out**2) * scale)  # 1e-12: rounding
+    rng = np.random.default_rng(seed)
+    problem, middle = result.problem, y.mean(axis=0)
+    beyond = AmplitudeError.of(problem, result.x) if problem.closed_form else None
+    if beyond is None:
+        squares, freedom = result.left_out**2, problem.held_out.count
+        length = correlation_length(problem.residuals(result.x)[problem.used])
+    else:
+        # What is known of the error is that of the fit, from which the middle of the draws differs.
+        away = middle - simulate_draws(result, record, result.x[None], seed)[0]
+        squares, freedom = beyond.sd(record.u, middle) ** 2 + (away - away.mean()) ** 2, beyond.freedom
+        length = beyond.length
+    shape = y - y.mean(axis=1, keepdims=True)
+    missing = np.maximum(squares - np.var(shape, axis=0).mean() - np.mean(noise**2), 0.0)
+    scale = np.sqrt(freedom / rng.chisquare(freedom, size=(len(y), 1)))
+    return np.sqrt(missing) * scale * _correlated(rng, y.shape, length)
+
+
+def _correlated(rng: np.random.Generator, shape: tuple[int, int], length: int) -> Float[np.ndarray, "count T"]:
+    """Stationary Gaussian paths of unit variance, correlated over `length` samples."""
+    decay = np.exp(-1 / length)
+    start = decay * rng.normal(size=(shape[0], 1))
+    drive = np.sqrt(1 - decay**2) * rng.normal(size=shape)
+    return scipy.signal.lfilter([1.0], [1.0, -decay], drive, axis=1, zi=start)[0]
 
 
 @eqx.filter_jit
