@@ -1,8 +1,8 @@
-"""Error of smooth weights over loops of an amplitude that was not fitted, from fits without single amplitudes and without several.
+"""Error of weights over loops of an amplitude that was not fitted, from posteriors without single amplitudes and without several.
 
-The prior of weights and the noise say how sure they are if the model is true; that its error is absorbed at the fitted loops shows where
-some are left out. The error over the swing of the output grows with the ratio of the amplitude to those fitted. It is described by a Wiener
-process in the logarithm of the amplitude that is zero at the fitted ones: no length has to be known, and units do not matter. Its one
+Noise and prior of the weights tell how well they are known if the model is true. How far it is not, loops show that are left out: the error
+grows with the ratio of their amplitude to those fitted. Over the swing of the output it is described by a Wiener process in the logarithm
+of the amplitude that is zero at fitted amplitudes, as Brownian motion between known points: it needs no length, and no unit. Its one
 parameter is the variance of relative error over an e-fold of amplitude.
 """
 
@@ -11,26 +11,31 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hystfit.inference.problem import Problem
-from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import fit_smooth
-from hystfit.quality.held_out import FOLDS, HeldOut, Scheme, correlation_length
+from hystfit.params.host_arrays import compiled
+from hystfit.quality.held_out import FOLDS, correlation_length
 from hystfit.quality.loops import APART, clear_reversals, distinct
+from hystfit.sampling.posterior import Posterior
+from hystfit.sampling.truncated_normal import truncated_draws
+from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
-_STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a loop has so many
+_STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
+_MOVES = 300  # of weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation
 
 
 @dataclasses.dataclass(frozen=True)
 class AmplitudeError:
-    """Errors beyond fitted amplitudes.
+    """Error of the posterior mean between and beyond fitted amplitudes.
 
     Attributes:
-        levels: logarithms of the fitted amplitudes, rising.
+        levels: logarithms of the fitted swings of the input, rising.
         variance: of the error over the output's swing, for an e-fold of amplitude.
-        freedom: degrees of freedom with which it is known.
+        freedom: number of degrees of freedom with which it is known.
         length: samples over which the error is correlated.
     """
 
@@ -40,69 +45,55 @@ class AmplitudeError:
     length: int
 
     @classmethod
-    def of(cls, problem: Problem, x: np.ndarray) -> AmplitudeError | None:
-        """From fits without some of the amplitudes, the largest of them always fitted; None where records have one, or none in common.
+    def of(cls, posterior: Posterior) -> AmplitudeError | None:
+        """From posteriors without some of the amplitudes; the largest stays in all of them.
 
-        Args:
-            problem: with smooth weights.
-            x: the fit of all samples, physical, shape (p,).
+        None where weights were not sampled by "weights", and where the records have one amplitude, or as many as strokes.
         """
-        strokes = [Strokes.of(record.u) for record in problem.data]
-        levels = np.array(distinct(np.log(np.concatenate([one.swings for one in strokes])), APART)[::-1])
-        if levels.size < 2 or _STROKES * levels.size > sum(one.swings.size for one in strokes):
+        if posterior.sampler != "weights":
             return None
-        level = [np.abs(np.log(one.of_samples)[:, None] - levels).argmin(axis=1) for one in strokes]
-        parts = np.array_split(np.arange(levels.size - 1), min(levels.size - 1, FOLDS))
-        group = np.append(np.repeat(np.arange(len(parts)), [part.size for part in parts]), -1)
-        used = [record.used for record in problem.data]
-        folds = tuple(np.where(on, group[of], -1) for on, of in zip(used, level, strict=True))
-        split = Split.of(problem.space, list(problem.data), x, held=HeldOut(Scheme.LEVELS, folds))
-        smoothness = fit_smooth(split.system, fixed=split.fixed).smoothness
-        relative, freedom, lengths = [], 0.0, []
-        for first, last in itertools.combinations(range(len(parts) + 1), 2):
-            kept = np.delete(np.arange(len(parts) + 1), np.s_[first:last])
-            system = dataclasses.replace(
-                split.system, grams=split.system.grams[kept], counts=split.system.counts[kept]
-            )
-            fitted = x.copy()
-            at = split.place >= 0
-            fitted[at] = fit_smooth(system, (smoothness,), fixed=split.fixed).weights[split.place[at]]
-            fitted_levels = levels[~np.isin(group, np.arange(first, last))]
-            for record, y, of, fold, one in zip(
-                problem.data, problem.predict(fitted), level, folds, strokes, strict=True
-            ):
-                inside = (fold >= first) & (fold < last)
-                if not inside.any():
-                    continue
-                error = y - record.y
-                if inside[record.used].all():
-                    error = error - error[inside].mean()  # the record's own offset is unknown
-                for number in np.unique(of[inside]):
-                    on = inside & (of == number)
-                    swing = one.swing_of(record.y, record.used)[on]
-                    gap = _gap(levels[number], fitted_levels)
-                    relative.append(np.mean((error[on] / swing) ** 2) / gap)
-                    if last == first + 1:
-                        lengths.append(correlation_length(error[on]))
-                        freedom += on.sum() / lengths[-1]
-        return cls(levels, float(np.mean(relative)), freedom, int(np.median(lengths)))
+        problem = posterior.result.problem.with_loss("linear")
+        strokes = [Strokes.of(record.u) for record in problem.data]
+        swings = np.concatenate([one.swings for one in strokes])
+        levels = np.array(distinct(np.log(swings), APART)[::-1])
+        if levels.size < 2 or _STROKES * levels.size > swings.size:
+            return None
+        level = [np.abs(np.log(one.swings)[one.number, None] - levels).argmin(axis=1) for one in strokes]
+        edges = np.unique(np.linspace(0, levels.size - 1, FOLDS + 1).round().astype(int))
+        numbers, squares, lengths, freedom = set(), [], [], 0.0
+        for first, last in itertools.combinations(edges, 2):
+            held = [(of >= first) & (of < last) for of in level]
+            weights = [np.where(mask, 0.0, record.weight) for mask, record in zip(held, problem.data, strict=True)]
+            x = posterior_mean(posterior, problem.reweighted(weights))
+            fitted = np.delete(levels, np.s_[first:last])
+            for record, y, of, mask, one in zip(problem.data, problem.predict(x), level, held, strokes, strict=True):
+                error, left = y - record.y, mask & record.used
+                if mask[record.used].all():
+                    error = error - error[left].mean()  # the record's own offset is not known
+                for number in np.unique(of[left]):
+                    on = left & (of == number)
+                    relative = error[on] / one.swing_of(record.y, record.used)[on]
+                    squares.append(np.mean(relative**2) / _gap(levels[number], fitted))
+                    lengths.append(correlation_length(error[on]))
+                    freedom += (number not in numbers) * on.sum() / lengths[-1]
+                    numbers.add(number)
+        return cls(levels, float(np.mean(squares)), freedom, int(np.median(lengths)))
 
     def sd(self, u: np.ndarray, y: np.ndarray) -> Float[np.ndarray, " T"]:
         """Standard deviation of the error over an input u with output y, shapes (T,) [y]."""
         strokes = Strokes.of(u)
-        gap = np.array([_gap(value, self.levels) for value in np.log(strokes.swings)])
-        return np.sqrt(self.variance * gap[strokes.number]) * strokes.swing_of(y, np.ones(y.size, dtype=bool))
+        gaps = np.array([_gap(value, self.levels) for value in np.log(strokes.swings)])
+        return np.sqrt(self.variance * gaps[strokes.number]) * strokes.swing_of(y, np.full(y.size, True))
 
 
 def _gap(level: float, fitted: np.ndarray) -> float:
-    """Variance of a Wiener process at a level, known at fitted ones (rising) and of unit variance over a unit."""
-    k = int(np.searchsorted(fitted, level))
-    if np.abs(fitted - level).min() <= APART:
+    """Variance at a level of a Wiener process of unit variance over a unit that is zero at fitted levels, rising."""
+    near, k = float(np.abs(fitted - level).min()), int(np.searchsorted(fitted, level))
+    if near <= APART:
         return 0.0
     if k in (0, fitted.size):
-        return float(np.abs(fitted - level).min())
-    below, above = fitted[k - 1], fitted[k]
-    return float((level - below) * (above - level) / (above - below))
+        return near
+    return float((level - fitted[k - 1]) * (fitted[k] - level) / (fitted[k] - fitted[k - 1]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +103,7 @@ class Strokes:
     Attributes:
         edges: first sample of each, and the end, shape (K + 1,).
         number: of the stroke of every sample, shape (T,).
-        swings: change of the input over each, shape (K,); those that a record cuts off have the swing of their neighbor.
+        swings: change of the input over each, shape (K,); of the first and the last at least that of their neighbor.
     """
 
     edges: np.ndarray
@@ -125,18 +116,42 @@ class Strokes:
         edges = np.concatenate([[0], clear_reversals(u), [u.size]])
         return cls(edges, np.repeat(np.arange(edges.size - 1), np.diff(edges)), _swings(u, edges))
 
-    @property
-    def of_samples(self) -> np.ndarray:
-        """Swing of the stroke of every sample, shape (T,)."""
-        return self.swings[self.number]
-
-    def swing_of(self, y: np.ndarray, used: np.ndarray) -> np.ndarray:
-        """Change of an output over the stroke of every sample, shape (T,)."""
+    def swing_of(self, y: np.ndarray, used: np.ndarray) -> Float[np.ndarray, " T"]:
+        """Change of an output over the stroke of each sample, by the samples that are used, shapes (T,)."""
         return _swings(np.where(used, y, np.nan), self.edges)[self.number]
 
 
-def _swings(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    swings = np.array([np.nanmax(part) - np.nanmin(part) for part in (values[a : b + 1] for a, b in itertools.pairwise(edges))])
+def _swings(values: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, " K"]:
+    """Range of values over each stroke; those that the ends of a record cut off have at least that of their neighbor."""
+    parts = [values[first : last + 1] for first, last in itertools.pairwise(edges)]
+    swings = np.array([np.nanmax(part) - np.nanmin(part) if np.isfinite(part).any() else 0.0 for part in parts])
     if swings.size > 1:
-        swings[0], swings[-1] = max(swings[0], swings[1]), max(swings[-1], swings[-2])
+        swings[0], swings[-1] = swings[:2].max(), swings[-2:].max()
     return swings
+
+
+def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, " p"]:
+    """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors.
+
+    Args:
+        posterior: of weights.
+        problem: with the same parameters; samples of weight zero do not count.
+    """
+    x, size = posterior.result.x, float(problem.scales.y)
+    noise = {name: float(np.median(posterior[name])) for name in posterior.names if name.startswith("noise_")}
+    slow, unit = None, noise["noise_white"]
+    if "noise_slow" in noise:
+        unit = noise["noise_slow"]
+        slow = np.array([(noise["noise_white"] / unit) ** 2])
+    grid = NoiseGrid(slow, np.array([noise.get("noise_time", 0.0)]))
+    equations = weight_equations(problem, x, grid, weight_priors(problem, x, None), size)
+    strength = float(np.median(posterior.stats["smoothness"])) * posterior.result.problem.used.sum()
+    return size * np.asarray(_mean(equations, (unit / size) ** 2, strength, jax.random.key(posterior.seed)))
+
+
+@compiled
+def _mean(equations: WeightEquations, variance: Array, strength: Array, key: Array) -> Array:
+    """Mean of the weights with one noise and one strength of the penalty, shape (p,)."""
+    slope, precision = equations.conditional(0, variance, strength)
+    draws = truncated_draws(key, equations.inside, slope, precision, equations.bounded, _MOVES)
+    return draws[_MOVES // 10 :].mean(axis=0)

@@ -254,6 +254,11 @@ class Posterior(WithStatus):
         return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property
+    def beyond(self) -> Any:
+        """Error at amplitudes that were not fitted, a `hystfit.sampling.amplitude_error.AmplitudeError`; None where it is not known."""
+        return _view("amplitude_error:AmplitudeError").of(self)
+
+    @functools.cached_property
     def sensitivity(self) -> Any:
         """What the answer rests on, a `hystfit.sampling.sensitivity.Sensitivity`: prior against data, single records, replicated data."""
         return _view("sensitivity:sensitivity")(self)

@@ -32,7 +32,6 @@ from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.held_out import correlation_length
 from hystfit.results.result import FitResult
-from hystfit.sampling.amplitude_error import AmplitudeError
 from hystfit.sampling.posterior import Posterior
 
 
@@ -97,7 +96,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
         density, about = problem.trimmed().density, None
     noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), key, about))[:, : len(record)]
     if result.left_out is not None and not is_fitted(result, record):
-        y = y + _error_beyond(result, record, y, noise, seed)
+        y = y + _error_beyond(posterior, record, y, noise, seed)
     return result.to_unit_of(given, y + noise)
 
 
@@ -107,31 +106,26 @@ def is_fitted(result: FitResult, record: Record) -> bool:
 
 
 def _error_beyond(
-    result: FitResult, record: Record, y: np.ndarray, noise: np.ndarray, seed: int
+    posterior: Posterior, record: Record, y: np.ndarray, noise: np.ndarray, seed: int
 ) -> Float[np.ndarray, "count T"]:
     """Error of the model over a record that was not fitted, as far as neither the draws nor the noise explain it.
 
-    Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and the error on the groups that the fit held out
-    otherwise, whose errors have one cause each. It is known from few values, so that its draws are those of Student's t.
+    Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and otherwise of the error on the groups that the
+    fit held out, each of which has one cause. It is known from few values: the draws are those of Student's t.
 
     Args:
-        result: the fit.
+        posterior: whose fit held out groups of samples.
         record: in its units.
         y, noise: predictions without noise, and noise, shape (count, T) [y].
         seed: of the draws.
     """
-    rng = np.random.default_rng(seed)
-    problem, middle = result.problem, y.mean(axis=0)
-    beyond = AmplitudeError.of(problem, result.x) if problem.closed_form else None
+    rng, result, beyond = np.random.default_rng(seed), posterior.result, posterior.beyond
+    problem, shape = result.problem, y - y.mean(axis=1, keepdims=True)
     if beyond is None:
         squares, freedom = result.left_out**2, problem.held_out.count
         length = correlation_length(problem.residuals(result.x)[problem.used])
     else:
-        # What is known of the error is that of the fit, from which the middle of the draws differs.
-        away = middle - simulate_draws(result, record, result.x[None], seed)[0]
-        squares, freedom = beyond.sd(record.u, middle) ** 2 + (away - away.mean()) ** 2, beyond.freedom
-        length = beyond.length
-    shape = y - y.mean(axis=1, keepdims=True)
+        squares, freedom, length = beyond.sd(record.u, y.mean(axis=0)) ** 2, beyond.freedom, beyond.length
     missing = np.maximum(squares - np.var(shape, axis=0).mean() - np.mean(noise**2), 0.0)
     scale = np.sqrt(freedom / rng.chisquare(freedom, size=(len(y), 1)))
     return np.sqrt(missing) * scale * _correlated(rng, y.shape, length)

@@ -34,6 +34,18 @@ def draw_truncated(
     bounded: Bool[Array, " p"],
     moves: int = 1,
 ) -> Float[Array, " p"]:
+    """The last of `truncated_draws`, shape (p,); arguments as there."""
+    return truncated_draws(key, x, slope, precision, bounded, moves)[-1]
+
+
+def truncated_draws(
+    key: Array,
+    x: Float[Array, " p"],
+    slope: Float[Array, " p"],
+    precision: Float[Array, "p p"],
+    bounded: Bool[Array, " p"],
+    moves: int,
+) -> Float[Array, "moves p"]:
     """Transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
 
     Args:
@@ -60,12 +72,13 @@ def draw_truncated(
         x = jnp.where(bounded, jnp.maximum(x, 0.0), x)
         return _Flight(x.at[i].set(jnp.where(reflected, 0.0, x[i])), v, left - time)
 
-    def move(x: Array, key: Array) -> tuple[Array, None]:
+    def move(x: Array, key: Array) -> tuple[Array, Array]:
         velocity = jax.scipy.linalg.solve_triangular(factor, jax.random.normal(key, x.shape), lower=True, trans=1)
         start = _Flight(x, velocity, jnp.asarray(_TIME))
-        return jax.lax.while_loop(lambda flight: flight.left > 0, onward, start).x, None
+        x = jax.lax.while_loop(lambda flight: flight.left > 0, onward, start).x
+        return x, x
 
-    return jax.lax.scan(move, x, jax.random.split(key, moves))[0]
+    return jax.lax.scan(move, x, jax.random.split(key, moves))[1]
 
 
 def _half_tangent(x: Float[Array, " p"], v: Float[Array, " p"], mean: Float[Array, " p"]) -> Float[Array, " p"]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -19,6 +20,7 @@ from hystfit.inference.weights import smoothness_penalty
 from hystfit.params.host_arrays import to_device
 
 _STEPS = np.array([-2.4, -1.2, 0.0, 1.2, 2.4])  # of the grid of noises along each axis, in standard deviations
+_INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
 
 class WeightEquations(eqx.Module):
@@ -51,6 +53,19 @@ class WeightEquations(eqx.Module):
     pull: Float[Array, " p"]
     bounded: Bool[Array, " p"]
     count: Float[Array, ""]
+
+    def conditional(self, number: Any, variance: Any, strength: Any) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
+        """Slope s and precision P of the weights' density exp(-w'P w / 2 + s'w), given number and variance of the noise and the strength."""
+        gram = self.grams[number]
+        precision = gram / variance + strength * self.roughness + jnp.diag(self.precision)
+        return (gram @ self.estimate - self.slopes[number]) / variance + self.pull, precision
+
+    @property
+    def inside(self) -> Float[Array, " p"]:
+        """The estimate, moved inside its bounds, shape (p,)."""
+        w, bounded = self.estimate, self.bounded
+        mean = jnp.sum(jnp.where(bounded, w, 0.0)) / jnp.maximum(jnp.sum(bounded), 1)
+        return jnp.where(bounded, jnp.maximum(w, _INSIDE * mean), w)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -41,7 +41,6 @@ from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
 _LEAST = 1e-16  # variance of noise, over the squared range of the output, below which squares of residuals are rounding errors
-_INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
 
 @dataclasses.dataclass(frozen=True)
@@ -143,9 +142,7 @@ State = dict[str, Array]
 def _start(equations: WeightEquations, key: Array) -> State:
     """The estimate inside its bounds, another noise and another strength in each chain."""
     first, second = jax.random.split(key)
-    w, bounded = equations.estimate, equations.bounded
-    mean = jnp.sum(jnp.where(bounded, w, 0.0)) / jnp.maximum(jnp.sum(bounded), 1)
-    w = jnp.where(bounded, jnp.maximum(w, _INSIDE * mean), w)
+    w = equations.inside
     strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
     number = jax.random.randint(second, (), 0, equations.squares.size)
     variance = equations.squares[number] / equations.count + _LEAST
@@ -163,10 +160,8 @@ def _advance(equations: WeightEquations, state: State, key: Array) -> State:
 def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     """One sweep: weights, noise, strength of the penalty; for use inside traced code."""
     keys = jax.random.split(key, 5)
-    n, gram = equations.count, equations.grams[state["number"]]
-    precision = gram / state["variance"] + state["strength"] * equations.roughness + jnp.diag(equations.precision)
-    toward = gram @ equations.estimate - equations.slopes[state["number"]]
-    slope = toward / state["variance"] + equations.pull
+    n = equations.count
+    slope, precision = equations.conditional(state["number"], state["variance"], state["strength"])
     w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)
     away = w - equations.estimate
     squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
