@@ -40,6 +40,7 @@ from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
+_OTHERS = 15  # draws of the strength in a sweep; their cost is small beside that of the weights
 _LEAST = 1e-16  # variance of noise, over the squared range of the output, below which squares of residuals are rounding errors
 
 
@@ -55,7 +56,7 @@ class Weights(AbstractSampler):
 
     name: ClassVar[str] = "weights"
     chains: int = 4
-    draws: int = 450
+    draws: int = 300
     extend: int = 8
     warmup: int = 50
 
@@ -170,14 +171,22 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     variance = half[number] / jax.random.gamma(keys[2], 0.5 * n)
     rough = 0.5 * w @ equations.roughness @ w
     rate = jax.random.exponential(keys[3]) / (state["strength"] + equations.penalized**2)
-    strength = jax.random.gamma(keys[4], 0.5 * (equations.penalized + 1)) / (rate + rough)
-    strength = jnp.where(equations.penalized > 0, strength, 1.0)
+    others = jax.random.gamma(keys[4], 0.5 * (equations.penalized + 1), (_OTHERS,)) / (rate + rough)
+    strength = jnp.where(equations.penalized > 0, _opposite(state["strength"], others), 1.0)
     prior = 0.5 * equations.penalized * jnp.log(strength) - strength * rough
     prior += equations.pull @ w - 0.5 * jnp.sum(equations.precision * w**2)
     fit = -0.5 * equations.log_dets[number] - 0.5 * n * jnp.log(variance) - half[number] / variance
     return {
         "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior, "log_prior": prior,
     }  # fmt: skip
+
+
+def _opposite(value: Array, others: Array) -> Array:
+    """Ordered overrelaxation (Neal 1998, in Learning in Graphical Models): of a value and further draws of its density, the one as far from
+    the other end. Weights and the strength of their penalty hold each other back; this halves the steps that they need.
+    """
+    rank = jnp.sum(others < value)
+    return jnp.sort(jnp.append(others, value))[others.size - rank]
 
 
 _KNOWN = ("iid", "ou")
