@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import gamma
 from scipy.stats import t as student
 
 import hystfit as hf
@@ -22,6 +23,7 @@ from hystfit.outcome import Status
 from hystfit.sampling.sample import suited_sampler
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, weight_equations, weight_priors
+from hystfit.sampling.weight_sampler import overrelaxed
 
 
 def turning(seed: int, count: int, steps: int = 12) -> np.ndarray:
@@ -54,6 +56,18 @@ def test_exact_motion_has_the_moments_of_a_truncated_normal() -> None:
     error = np.sqrt(np.diag(covariance) / 2000)  # at least a quarter as many effective draws
     np.testing.assert_array_less(np.abs(found.mean(axis=0) - mean), 4 * error)
     np.testing.assert_allclose(np.cov(found.T), covariance, atol=0.05)
+
+
+def test_overrelaxation_leaves_a_density_as_it_is_and_takes_the_other_side() -> None:
+    def move(value: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        new = overrelaxed(value, jax.random.gamma(key, 3.0, (15,)))
+        return new, new
+
+    keys = jax.random.split(jax.random.key(0), 20_000)
+    draws = np.asarray(jax.jit(lambda: jax.lax.scan(move, jnp.asarray(3.0), keys)[1])())
+    assert np.corrcoef(draws[1:], draws[:-1])[0, 1] < -0.7
+    levels = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
+    np.testing.assert_allclose([np.mean(draws <= gamma(3.0).ppf(level)) for level in levels], levels, atol=0.01)
 
 
 @pytest.fixture(scope="module")

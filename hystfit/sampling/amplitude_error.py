@@ -12,7 +12,6 @@ import dataclasses
 import itertools
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -25,7 +24,9 @@ from hystfit.sampling.truncated_normal import truncated_draws
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
-_MOVES = 300  # of weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation
+_MOVES = (
+    300  # of weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation
+)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 They include the uncertainty of the parameters; for a record that was not fitted, the spread of per-record parameters (the offset) over
 the fitted records; and the noise: white and slow noise of stationary size, with innovations resampled from those of the fitted
-records (`hystfit.inference.noise.base`), and a recurring error as the residuals determine it. Where a fit held out groups of
-samples to choose its regularization, the noise over a record that was not fitted is widened by the part of their error that it does not
-explain: many weights absorb part of the model's error at the fitted loops. Beyond that, no error of the model at amplitudes,
-frequencies or levels that were not fitted is included.
+records (`hystfit.inference.noise.base`), and a recurring error as the residuals determine it. Over a record that was not fitted they
+include the error of many weights, which absorb part of the model's error at the fitted loops: between and beyond fitted amplitudes as
+loops that are left out show (`hystfit.sampling.amplitude_error`), and otherwise that on the groups that the fit held out. Beyond that, no
+error of the model at amplitudes, frequencies or levels that were not fitted is included.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     else:
         density, about = problem.trimmed().density, None
     noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), key, about))[:, : len(record)]
-    if result.left_out is not None and not is_fitted(result, record):
+    if not is_fitted(result, record):
         y = y + _error_beyond(posterior, record, y, noise, seed)
     return result.to_unit_of(given, y + noise)
 
@@ -110,11 +110,11 @@ def _error_beyond(
 ) -> Float[np.ndarray, "count T"]:
     """Error of the model over a record that was not fitted, as far as neither the draws nor the noise explain it.
 
-    Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and otherwise of the error on the groups that the
-    fit held out, each of which has one cause. It is known from few values: the draws are those of Student's t.
+    Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and otherwise of the error on the groups that
+    the fit held out, if it did; the errors of a group have one cause. It is known from few values: the draws are those of Student's t.
 
     Args:
-        posterior: whose fit held out groups of samples.
+        posterior: of the parameters.
         record: in its units.
         y, noise: predictions without noise, and noise, shape (count, T) [y].
         seed: of the draws.
@@ -122,7 +122,7 @@ def _error_beyond(
     rng, result, beyond = np.random.default_rng(seed), posterior.result, posterior.beyond
     problem, shape = result.problem, y - y.mean(axis=1, keepdims=True)
     if beyond is None:
-        squares, freedom = result.left_out**2, problem.held_out.count
+        squares, freedom = (result.left_out or 0.0) ** 2, problem.held_out.count
         length = correlation_length(problem.residuals(result.x)[problem.used])
     else:
         squares, freedom, length = beyond.sd(record.u, y.mean(axis=0)) ** 2, beyond.freedom, beyond.length

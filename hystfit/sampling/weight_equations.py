@@ -55,7 +55,7 @@ class WeightEquations(eqx.Module):
     count: Float[Array, ""]
 
     def conditional(self, number: Any, variance: Any, strength: Any) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
-        """Slope s and precision P of the weights' density exp(-w'P w / 2 + s'w), given number and variance of the noise and the strength."""
+        """s and P of the weights' density exp(-w'P w / 2 + s'w) for number and variance of the noise, and a strength of the penalty."""
         gram = self.grams[number]
         precision = gram / variance + strength * self.roughness + jnp.diag(self.precision)
         return (gram @ self.estimate - self.slopes[number]) / variance + self.pull, precision

@@ -172,7 +172,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     rough = 0.5 * w @ equations.roughness @ w
     rate = jax.random.exponential(keys[3]) / (state["strength"] + equations.penalized**2)
     others = jax.random.gamma(keys[4], 0.5 * (equations.penalized + 1), (_OTHERS,)) / (rate + rough)
-    strength = jnp.where(equations.penalized > 0, _opposite(state["strength"], others), 1.0)
+    strength = jnp.where(equations.penalized > 0, overrelaxed(state["strength"], others), 1.0)
     prior = 0.5 * equations.penalized * jnp.log(strength) - strength * rough
     prior += equations.pull @ w - 0.5 * jnp.sum(equations.precision * w**2)
     fit = -0.5 * equations.log_dets[number] - 0.5 * n * jnp.log(variance) - half[number] / variance
@@ -181,9 +181,11 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     }  # fmt: skip
 
 
-def _opposite(value: Array, others: Array) -> Array:
-    """Ordered overrelaxation (Neal 1998, in Learning in Graphical Models): of a value and further draws of its density, the one as far from
-    the other end. Weights and the strength of their penalty hold each other back; this halves the steps that they need.
+def overrelaxed(value: Array, others: Array) -> Array:
+    """Ordered overrelaxation (Neal 1998, in Learning in Graphical Models): of a value and further draws of its density, the one as far
+    from the other end; for use inside traced code.
+
+    Weights and the strength of their penalty hold each other back; this halves the sweeps that they need.
     """
     rank = jnp.sum(others < value)
     return jnp.sort(jnp.append(others, value))[others.size - rank]
