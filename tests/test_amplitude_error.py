@@ -113,6 +113,7 @@ def test_the_error_is_zero_at_fitted_amplitudes_and_grows_with_the_output(sample
     assert (beyond.sd(between.u / 0.4, between.y) == 0).all()
     np.testing.assert_allclose(beyond.sd(between.u, 3 * between.y), 3 * beyond.sd(between.u, between.y))
     assert beyond.freedom > 1
+    assert (beyond.sd(np.ones(20), np.ones(20)) == 0).all()  # an input that does not move
 
 
 def test_one_amplitude_gives_no_error_at_others() -> None:

@@ -35,7 +35,7 @@ class AmplitudeError:
 
     Attributes:
         levels: logarithms of the fitted swings of the input, rising.
-        variance: of the error over the output's swing, for an e-fold of amplitude.
+        variance: of the error without noise over the output's swing, for an e-fold of amplitude.
         freedom: number of degrees of freedom with which it is known.
         length: samples over which the error is correlated.
     """
@@ -49,18 +49,22 @@ class AmplitudeError:
     def of(cls, posterior: Posterior) -> AmplitudeError | None:
         """From posteriors without some of the amplitudes; the largest stays in all of them.
 
-        None where weights were not sampled by "weights", and where the records have one amplitude, or as many as strokes.
+        None where weights were not sampled by "weights", where the records have one amplitude, or nearly as many as strokes, and where an
+        input does not move.
         """
         if posterior.sampler != "weights":
             return None
         problem = posterior.result.problem.with_loss("linear")
         strokes = [Strokes.of(record.u) for record in problem.data]
         swings = np.concatenate([one.swings for one in strokes])
-        levels = np.array(distinct(np.log(swings), APART)[::-1])
-        if levels.size < 2 or _STROKES * levels.size > swings.size:
+        levels = np.array(distinct(np.log(swings[swings > 0]), APART)[::-1])
+        if (swings == 0).any() or levels.size < 2 or _STROKES * levels.size > swings.size:
             return None
         level = [np.abs(np.log(one.swings)[one.number, None] - levels).argmin(axis=1) for one in strokes]
         edges = np.unique(np.linspace(0, levels.size - 1, FOLDS + 1).round().astype(int))
+        noise = sum(
+            float(np.median(posterior[name])) ** 2 for name in ("noise_white", "noise_slow") if name in posterior.names
+        )
         numbers, squares, lengths, freedom = set(), [], [], 0.0
         for first, last in itertools.combinations(edges, 2):
             held = [(of >= first) & (of < last) for of in level]
@@ -69,12 +73,13 @@ class AmplitudeError:
             fitted = np.delete(levels, np.s_[first:last])
             for record, y, of, mask, one in zip(problem.data, problem.predict(x), level, held, strokes, strict=True):
                 error, left = y - record.y, mask & record.used
-                if mask[record.used].all():
+                if left.any() and mask[record.used].all():
                     error = error - error[left].mean()  # the record's own offset is not known
                 for number in np.unique(of[left]):
                     on = left & (of == number)
-                    relative = error[on] / one.swing_of(record.y, record.used)[on]
-                    squares.append(np.mean(relative**2) / _gap(levels[number], fitted))
+                    swing = one.swing_of(record.y, record.used)[on]
+                    excess = max(np.mean(error[on] ** 2) - noise, 0.0)
+                    squares.append(excess / max(np.mean(swing**2), noise) / _gap(levels[number], fitted))
                     lengths.append(correlation_length(error[on]))
                     freedom += (number not in numbers) * on.sum() / lengths[-1]
                     numbers.add(number)
@@ -83,7 +88,7 @@ class AmplitudeError:
     def sd(self, u: np.ndarray, y: np.ndarray) -> Float[np.ndarray, " T"]:
         """Standard deviation of the error over an input u with output y, shapes (T,) [y]."""
         strokes = Strokes.of(u)
-        gaps = np.array([_gap(value, self.levels) for value in np.log(strokes.swings)])
+        gaps = np.array([_gap(np.log(swing), self.levels) if swing else 0.0 for swing in strokes.swings])
         return np.sqrt(self.variance * gaps[strokes.number]) * strokes.swing_of(y, np.full(y.size, True))
 
 

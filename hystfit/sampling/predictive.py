@@ -122,11 +122,11 @@ def _error_beyond(
     rng, result, beyond = np.random.default_rng(seed), posterior.result, posterior.beyond
     problem, shape = result.problem, y - y.mean(axis=1, keepdims=True)
     if beyond is None:
-        squares, freedom = (result.left_out or 0.0) ** 2, problem.held_out.count
+        squares, freedom = (result.left_out or 0.0) ** 2 - np.mean(noise**2), problem.held_out.count
         length = correlation_length(problem.residuals(result.x)[problem.used])
     else:
         squares, freedom, length = beyond.sd(record.u, y.mean(axis=0)) ** 2, beyond.freedom, beyond.length
-    missing = np.maximum(squares - np.var(shape, axis=0).mean() - np.mean(noise**2), 0.0)
+    missing = np.maximum(squares - np.var(shape, axis=0).mean(), 0.0)
     scale = np.sqrt(freedom / rng.chisquare(freedom, size=(len(y), 1)))
     return np.sqrt(missing) * scale * _correlated(rng, y.shape, length)
 
