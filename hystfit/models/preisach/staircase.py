@@ -43,16 +43,6 @@ class Staircase:
     index: np.ndarray
     depth: int
 
-    def jumps(self) -> np.ndarray:
-        """Ancestors at distance 1, 2, 4, ... of every node, shape (levels, K); K stands for none."""
-        count = self.node_parent.size
-        up = np.append(np.where(self.node_parent < 0, count, self.node_parent), count)
-        rows = []
-        while (up[:-1] < count).any():
-            rows.append(up[:-1])
-            up = up[up]
-        return np.stack(rows) if rows else np.zeros((0, count), dtype=int)
-
     def layers(self) -> list[slice]:
         """The nodes that remember 1, 2, ... extrema (themselves included): each layer's parents are in the layer before."""
         edges = np.searchsorted(levels(self.node_parent), np.arange(1, self.depth + 2))
