@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -81,11 +80,14 @@ def forc(
     text = "\n".join([family.words(), f"density: {how}", *shown, *(f"  - {note}" for note in notes)])
 
     def save(folder: Path) -> None:
+        from hystfit.cli.figures import sheet
         from hystfit.cli.pages import forc_page
+        from hystfit.results.preisach_plots import plot_compared
 
         figures = _figures(diagram, numbers, loop, family, units)
         if len(diagrams) > 1:
-            figures["compared"] = _compared(diagrams, units)
+            figures["compared"] = sheet(5.6 * len(diagrams), 8.4)
+            plot_compared(diagrams, figures["compared"], units=units)
         _write_density(folder, diagram, numbers, units)
         page = forc_page(
             family.words(), how, tables, numbers, units["u"], notes, figures, command_words(loops, reading)
@@ -117,15 +119,6 @@ def _density(
     # The time grows with the third power of the number of cells along an axis, and 40 took minutes.
     posterior = sample(fit("preisach-forc:n=24", data))
     return local | {_HOW[density]: sampled_density(posterior, rising=rising)}, posterior.status, posterior.notes
-
-
-def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
-    from hystfit.cli.figures import sheet
-    from hystfit.results.preisach_plots import plot_compared
-
-    figure = sheet(5.6 * len(diagrams), 8.4)
-    plot_compared(diagrams, figure, units=units)
-    return figure
 
 
 def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:

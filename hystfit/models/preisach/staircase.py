@@ -63,7 +63,8 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
     v = np.asarray(v)
     fresh = np.append(True, v[1:] != v[:-1])
     run, v = np.cumsum(fresh) - 1, v[fresh]
-    values, code = _codes(v)
+    whole = np.issubdtype(v.dtype, np.integer)
+    values, code = (np.arange(v.max() + 1), v) if whole else np.unique(v, return_inverse=True)
     turns = turning_points(v)
     tree = build_tree(v[turns], code[turns], values.size, rest, center)
     # A sample starts from the last turning point before it; the first one from the rest.
@@ -82,13 +83,6 @@ def turning_points(v: np.ndarray) -> np.ndarray:
         return np.arange(v.size)
     rising = v[1:] > v[:-1]
     return np.concatenate([[0], np.flatnonzero(rising[1:] != rising[:-1]) + 1, [v.size - 1]])
-
-
-def _codes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct values and the number of each sample's."""
-    if np.issubdtype(v.dtype, np.integer):
-        return np.arange(v.max() + 1), v
-    return np.unique(v, return_inverse=True)
 
 
 # -- the tree of dominant extrema ------------------------------------------------------------------------------------------
