@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify import DuhemRegressor, GradientCorrection, Sample, identify, run_stream
+from hystfit.identify.gradient_correction import check_weights
 from hystfit.models.duhem import Duhem
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Status
@@ -36,9 +37,11 @@ vectors = st.lists(st.floats(-1, 1), min_size=8, max_size=8).map(np.array)
 sizes = st.lists(st.floats(0.1, 10.0), min_size=8, max_size=8).map(np.array)
 
 
-def one_row(identifier: GradientCorrection, at: int):
+def one_row(identifier: GradientCorrection, at: int, count: int = 0):
     """theta before and after the row that ends at a sample, and the row."""
-    state = identifier.init()._replace(last=jnp.asarray([RECORD.u[at - 1], RECORD.y[at - 1]]))
+    state = identifier.init()._replace(
+        last=jnp.asarray([RECORD.u[at - 1], RECORD.y[at - 1]]), count=jnp.asarray(count, dtype=int)
+    )
     after, _ = run_stream(identifier, state, Sample.of(RECORD.u[at : at + 1], RECORD.y[at : at + 1], [0.0], [False]))
     return np.asarray(state.theta), np.asarray(after.theta), ROWS.phi[at - 1], ROWS.target[at - 1]
 
@@ -76,6 +79,41 @@ def test_weighted_error_decreases_by_the_proven_amount(start, weights, mu, floor
     )
 
 
+@given(start=vectors, weights=sizes, leader=st.integers(0, 7), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15)
+def test_error_never_grows_under_weights_that_meet_the_condition(start, weights, leader, seed):
+    rng = np.random.default_rng(seed)
+    ratio = np.exp(0.01 * rng.normal(size=(199, 8)))
+    ratio[:, leader] = ratio.min(axis=1)  # the leader has the largest relative decrease at every row
+    schedule = weights * np.vstack([np.ones(8), np.cumprod(ratio, axis=0)])
+    identifier = GradientCorrection(REGRESSOR, jnp.asarray(TRUTH + start), jnp.asarray(check_weights(schedule, 8)))
+    data = RECORD.segment(0, 201)
+    _, info = run_stream(identifier, identifier.init(), Sample.stream([data]))
+    theta = np.asarray(info.theta)[1:]
+    V = np.sum(schedule[:, leader : leader + 1] / schedule * (theta - TRUTH) ** 2, axis=1)
+    assert (np.diff(V) <= 1e-9 * V[:-1] + 1e-20).all()
+
+
+@given(ratio=st.lists(sizes, min_size=1, max_size=4), leader=st.integers(-1, 7))
+@settings(max_examples=200)
+def test_both_forms_of_the_papers_condition_are_what_is_checked(ratio, leader):
+    ratio = np.array(ratio)
+    if leader >= 0:
+        ratio[:, leader] = ratio.min(axis=1) * 0.99
+    weights = np.vstack([np.ones(8), np.cumprod(ratio, axis=0)])
+    now, later = weights[:-1], weights[1:]
+    forms = []
+    for below in (now, later):
+        decrease = (now - later) / below
+        forms.append(any((decrease[:, [m]] >= decrease - 1e-13).all() for m in range(8)))
+    assert forms[0] == forms[1]
+    if forms[0]:
+        check_weights(weights, 8)
+    else:
+        with pytest.raises(ParameterError, match="largest relative decrease"):
+            check_weights(weights, 8)
+
+
 def test_whole_step_without_floor_satisfies_the_row_exactly():
     identifier = GradientCorrection(REGRESSOR, jnp.zeros(8), jnp.arange(1.0, 9.0), jnp.asarray(1.0), jnp.asarray(0.0))
     before, after, phi, target = one_row(identifier, 700)
@@ -83,6 +121,16 @@ def test_whole_step_without_floor_satisfies_the_row_exactly():
     assert abs(target - phi @ after) < 1e-13
     correction = (after - before) / (np.arange(1.0, 9.0) * phi)
     np.testing.assert_allclose(correction, correction[0], rtol=1e-9)  # along Lambda phi
+
+
+def test_schedule_of_weights_is_followed_row_by_row_and_its_end_stays():
+    schedule = np.outer([1.0, 0.5, 0.25], np.ones(8))
+    for count, weight in ((0, 1.0), (1, 0.5), (2, 0.25), (9, 0.25)):
+        moved = [
+            one_row(GradientCorrection(REGRESSOR, jnp.zeros(8), jnp.asarray(w)), 700, count)[1]
+            for w in (schedule, np.full(8, weight))
+        ]
+        np.testing.assert_array_equal(*moved)
 
 
 def test_constant_step_is_bounded():

@@ -2,7 +2,8 @@
 
 theta <- theta + c Lambda phi (target - phi . theta). For constant Lambda and no noise the weighted error
 V = (theta - truth)^T Lambda^-1 (theta - truth) falls by c e^2 (2 - c phi^T Lambda phi) at every step, e the row's error: hence
-0 < c < 2 / (phi^T Lambda phi).
+0 < c < 2 / (phi^T Lambda phi). For weights that vary, Lambda_m V falls as long as Lambda_m has the largest relative decrease
+of all weights at every step (the paper's two forms of this condition, over Lambda(k) and over Lambda(k+1), are the same).
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -36,10 +37,12 @@ class GradientState(NamedTuple):
     Attributes:
         theta: shape (p,), in the units of the basis.
         last: (u, y) of the previous sample; NaN before the first.
+        count: rows used so far (the index of time-varying weights).
     """
 
     theta: Float[Array, " p"]
     last: Float[Array, "2"]
+    count: Int[Array, ""]
 
 
 class GradientCorrection(LinearIdentifier):
@@ -48,7 +51,7 @@ class GradientCorrection(LinearIdentifier):
     Attributes:
         regressor: the one-step Duhem equation.
         theta0: start, shape (p,), in the units of the basis.
-        weights: Lambda, shape (p,).
+        weights: Lambda, shape (p,), or (K, p) for weights that vary with the row; the last row of weights is kept.
         mu: relative step size, in (0, 2): c = mu / (floor + phi^T Lambda phi).
         floor: epsilon. Without it noise is amplified without bound at turning points, where phi vanishes.
         step: constant c instead, replaced by the normalized step where it exceeds its bound; None for mu and floor.
@@ -58,7 +61,7 @@ class GradientCorrection(LinearIdentifier):
 
     regressor: DuhemRegressor
     theta0: Float[Array, " p"]
-    weights: Float[Array, " p"]
+    weights: Float[Array, "*K p"]
     mu: Scalar = eqx.field(default=1.0, converter=as_array)
     floor: Scalar = eqx.field(default=1.0, converter=as_array)
     step: Scalar | None = eqx.field(default=None, converter=as_array)
@@ -87,7 +90,7 @@ class GradientCorrection(LinearIdentifier):
             mu, floor, step: see the attributes.
 
         Raises:
-            ParameterError: a setting out of range, or weights that are not positive.
+            ParameterError: a setting out of range, weights that are not positive or vary against the condition.
             ModelError, DataError: see `DuhemRegressor.of`; too few samples.
         """
         if not 0 < mu < 2:
@@ -99,7 +102,7 @@ class GradientCorrection(LinearIdentifier):
             lambdas = 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)
         else:
             lambdas = check_weights(weights, regressor.p)
-        largest = float(np.max(rows.phi**2 @ lambdas))
+        largest = float(np.max(rows.phi**2 @ np.atleast_2d(lambdas).max(axis=0)))
         if step is not None and not 0 < step < 2 / largest:
             raise ParameterError(
                 f"step must lie in (0, {2 / largest:.4g}) on these records, where the error falls at every row; got {step:g}"
@@ -108,12 +111,14 @@ class GradientCorrection(LinearIdentifier):
 
     def init(self) -> GradientState:
         """The start."""
-        return GradientState(self.theta0, jnp.full(2, jnp.nan, self.theta0.dtype))
+        return GradientState(self.theta0, jnp.full(2, jnp.nan, self.theta0.dtype), jnp.zeros((), int))
 
     def correct(self, state: GradientState, phi: Array, error: Array) -> GradientState:
         """About 4 p multiplications."""
-        along = self.weights * phi
-        return state._replace(theta=state.theta + self._gain(phi @ along) * error * along)
+        number = jnp.minimum(state.count, len(self.weights) - 1)
+        weights = self.weights if self.weights.ndim == 1 else self.weights[number]
+        gain = self._gain(phi @ (weights * phi))
+        return state._replace(theta=state.theta + gain * error * weights * phi, count=state.count + 1)
 
     def _gain(self, power: Array) -> Array:
         """Step c for phi^T Lambda phi, which is 0 in a row that is not used."""
@@ -153,14 +158,23 @@ class GradientCorrection(LinearIdentifier):
 
 
 def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.ndarray:
-    """Positive weights of shape (p,).
+    """Weights of shape (p,) or (K, p) that satisfy the paper's conditions (i) and (ii).
 
     Raises:
-        ParameterError: wrong shape, or not positive and finite.
+        ParameterError: wrong shape, not positive and finite, or weights that vary so that no one of them has the largest
+            relative decrease throughout.
     """
     array = np.asarray(weights, dtype=float)
-    if array.shape != (p,):
-        raise ParameterError(f"weights must have shape ({p},), got {array.shape}")
+    if array.ndim not in (1, 2) or array.shape[-1] != p or array.shape[0] == 0:
+        raise ParameterError(f"weights must have shape ({p},) or (K, {p}), got {array.shape}")
     if not (np.isfinite(array).all() and (array > 0).all()):
         raise ParameterError("weights must be positive and finite: a parameter of weight zero is never corrected")
+    if array.ndim == 2:
+        ratio = np.log(array[1:]) - np.log(array[:-1])  # the largest relative decrease is the smallest ratio
+        leads = np.all(ratio <= ratio.min(axis=1, keepdims=True) + 1e-12, axis=0)  # rounding
+        if not leads.any():
+            raise ParameterError(
+                "time-varying weights: the same weight must have the largest relative decrease at every step, or convergence is not "
+                "guaranteed; scale all weights by one common factor, or keep them constant"
+            )
     return array
