@@ -82,7 +82,7 @@ def peer(ukf: Any, record: Any) -> Any:
     def run(chunk: int) -> Iterator[np.ndarray]:
         state = ukf.restart(ukf.init(), jnp.asarray(record.u[0]))
         n = ukf.scheme.n
-        points = MerweScaledSigmaPoints(n, 1.0, 2.0, 0.0)
+        points = MerweScaledSigmaPoints(n, ukf.scheme.alpha, ukf.scheme.beta, ukf.scheme.kappa)
         f = UnscentedKalmanFilter(n, 1, 1.0, read, move, points)
         f.x, f.P = np.asarray(state.mean), np.asarray(state.root @ state.root.T)
         f.R, f.Q = np.array([[float(ukf.noise) ** 2]]), np.diag(np.asarray(ukf.walk) ** 2)

@@ -10,8 +10,6 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 
-from hystfit.identify.sigma_points import CENTRAL
-
 
 @numba.njit
 def _physical(z, low, high, scale, kind):
@@ -101,5 +99,5 @@ def loop(ukf: Any, record: Any) -> Callable[[], np.ndarray]:
     maps = np.nan_to_num(np.stack([np.asarray(v) for v in (c.lower, c.upper, c.scale)]))
     decay = -math.expm1(-float(np.median(record.dt)) / 1.0)
     settings = (np.asarray(ukf.walk), float(ukf.noise), maps, np.array(c.kinds), decay)
-    scheme = (float(ukf.scheme.n), CENTRAL)
+    scheme = (ukf.scheme.spread, ukf.scheme.central_weight)
     return lambda: _filter(record.u, record.y, np.asarray(state.mean), np.asarray(state.root), *settings, *scheme)

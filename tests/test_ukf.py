@@ -81,7 +81,7 @@ def by_filterpy(ukf, record, move, read):
     """filterpy from our start, with the outputs read off the propagated points, as ours are."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-    n = ukf.scheme.n
+    n, scheme = ukf.scheme.n, ukf.scheme
     moved = []
 
     def remember(point, dt, **drive):
@@ -89,7 +89,7 @@ def by_filterpy(ukf, record, move, read):
         return moved[-1]
 
     first = jax.jit(lambda u: ukf.restart(ukf.init(), u))(record.u[0])
-    points = MerweScaledSigmaPoints(n, 1.0, 2.0, 0.0)
+    points = MerweScaledSigmaPoints(n, scheme.alpha, scheme.beta, scheme.kappa)
     peer = UnscentedKalmanFilter(n, 1, 1.0, read, remember, points)
     peer.x, peer.P = np.asarray(first.mean), np.asarray(first.root @ first.root.T)
     peer.R, peer.Q = np.array([[float(ukf.noise) ** 2]]), np.diag(np.asarray(ukf.walk) ** 2)
@@ -105,7 +105,8 @@ def by_filterpy(ukf, record, move, read):
     return np.array(means), np.array(variances), peer.P - peer.Q
 
 
-def test_nonlinear_filter_equals_filterpy():
+@pytest.mark.parametrize("alpha", [1.0, 0.3])
+def test_nonlinear_filter_equals_filterpy(alpha):
     record = measured(signal=lambda: modulated(1.5, 200.0))
     settings = {
         "start": "model",
@@ -113,9 +114,15 @@ def test_nonlinear_filter_equals_filterpy():
         "caution": 0.0,
         "walk": 1e-4,
         "prior": 0.2,
+        "alpha": alpha,
+        "kappa": 0.5,
     }
     start = bouc_wen(1.1, 0.9, 1.1, 0.9, scheme="semi-implicit")
-    ukf = Ukf.of(start, record, **settings)
+    if alpha < 1:
+        with pytest.warns(UserWarning, match="central point the covariance weight"):
+            ukf = Ukf.of(start, record, **settings)
+    else:
+        ukf = Ukf.of(start, record, **settings)
     scale = np.asarray(ukf.coordinates.scale)
 
     def physical(z):
@@ -523,6 +530,8 @@ def test_bad_settings_are_refused():
         "still must be finite": {"still": np.nan},
         "caution must be finite": {"caution": -1.0},
         "state_prior must be one number or 1": {"state_prior": np.ones(3)},
+        r"alpha\^2": {"kappa": -6.0},
+        "beta must be finite": {"beta": np.nan},
         r"array of shape \(5,\)": {"prior": np.ones(5)},
         "outside its bounds": {"fix": {"mu": 3.0}},
         "leave fix and free out": {"only": ("c",), "fix": {"mu": 0.4}},
@@ -552,14 +561,16 @@ def test_a_covariance_may_be_given():
 
 def test_weights_reproduce_mean_and_covariance_exactly():
     rng = np.random.default_rng(0)
-    for n in (3, 5):
-        scheme = Unscented(n)
+    for n, alpha, kappa in ((3, 1.0, 0.0), (5, 1.0, 2.0), (5, 0.5, 1.0)):
+        scheme = Unscented(n, alpha, 2.0, kappa)
         root = np.tril(rng.standard_normal((n, n)))
         mean = rng.standard_normal(n)
         points = jax.jit(scheme.points)(mean, root)
         np.testing.assert_allclose(jax.jit(scheme.mean)(points), mean, atol=1e-12)
         found = np.asarray(jax.jit(scheme.root)(np.asarray(points) - mean, np.zeros((n, n))))
         np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-11)
+    assert Unscented(8).safe
+    assert not Unscented(8, alpha=0.1).safe
 
 
 @pytest.mark.parametrize("n", [1, 5, 30])

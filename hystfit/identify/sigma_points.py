@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-CENTRAL = 2.0  # weight of the central point in covariances; in means it has none
+from hystfit.errors import ParameterError
+
 _UNROLLED = 24  # columns up to which the factorization is unrolled; beyond, compiling it would take seconds
 
 
@@ -34,31 +35,72 @@ def triangular(rows: Float[Array, "m n"]) -> Float[Array, "n n"]:
 
 @dataclasses.dataclass(frozen=True)
 class Unscented:
-    """Sigma points of n coordinates (Minase et al. 2010, section 3.3), with Merwe's alpha = 1, beta = 2 and kappa = 0.
+    """Scaled sigma points of n coordinates (Merwe's alpha, beta, kappa; Minase et al. 2010, section 3.3).
 
-    No weight is negative, so that a covariance root comes from a QR factorization and cannot lose positive definiteness.
+    With alpha = 1, beta >= 0 and kappa >= 0 no weight is negative, so that a covariance root comes from a QR factorization and
+    cannot lose positive definiteness.
+
+    Raises:
+        ParameterError: n + lambda = alpha^2 (n + kappa) is not positive, or beta is not finite.
     """
 
     n: int
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not math.isfinite(self.beta):
+            raise ParameterError(f"beta must be finite, got {self.beta}")
+        if not self.spread > 0:
+            raise ParameterError(
+                f"alpha {self.alpha:g} and kappa {self.kappa:g} give no sigma points in {self.n} coordinates: "
+                f"alpha^2 (n + kappa) must be positive; alpha=1, kappa=0 is safe"
+            )
+
+    @property
+    def spread(self) -> float:
+        """n + lambda: squared distance of the points in standard deviations."""
+        return self.alpha**2 * (self.n + self.kappa)
+
+    @property
+    def mean_weight(self) -> float:
+        """Weight of the central point in means."""
+        return 1.0 - self.n / self.spread
+
+    @property
+    def central_weight(self) -> float:
+        """Weight of the central point in covariances."""
+        return self.mean_weight + 1.0 - self.alpha**2 + self.beta
+
+    @property
+    def safe(self) -> bool:
+        """No covariance weight is negative."""
+        return self.central_weight >= 0
 
     def points(self, mean: Float[Array, " n"], root: Float[Array, "n n"]) -> Float[Array, "m n"]:
         """2 n + 1 points, shape (2 n + 1, n): the mean, then the mean plus and minus the scaled columns of the root."""
-        columns = math.sqrt(self.n) * root.T
+        columns = math.sqrt(self.spread) * root.T
         return mean + jnp.concatenate([jnp.zeros_like(mean)[None], columns, -columns])
 
     def weights(self, center: float, like: Array) -> Float[Array, " m"]:
         """Weights of all points, shape (2 n + 1,), `center` for the central one. In a scan one vector costs half as much as slices."""
-        return jnp.asarray(np.r_[center, np.full(2 * self.n, 0.5 / self.n)], dtype=like.dtype)
+        return jnp.asarray(np.r_[center, np.full(2 * self.n, 0.5 / self.spread)], dtype=like.dtype)
 
     def mean(self, values: Float[Array, "m ..."]) -> Float[Array, "..."]:
         """Weighted mean of transformed points."""
-        return self.weights(0.0, values) @ values
+        return self.weights(self.mean_weight, values) @ values
 
     def covariance(self, left: Float[Array, "m ..."], right: Float[Array, " m"]) -> Float[Array, "..."]:
         """Weighted sum of products of deviations, left of shape (m, ...), right of shape (m,)."""
-        return (self.weights(CENTRAL, right) * right) @ left
+        return (self.weights(self.central_weight, right) * right) @ left
 
     def root(self, deviations: Float[Array, "m n"], noise: Float[Array, "k n"]) -> Float[Array, "n n"]:
-        """Lower-triangular L with L L^T = weighted deviations^T deviations + noise^T noise."""
-        weights = self.weights(CENTRAL, deviations)[:, None]
-        return triangular(jnp.concatenate([jnp.sqrt(weights) * deviations, noise]))
+        """Lower-triangular L with L L^T = weighted deviations^T deviations + noise^T noise.
+
+        With a negative central weight the sum itself is factorized, which gives NaN where it is not positive definite.
+        """
+        weights = self.weights(self.central_weight, deviations)[:, None]
+        if self.safe:
+            return triangular(jnp.concatenate([jnp.sqrt(weights) * deviations, noise]))
+        return jnp.linalg.cholesky(deviations.T @ (weights * deviations) + noise.T @ noise)

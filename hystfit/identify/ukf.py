@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -102,6 +103,9 @@ class Ukf(AbstractIdentifier):
         caution: float | None = None,
         settling: float | None = None,
         hold: Literal["auto", "all", "none"] = "auto",
+        alpha: float = 1.0,
+        beta: float = 2.0,
+        kappa: float = 0.0,
     ) -> Ukf:
         """A filter scaled to records.
 
@@ -124,6 +128,7 @@ class Ukf(AbstractIdentifier):
             settling: samples over which `caution` decays by the factor e; None is a twentieth of all.
             still: largest change of the input that counts as resting [u].
             hold: parameters that are fixed while the input rests: those of rate-independent parts ("auto"), "all" or "none".
+            alpha, beta, kappa: of the sigma points, see `Unscented`; a negative central weight gives a warning.
 
         Raises:
             ParameterError: a setting out of range, a covariance that is not symmetric and positive definite, an unknown name.
@@ -161,7 +166,7 @@ class Ukf(AbstractIdentifier):
             caution=jnp.asarray(caution / noise),
             settling=jnp.asarray(settling),
             free=space.names,
-            scheme=Unscented(s + p),
+            scheme=_checked_scheme(Unscented(s + p, alpha, beta, kappa)),
         )
 
     @property
@@ -212,6 +217,8 @@ class Ukf(AbstractIdentifier):
         error = jnp.where(used, sample.y - predicted, 0.0)
         added = jnp.concatenate([(noise * gain)[None], jnp.diag(jnp.where(held, 0.0, self.walk))])
         root = self.scheme.root(point_deviations - output_deviations[:, None] * gain, added)
+        if not self.scheme.safe:  # a Cholesky factorization may fail; a QR factorization of finite rows cannot
+            finite &= jnp.all(jnp.isfinite(root))
         new = UkfState(
             jnp.where(finite, mean + gain * error, state.mean),
             jnp.where(finite, root, state.root),
@@ -272,7 +279,7 @@ class Ukf(AbstractIdentifier):
         state, theta = run.state, run.history[-1]
         notes = filter_verdict.skipped(int(state.tally[2]), int(state.tally[3]))
         if not np.isfinite(theta).all() or not np.isfinite(np.asarray(state.root)).all():
-            text = "mean or covariance of the filter is not finite: use a smaller prior, or a better start"
+            text = "mean or covariance of the filter is not finite: use alpha=1, a smaller prior, or a better start"
             return Judgment(Status.DIVERGED, [*notes, Note(Code.DIVERGED, text, Severity.ERROR)])
         equation_error = float(np.sqrt(np.mean(self.one_step(theta, run.data) ** 2)))
         innovations = filter_verdict.innovations(float(state.tally[5]), float(self.memory))
@@ -296,3 +303,14 @@ class Ukf(AbstractIdentifier):
             return Judgment(Status.NOT_CONVERGED, notes, equation_error)
         consistent = innovations.severity is Severity.INFO
         return Judgment(Status.OK if consistent else Status.INCONSISTENT, notes, equation_error)
+
+
+def _checked_scheme(scheme: Unscented) -> Unscented:
+    """The sigma points, with a warning where a negative weight may spoil covariances."""
+    if not scheme.safe:
+        warnings.warn(
+            f"alpha={scheme.alpha:g}, beta={scheme.beta:g}, kappa={scheme.kappa:g} give the central point the covariance weight "
+            f"{scheme.central_weight:.3g}: a covariance may lose positive definiteness; alpha=1 has no negative weight",
+            stacklevel=3,
+        )
+    return scheme
