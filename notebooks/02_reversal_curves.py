@@ -89,9 +89,7 @@ held = family[1::2]
 error = np.concatenate([fit.predict(r.u) - r.y for r in held])
 span = np.ptp(np.concatenate([r.y for r in family]))
 print(f"fitted curves    {fit.nrmse_percent:.3f} % of the range")
-print(
-    f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %"
-)
+print(f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
 print(f"sensor noise     {100 * NOISE / span:.3f} %")
 for note in fit.notes:
     print(" -", note)
@@ -142,10 +140,7 @@ plt.show()
 voltages = (-100, 40, -20, 40, -20, 80, -20, 40, -20, 100, -60, 60, -30, 30, 0, 90, -100)
 nested = through(voltages, 80)
 other = hf.BoucWen(c=0.6, mu=0.5, tau=0.02, rho=0.5)
-records = [
-    measure(nested, "bender", seed=2),
-    hf.Record(u=nested, y=np.asarray(hf.simulate(other, nested)[0]), name="Bouc-Wen law"),
-]
+records = [measure(nested, "bender", seed=2), hf.Record(u=nested, y=np.asarray(hf.simulate(other, nested)[0]), name="Bouc-Wen law")]
 for record in records:
     print(record.name)
     print(check_preisach(record, model=True).text())
@@ -173,7 +168,6 @@ print(f"{nested.size} samples; the two forms differ by {np.abs(y - scan).max():.
 # in it. Every sample has a status. The reference below has nested loops. Where it exceeds the reach of the bender, the status says so
 # and the inverse returns the nearest voltage; it is exact again as soon as the reference returns into reach.
 
-
 # %%
 def trajectory(extrema: tuple[float, ...], rate: float, leg: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
     """Half cosines from extremum to extremum, each of `leg` seconds."""
@@ -188,9 +182,7 @@ t, wanted = trajectory(EXTREMA, 500.0)
 found = hf.invert(fit.model, wanted, limits=(-100.0, 100.0))
 print({name: count for name, count in found.counts().items() if count})
 met = found.codes == 0  # at the very start the fitted model lies some nanometers above 0 um
-print(
-    f"model driven by the inverse: largest error {np.abs(found.y - wanted)[met].max() / np.ptp(wanted):.1e} of the range"
-)
+print(f"model driven by the inverse: largest error {np.abs(found.y - wanted)[met].max() / np.ptp(wanted):.1e} of the range")
 far = hf.invert(fit.model, trajectory((0.0, 70.0, 20.0, 95.0, 40.0, 60.0, 30.0), 500.0)[1], limits=(-100.0, 100.0))
 print("a trajectory to 95 um:", {name: count for name, count in far.counts().items() if count})
 for note in far.notes():
@@ -223,9 +215,7 @@ controller = Controller.of(plan.controller, RATE)
 common = {"limits": (-100.0, 100.0), "noise": NOISE, "u0": -100.0}
 runs = {
     "feed-forward": run_loop(plant, reference, RATE, feedforward=ahead, **common),
-    "feedback": run_loop(
-        plant, reference, RATE, controller=controller, feedforward=np.full(time.size, -100.0), **common
-    ),
+    "feedback": run_loop(plant, reference, RATE, controller=controller, feedforward=np.full(time.size, -100.0), **common),
     "both": run_loop(plant, reference, RATE, feedforward=ahead, controller=controller, **common),
 }
 print(f"{'':<14}{'largest error [um]':>20}{'rms [um]':>12}")
@@ -260,13 +250,10 @@ print(files[0].read_text().split("#ifndef")[0])
 # material has no preferred sign: mirror cells of the plane share one weight (`preisach-magnetic`). Each loop is predicted from a
 # fit to the others.
 
-
 # %%
 def simulated_loops() -> list[hf.Record]:
     """Loops of three amplitudes of a material with a known density."""
-    material = hf.ParametricPreisach(
-        coercivity=60.0, width=45.0, spread=25.0, slope=3e-4, levels=np.linspace(-400, 400, 81)
-    )
+    material = hf.ParametricPreisach(coercivity=60.0, width=45.0, spread=25.0, slope=3e-4, levels=np.linspace(-400, 400, 81))
     made = []
     for amplitude in (400.0, 240.0, 150.0):
         u = amplitude * np.sin(2 * np.pi * np.arange(0, 2, 0.005))
