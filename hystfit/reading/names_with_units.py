@@ -34,12 +34,14 @@ _CYRILLIC = dict(
     )
 )
 _ELECTRIC = {"V": "voltage", "I": "current"}  # symbols whose one-letter index is no unit of another quantity: V_G, I_C
+_CLOCKS = {"millis": "ms", "micros": "us"}  # of Arduino
+# Words in brackets that tell how a column was processed or where it was measured.
+_NO_UNIT = re.compile(r"[a-z]+ed|raw|avg|mean|left|right|top|bottom", re.IGNORECASE)
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 # Names of columns that are no more than a unit, and that unit.
 _BARE_UNITS = {
     unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa".split()
 }
-_BARE_UNITS |= {"millis": "ms", "micros": "us"}  # clocks of Arduino
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
@@ -89,8 +91,8 @@ def _split_alone(name: str) -> tuple[str, str]:
 def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
         name = match[1] + _CYRILLIC[match[2]] + match[3]
-    if name in _BARE_UNITS:
-        return name, _BARE_UNITS[name]
+    if bare := _BARE_UNITS.get(name) or _CLOCKS.get(name.lower()):
+        return name, bare
     if RATIO.fullmatch(name):
         return name, ""
     if len(name) >= _WORD and name.isalpha() and is_unit(name):
@@ -118,7 +120,7 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
     if not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
         return f"{base} {inner}", of_inner  # 1-1(位移/mm)
-    if is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12):
+    if is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12 and not _NO_UNIT.fullmatch(unit)):
         return base, unit
     if re.match(r"\d+[.,]?\d*\s*[A-Za-z%°]", unit):  # M (300 K): a condition
         return base, ""
