@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -49,7 +50,7 @@ class LeftOut:
 class Header:
     """Names and units of the columns, "" where there is none, in how many lines they stand, and whether other lines follow them.
 
-    `over` has the cells of the line above the names, where these name groups of columns.
+    `over` has the cells of the line above the names, or of comments below the units, where these name groups of columns.
     """
 
     names: list[str]
@@ -106,6 +107,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     if len(unknown) >= _SYMBOLS and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
         units = ["" if unit in unknown else unit for unit in units]
     over = () if not used or place else _over(text, block, first - used - 1)
+    if used > 2 and not over and not place:
+        over = _over(text, block, first - 1)
     return Header(names, units, used, apart=place > 0, over=over)
 
 
@@ -124,10 +127,10 @@ def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:
 
 
 def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
-    """The cells of the line above the names, where it has fewer words than there are columns; () for other lines."""
+    """The cells of a line that names groups of columns: it has fewer words than there are columns; () for other lines."""
     width, row = text.dialect.width, [cells.clean(cell) for cell in block.rows[place]] if place >= 0 else []
     row = [*row, *[""] * (width - len(row))]
-    words = [*filter(None, row)]
+    words = [word for word, _ in itertools.groupby(filter(None, row))]
     several = 1 < len(words) == len({*words}) < width
     return tuple(row) if text.dialect.delimiter and len(row) == width and row[1:] and several else ()
 
