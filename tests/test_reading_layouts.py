@@ -408,6 +408,25 @@ def test_marks_that_may_separate_thousands_block_only_their_own_column(tmp_path:
         read(path, output="count")
 
 
+def test_commas_from_one_thousand_on_separate_thousands_beside_points(tmp_path: Path) -> None:
+    field = np.arange(-2000, 2001, 200)
+    lines = "".join(f"{h:,} & {1.4 * np.tanh(h / 700):.3f} \\\\\n" for h in field)
+    table = "\\begin{tabular}{rr}\n$H$ (A/m) & $B$ (T) \\\\\n\\hline\n" + lines + "\\end{tabular}\n"
+    np.testing.assert_array_equal(one(written(tmp_path, table, "table.tex")).u, field)
+
+
+@pytest.mark.parametrize("comments", [("", "300 K", "", "5 K"), ("A", "A", "B", "B"), ("", "raw data", "", "corrected data")])
+def test_comments_below_the_units_name_loops_side_by_side(comments: tuple[str, ...], tmp_path: Path) -> None:
+    lines = ["\t".join(("Field", "Moment") * 2), "\t".join(("Oe", "emu") * 2), "\t".join(comments)]
+    lines += [f"{h:.6g}\t{m:.6g}\t{h:.6g}\t{0.7 * m:.6g}" for h, m in zip(FIELD, MOMENT, strict=True)]
+    data = read(written(tmp_path, "\n".join(lines) + "\n"))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == list(dict.fromkeys(filter(None, comments)))
+    for record, factor in zip(data, (1.0, 0.7), strict=True):
+        assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Field", "Oe", "Moment", "emu")
+        np.testing.assert_allclose(record.y, factor * MOMENT, rtol=1e-5)
+
+
 # Battery cyclers -----------------------------------------------------------------------------------------------------------------
 
 CHARGE = np.concatenate([np.linspace(0, 2, 60), np.full(4, 2.0)]), np.concatenate([np.zeros(62), [0.01, 0.02]])
