@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hystfit.data import Dataset, Record
+from hystfit.data.circulation import circulation
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.params.units import conversion
@@ -425,6 +426,29 @@ def test_comments_below_the_units_name_loops_side_by_side(comments: tuple[str, .
     for record, factor in zip(data, (1.0, 0.7), strict=True):
         assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Field", "Oe", "Moment", "emu")
         np.testing.assert_allclose(record.y, factor * MOMENT, rtol=1e-5)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(("names", "leads"), [("T,mAm2/kg", False), ("x (mm),F (kN)", True)])
+def test_branches_below_each_other_that_are_mirrored_are_a_loop(
+    names: str, leads: bool, swapped: bool, tmp_path: Path
+) -> None:
+    """Both are listed from the lowest field on, under a title, as far as each was measured."""
+    low, high = np.linspace(-0.32, 0.26, 59), np.linspace(-0.26, 0.32, 59)
+    upper = [f"{h:.4f},{m:.4f}" for h, m in zip(low, np.tanh(9 * low + 0.3) + low, strict=True)]
+    lower = [f"{h:.4f},{m:.4f}" for h, m in zip(high, np.tanh(9 * high - 0.3) + high, strict=True)]
+    blocks = [["Upper hysteresis branch", *upper], ["Lower hysteresis branch", *lower]]
+    lines = ["Corrected hysteresis", "", names, "", *blocks[swapped], "", *blocks[not swapped]]
+    record = one(written(tmp_path, "\n".join(lines) + "\n", "loop.hys"))
+    falls, rises = (high, low) if leads else (low, high)
+    np.testing.assert_allclose(record.u, np.r_[falls[::-1], rises], atol=1e-4)
+    assert (circulation(record.u, record.y) < 0) == leads
+
+
+def test_two_curves_that_are_not_mirrored_stay_two(tmp_path: Path) -> None:
+    field = np.linspace(-0.3, 0.3, 61)
+    curves = ["".join(f"{h:.4f},{np.tanh(9 * h - c):.4f}\n" for h in field) for c in (0.3, 0.9)]
+    assert len(Dataset.of(read(written(tmp_path, "T,mAm2/kg\n" + "\n".join(curves), "two.csv")))) == 2
 
 
 # Battery cyclers -----------------------------------------------------------------------------------------------------------------
