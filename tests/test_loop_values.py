@@ -120,7 +120,7 @@ def test_a_branch_is_read_between_its_samples_in_their_order():
     flux = 1.2 - 0.07 * np.arange(-10, 35)
     field = 80e3 * (flux / 1.2 - 1) + 1e3
     close = np.flatnonzero(np.abs(flux) < 0.07)
-    field[close] = np.mean(field[close]) + [-300.0, 300.0]
+    field[close] = np.mean(field[close]) + np.array([-300.0, 300.0])
     found = values_of(hf.Record(field, flux, **MAGNETIC))
     at_zero = np.interp(0.0, -flux, field)
     assert found["coercive_input"].value == pytest.approx(-at_zero, rel=1e-12)

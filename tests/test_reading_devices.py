@@ -15,6 +15,7 @@ import scipy.io
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.outcome import Severity
 from hystfit.params.units import conversion
 from hystfit.reading import read
 from hystfit.reading.column_names import column_quantity
@@ -654,7 +655,10 @@ def test_groups_of_rows_are_counted(tmp_path: Path) -> None:
 
 def test_of_a_propeller_the_signal_drives_the_thrust(tmp_path: Path) -> None:
     signal = np.round(1000 + 4 * np.abs(np.linspace(-100, 100, N)))
-    torque, current = (0.01 * Y + 0.003 * np.cos(np.arange(N))).round(5), (0.1 * Y + 0.02 * np.sin(np.arange(N))).round(4)
+    torque, current = (
+        (0.01 * Y + 0.003 * np.cos(np.arange(N))).round(5),
+        (0.1 * Y + 0.02 * np.sin(np.arange(N))).round(4),
+    )
     thrust = np.round((signal - 1000) ** 2 / 1e5 + 0.02 * np.gradient(signal), 4)
     head = "Time (s),ESC signal (µs),Torque (N·m),Thrust (kgf),Voltage (V),Current (A)\n"
     others = 0.1 * np.arange(N), signal, torque, thrust, (14.8 - 0.01 * Y).round(3), current
@@ -672,6 +676,18 @@ def test_sap_flows_while_the_air_is_dry(names: tuple[str, ...], tmp_path: Path) 
     warmth = np.round(18 + U / 5 + 0.2 * np.cos(np.arange(N)), 3)
     content = ",".join(names) + "\n" + rows(",", warmth, U, Y, np.round(9 * U + 3 * Y, 3))
     is_pair(one(tmp_path, content))
+
+
+def test_a_table_of_results_has_no_loop(tmp_path: Path) -> None:
+    names, random = np.array([f"CNF{k}" for k in range(N)]), np.random.default_rng(4)
+    classes = [random.integers(1, count, N) for count in (6, 15, 4)]
+    table = "specimen,Type,Color,Shade\n" + rows(",", names, *classes)
+    with pytest.raises(DataError, match="every row has a 'specimen' of its own"):
+        read(written(tmp_path, table, "results.csv"))
+    record = one(tmp_path, "specimen,diameter (mm),load (kN)\n" + rows(",", names, *random.random((2, N)).round(4)))
+    assert [note.severity for note in record.notes if "'specimen' of its own" in note.text] == [Severity.WARNING]
+    plain = one(tmp_path, "state,stroke (mm),load (kN)\n" + rows(",", np.repeat(["a", "b"], N // 2), U, Y))
+    assert not any("of its own" in note.text for note in plain.notes)
 
 
 def test_a_strain_sensor_under_a_force_is_asked_for(tmp_path: Path) -> None:

@@ -416,7 +416,9 @@ def test_commas_from_one_thousand_on_separate_thousands_beside_points(tmp_path: 
     np.testing.assert_array_equal(one(written(tmp_path, table, "table.tex")).u, field)
 
 
-@pytest.mark.parametrize("comments", [("", "300 K", "", "5 K"), ("A", "A", "B", "B"), ("", "raw data", "", "corrected data")])
+@pytest.mark.parametrize(
+    "comments", [("", "300 K", "", "5 K"), ("A", "A", "B", "B"), ("", "raw data", "", "corrected data")]
+)
 def test_comments_below_the_units_name_loops_side_by_side(comments: tuple[str, ...], tmp_path: Path) -> None:
     lines = ["\t".join(("Field", "Moment") * 2), "\t".join(("Oe", "emu") * 2), "\t".join(comments)]
     lines += [f"{h:.6g}\t{m:.6g}\t{h:.6g}\t{0.7 * m:.6g}" for h, m in zip(FIELD, MOMENT, strict=True)]

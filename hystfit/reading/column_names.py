@@ -51,7 +51,10 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in ("charge", "capacitance"):
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
+        "charge",
+        "capacitance",
+    ):
         return "temperature"  # T or Ta in degrees Celsius without their sign
     if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress, also the capillary one

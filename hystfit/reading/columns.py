@@ -130,7 +130,14 @@ def choose(
             changes &= np.diff(table.part) == 0
         if k not in taken and changes.any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
+    notes += [warn(Code.LEFT_OUT, text) for text in _of_results(table)]
     return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
+
+
+def _of_results(table: Table) -> list[str]:
+    """Remarks on columns of text that name every row, as that of the specimens in a table of results."""
+    titles = [table.names[k] for k, label in table.labels.items() if len({*map(str, label)}) == table.rows]
+    return [f"every row has a {title!r} of its own: a table of results has no loop" for title in titles]
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -279,6 +286,7 @@ def _undecided(table: Table, *equal: Reading) -> DataError:
         shown.append(f"--input {i} --output {o}")
     many = not table.named and len(table.names) > _MANY_SIGNALS
     apart = "; if the outputs are in a file of their own, INPUT_FILE+OUTPUT_FILE reads both" if many else ""
+    apart += "".join(f"; {text}" for text in _of_results(table)[:1])
     return DataError(
         f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
         f"{shown[1]} (input=, output=){apart}. The columns are {table.describe()}"

@@ -12,7 +12,7 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 
-# Parts of a record whose medians are compared: fast cycles of a temperature are seen, and its noise (2 to 25 K in molecular dynamics) is not.
+# Parts of a record whose medians are compared, so that the noise of a temperature, 2 to 25 K in molecular dynamics, is no change.
 _PARTS = 32
 
 

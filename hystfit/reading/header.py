@@ -138,7 +138,12 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
     if place == 0:
         of_names, used = min(1, len(rows) - 1), min(2, len(rows))
-    elif place == 1 and len(rows) > 2 and _meanings(rows[2]) > _meanings(rows[0]) and (distinct(rows[2]) or _grouped(rows[2])):
+    elif (
+        place == 1
+        and len(rows) > 2
+        and _meanings(rows[2]) > _meanings(rows[0])
+        and (distinct(rows[2]) or _grouped(rows[2]))
+    ):
         # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
         rows[2] = [rows[0][0], *rows[2][1:]] if rows[0][0] and not any(rows[0][1:]) else rows[2]
         of_names, used = 2, 3
@@ -149,7 +154,9 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
     names = rows[of_names]
-    if not (distinct(names) or _grouped(names)) and used < len(rows) and len(set(rows[used])) == len(names):  # Force, Force under A, B
+    if (
+        not (distinct(names) or _grouped(names)) and used < len(rows) and len(set(rows[used])) == len(names)
+    ):  # Force, Force under A, B
         names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
     return names, units, used
 
