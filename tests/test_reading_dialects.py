@@ -14,6 +14,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.note import has
 from hystfit.reading import dialect, read
+from hystfit.reading.names_with_units import split_unit
 
 T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
 U = [0.0, 1.25, -2.5, 3.5, -1.75, 0.5]
@@ -420,3 +421,45 @@ def test_rows_in_which_the_input_alone_reads_zero_are_left_out(tmp_path) -> None
     save("pulsed.csv", pulsed, 0.01 * pulsed + 1e-4 * np.arange(h.size))
     save("loop.csv", h, m)
     assert len(read(tmp_path / "pulsed.csv")) == len(read(tmp_path / "loop.csv")) == h.size
+
+
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        ("time_s,displacement_mm,force_kn", ("mm", "kN")),
+        ("time_s,strain_percent,stress_mpa", ("%", "MPa")),
+        ("time_s,pressure_kpa,displacement_um", ("kPa", "um")),
+        ("time_s,rotation_rad,moment_knm", ("rad", "kNm")),
+        ("time_s,voltage_mv,current_ua", ("mV", "uA")),
+        ("time_s,field_ka_m,polarization_mt", ("kA/m", "mT")),
+        ("time_s,field_oe,moment_emu", ("Oe", "emu")),
+        ("time_s,efield_kv_per_cm,polarization_uc_cm2", ("kV/cm", "uC/cm2")),
+        ("time_s,angle_deg,torque_nm", ("deg", "Nm")),
+        ("Time (S),Displacement (Mm),LOAD (Kn)", ("mm", "kN")),
+        ("time (s),v (v),i (ma)", ("V", "mA")),
+        ("TIME (MS),VOLTAGE (MV),CURRENT (MA)", ("mV", "mA")),
+        ("time s,disp mm,force kn", ("mm", "kN")),
+        ("time,disp,force\ns,mm,kn", ("mm", "kN")),
+        ("time,voltage,current\ns,v,ma", ("V", "mA")),
+    ],
+)
+def test_units_may_be_written_in_the_wrong_case(tmp_path: Path, names: str, units: tuple[str, str]) -> None:
+    t = np.arange(200) * 0.05
+    file = tmp_path / "loop.csv"
+    rows = "".join(f"{a:.2f},{np.sin(a):.5f},{3 * np.sin(a - 0.3):.5f}\n" for a in t)
+    file.write_text(f"{names}\n{rows}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_unit, record.y_unit) == units
+
+
+def test_letters_that_are_indices_are_no_units_in_lower_case() -> None:
+    phases = ["i_a", "i_b", "i_c"]
+    assert [split_unit(name, phases) for name in phases] == [(name, "") for name in phases]
+    forces = ["force_n", "force_t"]
+    assert split_unit("force_n", forces) == ("force_n", "")
+    assert split_unit("force_n", ["disp_mm", "force_n"]) == ("force", "N")
+    assert split_unit("price_ma") == ("price_ma", "")
+    assert split_unit("speed_kn") == ("speed_kn", "")
+    assert split_unit("Height (nm)") == ("Height", "nm")
+    assert split_unit("I (MA)") == ("I", "MA")

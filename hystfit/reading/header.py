@@ -9,6 +9,7 @@ from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import is_unit, split_unit
+from hystfit.reading.unit_case import in_case, is_symbol
 
 _SAMPLE = re.compile(
     r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|bin_?size|window|file|array|\bin$))"  # "Temperature in" has a unit
@@ -158,6 +159,8 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         not (distinct(names) or _grouped(names)) and used < len(rows) and len(set(rows[used])) == len(names)
     ):  # Force, Force under A, B
         names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
+    if units is not None and place is not None:
+        units = [unit or in_case(name, cell) for unit, name, cell in zip(units, names, bare[place], strict=True)]
     return names, units, used
 
 
@@ -228,7 +231,7 @@ def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
 
 def _mostly_units(bare: Sequence[str]) -> bool:
     """Whether at least two cells of a line and half of those that are filled are units; the others are words such as "segments"."""
-    count = sum(map(is_unit, bare))
+    count = sum(map(is_unit, bare)) + sum(not is_unit(cell) and is_symbol(cell) for cell in bare)
     return count > 1 and 2 * count >= len(list(filter(None, bare)))
 
 

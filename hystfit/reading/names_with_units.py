@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import parse_unit, quantity
 from hystfit.reading.scaled_units import factor_of
+from hystfit.reading.unit_case import in_case, split_in_case
 
 _BASE = (
     r"(?:[pnuµμm]?s|[pnuµμmckMG]?(?:Gs|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
@@ -97,14 +98,16 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
         return name, ""
     if len(name) >= _WORD and name.isalpha() and is_unit(name):
         return name, name  # Volts
-    return (
+    base, unit = (
         _in_brackets(name)
+        or _in_lower_case(name, siblings)
         or _quotient_in_words(name)
         or _behind_mark(name)
         or _behind_blank(name, siblings)
         or _behind_underscore(name, siblings)
         or (name, "")
     )
+    return base, in_case(base, unit) or unit
 
 
 def _in_brackets(name: str) -> tuple[str, str] | None:
@@ -113,7 +116,8 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
         return None
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
     closed = not re.search(r"[\])>]", unit) or is_unit(unit)
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and is_unit(unit)):
+    closed = closed or bool(in_case(base, unit))
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and (is_unit(unit) or in_case(base, unit))):
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None
@@ -161,7 +165,8 @@ def _behind_blank(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
     A unit of one letter is more likely a part of the name, as in Channel A, unless all columns have one.
     """
     match = re.fullmatch(r"(.*\S) (\S+)", name)
-    if not match or not is_unit(match[2]) or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
+    known = match is not None and (is_unit(match[2]) or (len(match[2]) > 1 and bool(in_case(match[1], match[2]))))
+    if not match or not known or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
         return None
     spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
     return (match[1], match[2]) if spelled or _all_have_units(siblings) else None
@@ -172,12 +177,24 @@ def _behind_underscore(name: str, siblings: Sequence[str]) -> tuple[str, str] | 
     match = re.fullmatch(r"(.+)_([^_]+)", name)
     if not match or not is_unit(match[2]) or match[2] in _NOT_SUFFIX:
         return None
-    others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
-    labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
+    labels = len(match[2]) == 1 and any(not is_unit(other) for other in _indices(match[1], siblings))
     terminal = len(match[2]) == 1 and quantity(match[2]) != _ELECTRIC.get(match[1], quantity(match[2]))
     if labels or terminal or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
         return None  # I_A, I_B, I_C are currents of three phases, V_G the voltage of a gate
     return match[1], match[2]
+
+
+def _in_lower_case(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
+    """force_kn, field_ka_m; None for other names."""
+    found = split_in_case(name) if "_" in name else None
+    one = found is not None and len(name) == len(found[0]) + 2
+    return None if found is None or (one and len(_indices(found[0], siblings)) > 1) else found
+
+
+def _indices(base: str, siblings: Sequence[str]) -> set[str]:
+    """Single letters behind a name and an underscore: a, b and c of i_a, i_b and i_c."""
+    others = {other[len(base) + 1 :] for other in siblings if other.startswith(f"{base}_")}
+    return {other for other in others if len(other) == 1}
 
 
 def _all_have_units(names: Sequence[str]) -> bool:
