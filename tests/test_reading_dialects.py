@@ -463,3 +463,29 @@ def test_letters_that_are_indices_are_no_units_in_lower_case() -> None:
     assert split_unit("speed_kn") == ("speed_kn", "")
     assert split_unit("Height (nm)") == ("Height", "nm")
     assert split_unit("I (MA)") == ("I", "MA")
+
+
+@pytest.mark.parametrize(
+    "form", ["np.float64({})", "numpy.float32({})", "tensor({})", "tensor({}, dtype=torch.float64)", "Decimal('{}')"]
+)
+def test_numbers_may_have_the_name_of_their_type(tmp_path: Path, form: str) -> None:
+    if "," in form:
+        rows = "".join(f"{u};{form.format(y)}\n" for u, y in zip(U, Y, strict=True))
+        text = f"voltage_V;strain\n{rows}"
+    else:
+        rows = "".join(f"{u},{form.format(y)}\n" for u, y in zip(U, Y, strict=True))
+        text = f"voltage_V,strain\n{rows}"
+    record = _read(tmp_path, text)
+    np.testing.assert_array_equal(record.u, U)
+    np.testing.assert_array_equal(record.y, Y)
+    assert has(record.notes, Code.FILE_FORMAT)
+
+
+def test_names_of_many_rows_are_no_table_of_results(tmp_path: Path) -> None:
+    t = np.arange(400) * 0.05
+    rows = lambda n: "".join(f"id-{k},{np.sin(a):.5f},{np.sin(a - 0.3):.5f}\n" for k, a in enumerate(t[:n]))
+    told = [
+        any("table of results" in note.text for note in _read(tmp_path, f"uid,x,force\n{rows(n)}").notes)
+        for n in (30, 400)
+    ]
+    assert told == [True, False]

@@ -29,6 +29,7 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
+_MOST_RESULTS = 200  # rows of a table of results, beyond which a name for each is rather a stamp or an identity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +137,8 @@ def choose(
 
 def _of_results(table: Table) -> list[str]:
     """Remarks on columns of text that name every row, as that of the specimens in a table of results."""
+    if table.rows > _MOST_RESULTS:
+        return []
     titles = [table.names[k] for k, label in table.labels.items() if len({*map(str, label)}) == table.rows]
     return [f"every row has a {title!r} of its own: a table of results has no loop" for title in titles]
 
