@@ -694,3 +694,30 @@ def test_a_strain_sensor_under_a_force_is_asked_for(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="Strain sensor"):
         read(written(tmp_path, "Force (N),Strain sensor (ue)\n" + rows(",", U, Y), "sensor.csv"))
     is_pair(one(tmp_path, "Load (N),Strain (ue)\n" + rows(",", Y, U)))
+
+
+@pytest.mark.parametrize("unit", ["Coulombs", "C", "mAh"])
+def test_charge_that_starts_again_in_each_state_of_a_cell_drives_its_voltage(tmp_path: Path, unit: str) -> None:
+    rows, t = [], 0
+    for state, current in (("CHARGE", 2.0), ("DISCHARGE", -2.0), ("CHARGE", 2.0)):
+        for k in range(40):
+            t += 60
+            level = k / 40 if current > 0 else 1 - k / 40
+            rows.append(f"{t},{3.2 + 0.7 * level + 0.03 * current:.4f},{current},{120 * (k + 1)},{state}\n")
+    file = tmp_path / "cell.csv"
+    file.write_text(f"Timestamp (s),Voltage (V),Current (A),Charge ({unit}),Test State\n{''.join(rows)}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert record.u_name == "Charge throughput"
+    assert record.y_name == "Voltage (V)"
+    assert record.u[[39, 79, 119]] == pytest.approx([4680, -120, 4680])
+
+
+def test_charge_without_states_is_the_output_of_a_voltage(tmp_path: Path) -> None:
+    t = np.arange(200) * 0.05
+    file = tmp_path / "capacitor.csv"
+    rows = (f"{a:.2f},{np.sin(a):.5f},{np.sin(a - 0.3):.5f}\n" for a in t)
+    file.write_text(f"Time (s),Voltage (V),Charge (C)\n{''.join(rows)}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_name, record.y_name) == ("Voltage (V)", "Charge (C)")
