@@ -20,11 +20,12 @@ _UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER}
 _JOINED = re.compile(
     r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
-    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2))"
+    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2)"
+    r"|([mun]?mol|mg|c?m3|cc|m[lL])_(k?g)|(1)_([cm]?m))"
 )
 # Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
 _FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
-_FLOWS = {"cms": "m3/s", "cfs": "ft3/s"}  # of hydrology
+_FLOWS = {"cms": "m3/s", "cfs": "ft3/s", "lpm": "L/min", "slpm": "L/min", "sccm": "cm3/min", "gpm": "gal/min"}
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _CYRILLIC = dict(

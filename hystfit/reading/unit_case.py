@@ -14,7 +14,7 @@ from hystfit.reading.vocabulary import ROLES, WORDS
 # Symbols of units in lower case, and how they are written.
 _SYMBOLS = {
     symbol.lower(): symbol
-    for symbol in "N kN Pa hPa kPa MPa GPa V mV kV A uA mA kA Oe kOe T mT uT Hz kHz C uC nC K F Nm kNm Ah mAh emu".split()
+    for symbol in "N kN Pa hPa kPa MPa GPa V mV kV A uA mA kA Oe kOe Gs kGs T mT uT Hz kHz C uC nC K F Nm kNm Ah mAh emu Wb mWb".split()
     + "m mm cm um s ms us g kg rad deg".split()
 } | {
     "am2": "Am2", "percent": "%", "ue": "ustrain", "degc": "degC", "am": "A/m", "kam": "kA/m", "kvcm": "kV/cm", "uccm2": "uC/cm2",
@@ -34,9 +34,13 @@ _STATED = {
     "capacitance": {"temperature"},
     "magnetization": {"moment"},
     "moment": {"magnetization"},
+    "flux": {"induction"},
 }
-_SYMBOLS_OF = {"v": "voltage", "u": "voltage", "i": "current", "h": "field", "b": "induction"}
-_TORQUE = frozenset({"torque", "moment", "torsion", "couple", "drehmoment"})
+_SYMBOLS_OF = {"v": "voltage", "u": "voltage", "i": "current", "h": "field", "b": "induction", "tension": "force"}
+# Voltages and currents of terminals: vg, vds, id.
+_TERMINAL = re.compile(r"([uvi])(?:[gds]|[gd][sdb]|in|out|rms|cell|meas|set)?\d?")
+_TORQUE = frozenset({"torque", "moment", "torsion", "couple", "drehmoment", "tau"})
+_MOMENTS = {"n/m": "N*m", "kn/m": "kN*m", "n/mm": "N*mm", "kn/mm": "kN*mm"}  # of names whose underscores join factors
 _VOLTAGE = frozenset({"bias", "drive", "potential", "ocv", "emf", "signal"})
 _SURE = frozenset("kpa mpa gpa hpa oe koe khz ka/m kv/cm kv/mm uc/cm2 knm".split())  # whatever the name
 # Units that no loop is measured in, of columns whose names are in capitals or whose unit has a capital as a sentence has.
@@ -48,12 +52,14 @@ _LETTER = 1  # of a symbol that is also an index: of the phases i_a, i_b and of 
 def in_case(name: str, unit: str) -> str:
     """A unit as it is written, for one in the wrong case of a column with this name; "" where it is no such unit."""
     plain = unit.replace("µ", "u").replace("μ", "u").lower()
-    torque = plain == "nm" and not _TORQUE.isdisjoint(_words(name))
+    torque = plain in ("nm", *_MOMENTS) and not _TORQUE.isdisjoint(_words(name))
     huge = unit == "Mm" or (unit in _HUGE and len(name) > 1 and name.isupper())
     if quantity(unit) and not (torque or huge):
         return ""
     over, slash, under = plain.partition("/")
     written = (_OVER if slash else _SYMBOLS).get(over, "")
+    if slash and plain in _MOMENTS and not _TORQUE.isdisjoint(_words(name)):
+        return _MOMENTS[plain]  # Moment_kN_m
     if slash:
         below = (_SYMBOLS | _POWERS).get(under, "")
         written = f"{written}/{below}" if written and below else ""
@@ -86,7 +92,7 @@ def _agrees(name: str, unit: str) -> bool:
     """Whether the quantity of a unit is one that the name states."""
     kinds, words = _kinds(name), _words(name)
     if unit == "%":
-        return bool(kinds)
+        return len(name) > 1
     if unit.endswith(("Nm", "kgf*cm", "kgf*m")):
         return not _TORQUE.isdisjoint(words)
     of_unit = quantity(unit)
@@ -105,4 +111,6 @@ def _words(name: str) -> list[str]:
 def _kinds(name: str) -> set[str]:
     """Quantities that the words of a name state."""
     words = [*_words(name), name.strip().lower().replace(" ", "_")]
+    if terminal := _TERMINAL.fullmatch(name.lower().replace("_", "")):
+        words.append(terminal[1])
     return {kind for word in words for kind in (WORDS.get(word), _SYMBOLS_OF.get(word)) if kind}
