@@ -52,14 +52,12 @@ _LETTER = 1  # of a symbol that is also an index: of the phases i_a, i_b and of 
 def in_case(name: str, unit: str) -> str:
     """A unit as it is written, for one in the wrong case of a column with this name; "" where it is no such unit."""
     plain = unit.replace("µ", "u").replace("μ", "u").lower()
-    torque = plain in ("nm", *_MOMENTS) and not _TORQUE.isdisjoint(_words(name))
+    torque = plain == "nm" and not _TORQUE.isdisjoint(_words(name))
     huge = unit == "Mm" or (unit in _HUGE and len(name) > 1 and name.isupper())
     if quantity(unit) and not (torque or huge):
         return ""
     over, slash, under = plain.partition("/")
     written = (_OVER if slash else _SYMBOLS).get(over, "")
-    if slash and plain in _MOMENTS and not _TORQUE.isdisjoint(_words(name)):
-        return _MOMENTS[plain]  # Moment_kN_m
     if slash:
         below = (_SYMBOLS | _POWERS).get(under, "")
         written = f"{written}/{below}" if written and below else ""
@@ -83,6 +81,8 @@ def split_in_case(name: str) -> tuple[str, str] | None:
         if count == _LETTER == len(unit[0]) and len(base) == 1 and base.lower() not in _SYMBOLS_OF:
             continue
         text = unit[0] if count == 1 else f"{unit[0]}/{unit[-1]}"
+        if count == 2 and text.lower() in _MOMENTS and not _TORQUE.isdisjoint(_words(base)):
+            return base, _MOMENTS[text.lower()]
         if written := in_case(base, text):
             return base, written
     return None
