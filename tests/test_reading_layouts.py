@@ -841,3 +841,15 @@ def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:
     rows = "".join(f"S-{k},{2 + np.sin(k):.5f},{1 + np.cos(7 * k):.5f}\n" for k in range(20))
     record = one(written(tmp_path, f"specimen,Ms,Mr\n{rows}"))
     assert any("no samples of a loop" in note.text for note in record.notes if note.severity is Severity.WARNING)
+
+
+def test_names_of_columns_may_follow_a_label_in_brackets(tmp_path: Path) -> None:
+    rows = [f"   {100 * u:<12g}  {y:<12g}\n" for u, y in zip(np.sin(T), np.sin(T - 0.3), strict=True)]
+    head = "## Kerr bench\nsaved: 2008/04/15\n\n<line>\nID:l2008\nConfigure:WaveLength=632.8nm;\n"
+    file = tmp_path / "kerr.dat"
+    file.write_text(f"{head}<data>:   Field(mT)   Rotation(deg)\n{''.join(rows)}</line>\n")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_name, record.u_unit) == ("Field(mT)", "mT")
+    assert (record.y_name, record.y_unit) == ("Rotation(deg)", "deg")
+    np.testing.assert_allclose(record.u, 100 * np.sin(T), rtol=1e-4)

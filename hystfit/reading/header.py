@@ -26,6 +26,7 @@ _SETTINGS = (
     ),
 )
 _MOST_METADATA = 40
+_LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 _LONGEST_SETTING = 1000  # characters of a line
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
@@ -80,7 +81,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
 
 def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     """Split a header line into `width` cells, by the delimiter of the data or by another one; None if none does."""
-    for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line)):
+    for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line), _LABEL.sub("", line)):
         for mark in (delimiter, ",", ";", "\t", "|", "  ", None):
             parts = _cut(text, mark)
             while len(parts) > width and not parts[-1]:
