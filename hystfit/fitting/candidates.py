@@ -111,12 +111,11 @@ def _way(record: Record) -> float:
 
 
 def _needs(name: str) -> list[Needs]:
-    """What the parts of a model need; of a variant that `check` does not judge apart, what its family needs."""
+    """What the parts of a model need; of signed weights, which `check` does not judge apart, what their family needs, either way round."""
     models = [MODELS[part.partition(":")[0]].default for part in name.split("+")]
-    of_family = lambda model: (vars(kind).get("needs") for kind in type(model).__mro__)
-    needs = [
-        model.needs or next((found for found in of_family(model) if isinstance(found, Needs)), None) for model in models
-    ]
+    families = (vars(kind).get("needs") for model in models if model.needs is None for kind in type(model).__mro__)
+    needs = [model.needs for model in models]
+    needs += [dataclasses.replace(found, direction="any") for found in families if isinstance(found, Needs)]
     return [need for need in needs if need is not None]
 
 
