@@ -10,8 +10,8 @@ from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import is_unit, split_unit
 
-_SAMPLE = re.compile(
-    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array|\bin$))"  # "Temperature in" has a unit
+_SAMPLE = re.compile(  # "Temperature in" has a unit
+    r"(?!.*(?:rate|interval|freq|period|number|samples|step|setting|multiplier|offset|record|block|buffer|window|file|array|\bin$))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
