@@ -11,8 +11,8 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
-from hystfit.reading.dialect import Text
 from hystfit.reading.coded_names import with_meanings
+from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
