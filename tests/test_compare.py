@@ -234,7 +234,7 @@ def test_weights_of_either_sign_are_tried_on_loops_that_lead_where_plays_fail():
     key = hf.Record(x, 30 + 5 * x + 800 * np.clip(x - 3.7, 0, None) ** 2 + 6 * friction)
     assert "preisach-signed" in candidates(hf.Dataset.of(key)).closed
     assert hf.check(key).advice.model.startswith("preisach-signed")
-    spring = hf.Record(x, np.clip(np.concatenate([x[:200], 1 + x[200:] - 4]), -1, 1))
+    spring = hf.Record(x, x + np.clip(np.concatenate([x[:200], 1 + x[200:] - 4]), -1, 1))
     assert "preisach-signed" not in candidates(hf.Dataset.of(spring)).closed
 
 
