@@ -527,7 +527,7 @@ def test_names_of_units_in_columns(tmp_path: Path) -> None:
     force = one(tmp_path, "Force,Distance,Time\ng,mm,sec\n" + rows(",", Y, U, 0.1 * np.arange(N)))
     is_pair(force)
     flow = one(tmp_path, "SSC_mgL,Q_cms\n" + rows(",", Y, U))
-    assert flow.y_unit == "m3/s"
+    assert (flow.u_unit, flow.y_name) == ("m3/s", "SSC_mgL")  # the discharge drives the sediment
     assert column_quantity("P_11") == column_quantity("P")
     assert column_quantity("Ta_C") == "temperature"
 

@@ -112,7 +112,8 @@ def choose(
     free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
     filled = {k: np.isfinite(table.columns[k]).mean() for k in free}
     free = [k for k in free if filled[k] > _SETTINGS * max(filled.values())]
-    kinds = {k: column_quantity(table.names[k], table.units[k]) if table.named else "" for k in range(len(table.names))}
+    known = lambda k: table.named or table.units[k]  # columns without names may have units
+    kinds = {k: column_quantity(table.names[k], table.units[k]) if known(k) else "" for k in range(len(table.names))}
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)
     if no_time:
         clock = None
@@ -215,7 +216,7 @@ def _guess_pair(
         equal = [best, other, *(one for one in near if one is not other)]
         apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
         raise _undecided(table, *(apart if len(apart) > 1 else equal)[:2])
-    nameless = not (table.named or given)
+    nameless = not (table.named or given or (kinds[best.input] and kinds[best.output]))
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
             given[role] = position

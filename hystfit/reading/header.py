@@ -11,8 +11,9 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
 
-_SAMPLE = re.compile(
-    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|bin_?size|window|file|array|\bin$))"  # "Temperature in" has a unit
+_SAMPLE = re.compile(  # "Temperature in" has a unit
+    r"(?!.*(?:rate|interval|freq|period|number|samples|step|setting|multiplier|offset|record|block|buffer|bin_?size|window|file|array"
+    r"|\bin$))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
@@ -36,7 +37,7 @@ _LISTED = re.compile(
     r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3}|(?<![A-Za-z])first)(?: column:\s*|(?:\s*[:=).]\s*|\t\s*)(?!\d))(?P<name>.*[A-Za-z].*)"
 )
 _TITLED = re.compile(
-    r"\W*(?P<word>columns?|fields?|names|channels?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
+    r"\W*(?P<word>columns?|fields?|names|channels?(?:[ _]?names?)?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
     re.IGNORECASE,
 )
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
@@ -185,10 +186,12 @@ def unit_key(name: str) -> str:
 def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
     """Units in lines of the header that are called so.
 
-    They are those of a column by its name ("loading_unit", "Units of force"), or those of the columns after the first ("Y_Unit_Label",
-    "VUnit", not "HUnit").
+    They are those of a column by its name ("loading_unit", "Units of force"), those of all columns ("UNIT = gf,mm"), or those of the
+    columns after the first ("Y_Unit_Label", "VUnit", not "HUnit").
     """
     width = len(names)
+    if width > 1 and (all_of_them := _behind_words(above, width).get(True)) and all(map(is_unit, all_of_them)):
+        return all_of_them
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
     known = {unit_key(key): unit for key, unit in settings}
     if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
@@ -263,6 +266,19 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
+def _behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+    """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
+    found = {}
+    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
+        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
+        is_units = match["word"][0].lower() == "u"
+        if fitting := next(
+            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
+        ):
+            found[is_units] = fitting
+    return found
+
+
 def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
     """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
@@ -270,13 +286,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
             found[False] = ["", *names]
-    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
-        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
-        is_units = match["word"][0].lower() == "u"
-        if fitting := next(
-            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
-        ):
-            found[is_units] = fitting  # the last of several
+    found |= _behind_words(above, width)
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []

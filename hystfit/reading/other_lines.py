@@ -12,6 +12,7 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
+from hystfit.reading.coded_names import with_meanings
 from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
 from hystfit.reading.names_with_units import is_unit, split_unit
@@ -101,6 +102,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         units = [split_unit(name, names)[1] for name in names]
         if not used and not place:
             names, units, used = _labeled_units(text, block)
+    names, of_codes = with_meanings(names, text.lines[:first])
+    units = [unit or of_code for unit, of_code in zip(units, of_codes, strict=True)]
     if not any(units):
         units = stated_units(text.lines[:first], names, dialect.delimiter)
     unknown = [unit for unit in units if unit and not is_unit(unit)]
