@@ -18,7 +18,7 @@ from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.least_squares import LeastSquares
-from hystfit.fitting.left_out import LeftOut, bic, left_out_error
+from hystfit.fitting.left_out import LeftOut, bic, inner_error, left_out_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
@@ -29,7 +29,7 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
-from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
+from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out, inner_loops
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
@@ -237,9 +237,10 @@ class ComparisonRun:
         if self.least is not None and not self.named:
             most = self.equal * self.least / handicap(result.status, result.model.has_inverse)
         score, criterion = left_out_error(result, self.left_out, most * self.span / 100), bic(result)
-        stopped = np.isfinite(most) and np.isposinf(score)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
+            score = max(score, inner_error(result, most * self.span / 100))
+        stopped = np.isfinite(most) and np.isposinf(score)
         one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -355,7 +356,10 @@ class ComparisonRun:
     @property
     def scheme(self) -> Scheme:
         """What was held out."""
-        return Scheme.FUTURE if self.left_out == "future" else self.held.scheme
+        if self.left_out == "future":
+            return Scheme.FUTURE
+        scattered = self.held.scheme is Scheme.SCATTERED
+        return Scheme.INNER if scattered and inner_loops(list(self.data)) is not None else self.held.scheme
 
     @functools.cached_property
     def held(self) -> HeldOut:

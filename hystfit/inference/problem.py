@@ -34,7 +34,7 @@ from hystfit.models.design import COLUMNS
 from hystfit.models.starting import scales_of
 from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 from hystfit.params.space import ParameterSpace
-from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.held_out import HeldOut, held_out, inner_loops
 
 LOSSES: tuple[str, ...] = get_args(Loss)
 Side = Literal["lower", "upper"]
@@ -159,10 +159,22 @@ class Problem:
     @functools.cached_property
     def held_out(self) -> HeldOut:
         """Groups of samples that are held out in turn to judge or to regularize a fit: those that suit the measured records."""
-        measured = [
-            record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)
-        ]
-        groups = held_out(measured, self._spacing)
+        return self._with_beginnings(held_out(self._measured(), self._spacing))
+
+    def by_inner_loops(self) -> Problem | None:
+        """The same problem with `inner_loops` held out; None where there are none."""
+        groups = inner_loops(self._measured())
+        if groups is None:
+            return None
+        other = self._changed()
+        other.held_out = self._with_beginnings(groups)
+        return other
+
+    def _measured(self) -> list[Record]:
+        """The records without what the model put before them."""
+        return [record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)]
+
+    def _with_beginnings(self, groups: HeldOut) -> HeldOut:
         folds = (
             np.concatenate([np.full(len(r) - f.size, -1), f]) for r, f in zip(self.data, groups.folds, strict=True)
         )
