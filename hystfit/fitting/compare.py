@@ -45,7 +45,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     if none_describes(list(run.data)):
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
         return
-    if white := run.is_white():
+    if white := first == SEARCH and run.is_white():
         lasting = _timeless(chosen.iterated)
         run.skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), WHITE)
         chosen, others = Candidates((first,), lasting), []

@@ -136,7 +136,7 @@ class Problem:
 
     def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        for cached in ("host_setting", "setting", "density", *(["held_out"] if "data" in changes else [])):
+        for cached in ("host_setting", "setting", "density", "split", *(["held_out"] if "data" in changes else [])):
             other.__dict__.pop(cached, None)
         other._predicted = None
         for name, value in changes.items():
