@@ -69,22 +69,25 @@ class SmoothWeights(AbstractEstimator):
         if others.size:
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
-        smoothness = self.smoothness
-        if np.isfinite(self.most):
+        beaten = np.isfinite(self.most) and (
             # No penalty leaves smaller errors than the weakest.
-            least = now.system.size * error_where_held_out(now.system, smoothness[0], now.fixed)
-            smoothness = smoothness[:1] if least > self.most else smoothness
-        fit = fit_smooth(now.system, smoothness, fixed=now.fixed)
+            now.system.size * error_where_held_out(now.system, self.smoothness[0], now.fixed) > self.most
+        )
+        if beaten:
+            fit = fit_smooth(now.system, self.smoothness[:1], fixed=now.fixed)
+            found = self.of_fit(fit, now, x, problem.scales.y)
+            return dataclasses.replace(found, converged=False, message="not finished")
+        fit = fit_smooth(now.system, self.smoothness, fixed=now.fixed)
         texts = [] if family is None else [family.words(), *family.notes]
         size = problem.scales.y
-        found = self.of_fit(fit, now, x, size, problem.held_out.count, texts)
+        found = self.of_fit(fit, now, x, size, problem.held_out.count, [*texts, *now.system.notes()])
         linearized = None if others.size else problem.linearization(found.x, now.gram(found.x, size))
         return dataclasses.replace(
             found, converged=converged, message=message, evaluations=evaluations, linearized=linearized
         )
 
     def of_fit(
-        self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int, texts: Sequence[str] = ()
+        self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int = 0, texts: Sequence[str] = ()
     ) -> Estimate:
         """The estimate that a solution gives.
 
@@ -99,7 +102,7 @@ class SmoothWeights(AbstractEstimator):
         at = split.place >= 0
         x, penalty = x.copy(), np.zeros(x.size)
         x[at], penalty[at] = fit.weights[split.place[at]], fit.penalty[split.place[at]] / size**2
-        texts = [*texts, *split.system.notes()]
+        texts = [*texts]
         if fit.error is not None:
             texts.append(
                 f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {groups} groups "

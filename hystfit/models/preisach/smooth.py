@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,8 @@ import numpy as np
 from hystfit.models.design import effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative, submatrix
 from hystfit.models.preisach.smooth_system import SmoothSystem
+from hystfit.params.host_arrays import NUMBERS
+from hystfit.runs.threads import Workers
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
 _EQUAL = 1.01  # ratio of errors on held-out groups, or of residuals, below which two strengths are equally good
@@ -167,21 +170,28 @@ class _Trials:
         return sum(max(float(r @ gram @ r), 0.0) for gram in self._grams[groups])
 
     def _error(self, strength: float, *, refitted: bool) -> float:
-        squares, positive = 0.0, self.solved(strength).positive
+        positive = self.solved(strength).positive
         bounded = self._bounded if refitted else np.zeros_like(self._bounded)
         at = np.arange(self.free.size) if refitted else np.flatnonzero(positive)
         rows = np.append(at, self.free.size)
         total, rough = submatrix(self._total, rows), submatrix(self.rough, at)
-        others, penalty = np.empty_like(total), np.empty_like(rough)  # memory of its own for each group would take as long as the solve
-        for gram, count in zip(self._grams[:-1], self._counts[:-1], strict=True):
-            own = submatrix(gram, rows)
-            np.subtract(total, own, out=others)
-            absent = self._own[at] & (np.diag(others)[:-1] == 0)
-            np.multiply(rough, strength * (self.n - count), out=penalty)
-            v, _ = _solve(others, penalty, bounded[at], positive[at])
-            r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
-            squares += max(float(r @ own @ r), 0.0)
-        return float(np.sqrt(squares / self._counts[:-1].sum()))
+
+        def squares(groups: slice) -> list[float]:
+            others, penalty, found = np.empty_like(total), np.empty_like(rough), []  # memory that all groups use
+            for gram, count in zip(self._grams[:-1][groups], self._counts[:-1][groups], strict=True):
+                own = submatrix(gram, rows)
+                np.subtract(total, own, out=others)
+                absent = self._own[at] & (np.diag(others)[:-1] == 0)
+                np.multiply(rough, strength * (self.n - count), out=penalty)
+                v, _ = _solve(others, penalty, bounded[at], positive[at])
+                r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
+                found.append(max(float(r @ own @ r), 0.0))
+            return found
+
+        workers = Workers(None if total.size > NUMBERS else 1)
+        parts = workers.run([functools.partial(squares, slice(k, None, workers.count)) for k in range(workers.count)])
+        every = [parts[k % workers.count][k // workers.count] for k in range(self._counts.size - 1)]
+        return float(np.sqrt(sum(every) / self._counts[:-1].sum()))
 
     def effective(self, strength: float) -> float:
         """Number of weights that the data determine."""
