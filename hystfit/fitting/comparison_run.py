@@ -18,7 +18,7 @@ from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.least_squares import LeastSquares
-from hystfit.fitting.left_out import LeftOut, bic, inner_error, left_out_error
+from hystfit.fitting.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
@@ -248,7 +248,7 @@ class ComparisonRun:
         score, criterion = left_out_error(result, self.left_out, most * self.span / 100), bic(result)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
-            score = max(score, inner_error(result, most * self.span / 100))
+            score = ranking_error(result, float(score), most * self.span / 100)
         stopped = np.isfinite(most) and np.isposinf(score)
         one.result = result.with_notes(*one.choices)
         one.row = Row(

@@ -55,11 +55,18 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
     return _held_out_error(result.method, problem, x, most)
 
 
-def inner_error(result: FitResult, most: float = np.inf) -> float:
-    """The same error on `inner_loops`, where nothing but scattered samples is held out; 0 where there are none."""
+def ranking_error(result: FitResult, error: float, most: float = np.inf) -> float:
+    """The error by which models are ranked: where scattered samples are held out, its geometric mean with that on `inner_loops`, if any.
+
+    Args:
+        result, most: see `left_out_error`.
+        error: its value.
+    """
     problem = result.problem
     inner = problem.by_inner_loops() if problem.held_out.scheme is Scheme.SCATTERED else None
-    return 0.0 if inner is None else _held_out_error(result.method, inner, result.x, most)
+    if inner is None:
+        return error
+    return float(np.sqrt(error * _held_out_error(result.method, inner, result.x, most**2 / max(error, 1e-300))))
 
 
 def _held_out_error(method: str, problem: Problem, x: np.ndarray, most: float) -> float:

@@ -159,26 +159,19 @@ class Problem:
     @functools.cached_property
     def held_out(self) -> HeldOut:
         """Groups of samples that are held out in turn to judge or to regularize a fit: those that suit the measured records."""
-        return self._with_beginnings(held_out(self._measured(), self._spacing))
+        return held_out(self._measured, self._spacing).after(map(len, self.data))
 
     def by_inner_loops(self) -> Problem | None:
         """The same problem with `inner_loops` held out; None where there are none."""
-        groups = inner_loops(self._measured())
-        if groups is None:
-            return None
-        other = self._changed()
-        other.held_out = self._with_beginnings(groups)
-        return other
+        groups = inner_loops(self._measured)
+        return None if groups is None else self._changed(held_out=groups.after(map(len, self.data)))
 
+    @property
     def _measured(self) -> list[Record]:
         """The records without what the model put before them."""
-        return [record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)]
-
-    def _with_beginnings(self, groups: HeldOut) -> HeldOut:
-        folds = (
-            np.concatenate([np.full(len(r) - f.size, -1), f]) for r, f in zip(self.data, groups.folds, strict=True)
-        )
-        return HeldOut(groups.scheme, tuple(folds))
+        return [
+            record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)
+        ]
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""
