@@ -267,18 +267,19 @@ class ComparisonRun:
         )
 
     def _excluded_row(self, one: Candidate) -> Row | None:
-        """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
-        best, first, name = self.best, one.first, one.name
-        if best is None or first is None:
+        """The row of a model whose first fit is far from the error above which it cannot win; None for a model that may win."""
+        first, name = one.first, one.name
+        if first is None:
             return None
+        most = self._most(Status.OK, inverts=make_model(name).has_inverse)
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
         lowered = first.lowered if first.model is None else min(self._lowered, default=first.lowered)
-        if not np.isfinite(error) or error * lowered <= self.equal * best:
+        if not np.isfinite(error) or error * lowered <= most:
             return None
         note = (
-            f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
-            f"of {best:.2g} % (hystfit compare --models {name} validates it)"
+            f"stopped after a first fit with an error of {error:.2g} %, because beside another model it cannot win above a "
+            f"cross-validation error of {most:.2g} % (hystfit compare --models {name} validates it)"
         )
         return Row(name, name, in_sample_percent=error, parameters=first.parameters, note=note)
 
@@ -292,8 +293,8 @@ class ComparisonRun:
         if error <= most:
             return None
         note = (
-            f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error above which it "
-            f"cannot win, {most:.2g} % (hystfit compare --models {one.name} validates it)"
+            f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error above "
+            f"which it cannot win beside another model, {most:.2g} % (hystfit compare --models {one.name} validates it)"
         )
         largest, parameters = result.train.max_error_percent, len(result.free_names)
         return Row(result.name, one.name, None, error, largest, parameters, note=note)
