@@ -1,10 +1,9 @@
-"""Speed of the compiled Preisach forms beside the relay scan: `python benchmarks/preisach.py [--quick]`."""
+"""Speed of the Preisach model by distinct states beside the relay scan: `python benchmarks/preisach.py [--quick]`."""
 
 from __future__ import annotations
 
 import statistics
 import time
-import tracemalloc
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +13,8 @@ from scipy.optimize import nnls
 
 import hystfit as hf
 from hystfit.models.nonnegative import solve_nonnegative
-from hystfit.models.preisach.compiled import compile_for, respond
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.model import Preisach
-
-MEMORY_MB = 150  # most that a gradient by 20100 weights may take
 
 
 def signal(samples: int, noise: float) -> np.ndarray:
@@ -42,63 +38,11 @@ def median_time(call, repeats: int) -> float:
 
 
 def forward(n: int, samples: int, noise: float, repeats: int) -> dict[str, float]:
-    model, u = relays(n), jnp.asarray(signal(samples, noise))
-    compiled = compile_for(model, np.asarray(u))
-    np.testing.assert_allclose(respond(model, compiled), hf.simulate(model, u)[0], atol=1e-9)
-    cells = relays(n, "cells")
-    cell_input = compile_for(cells, np.asarray(u))
-    respond(cells, cell_input)
-
-    def first() -> jax.Array:
-        return respond(model, compile_for(model, np.asarray(u)))
-
-    scan = median_time(lambda: hf.simulate(model, u)[0], max(5, repeats // 4))
+    model, u = relays(n), signal(samples, noise)
+    np.testing.assert_allclose(model.free_run(u), hf.simulate(model, u)[0], atol=1e-9)
     return {
-        "scan_ms": 1e3 * scan,
-        "warm_ms": 1e3 * (warm := median_time(lambda: respond(model, compiled), 4 * repeats)),
-        "with_host_ms": 1e3 * (host := median_time(first, repeats)),
-        "cells_warm_ms": 1e3 * median_time(lambda: respond(cells, cell_input), repeats),
-        "cells_host_ms": 1e3 * median_time(lambda: compile_for(cells, np.asarray(u)).index, repeats),
-        "forward": scan / warm,
-        "first_call": scan / host,
-        "states": int(compiled.parent.size),
-    }
-
-
-def gradient(n: int, samples: int, repeats: int) -> dict[str, float]:
-    model, u = relays(n), jnp.asarray(signal(samples, 0.0))
-    compiled = compile_for(model, np.asarray(u))
-    y = jnp.sin(jnp.arange(samples))
-
-    def with_weights(w):
-        return Preisach(w=w, levels=model.levels, initial="negative", elements="relays")
-
-    def loss(run):
-        return jax.jit(jax.grad(lambda w, data: jnp.sum((run(with_weights(w), data) - y) ** 2)))
-
-    slow, fast = loss(lambda m, u: hf.simulate(m, u)[0]), loss(respond)
-    np.testing.assert_allclose(fast(model.w, compiled), slow(model.w, u), rtol=1e-7)
-    scan = median_time(lambda: slow(model.w, u), max(5, repeats // 4))
-    look_up = median_time(lambda: fast(model.w, compiled), 4 * repeats)
-    return {"scan_ms": 1e3 * scan, "look_up_ms": 1e3 * look_up, "gradient": scan / look_up}
-
-
-def memory(n: int, samples: int) -> dict[str, float]:
-    model, u = relays(n), signal(samples, 0.01)
-    tracemalloc.start()
-    compiled = compile_for(model, u)
-    host = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    grad = jax.jit(jax.grad(lambda m, c: jnp.sum(respond(m, c) ** 2), allow_int=True))
-    plan = grad.lower(model, compiled).compile().memory_analysis()
-    arrays = sum(leaf.nbytes for leaf in jax.tree.leaves(compiled))
-    assert plan is not None
-    temporary = plan.temp_size_in_bytes
-    return {
-        "host_mb": host / 1e6,
-        "arrays_mb": arrays / 1e6,
-        "xla_mb": temporary / 1e6,
-        "memory_mb": (host + arrays + temporary) / 1e6,
+        "scan_ms": 1e3 * median_time(lambda: hf.simulate(model, jnp.asarray(u))[0], max(5, repeats // 4)),
+        "run_ms": 1e3 * median_time(lambda: model.free_run(u), repeats),
     }
 
 
@@ -137,20 +81,16 @@ def fit(n: int, samples: int, repeats: int) -> dict[str, float]:
 
 
 def measure(quick: bool) -> list[Row]:
-    """Rows of the suite, the compiled forms as "hystfit"; the memory of a gradient is limited here."""
+    """Rows of the suite."""
     samples, repeats, n = (2_000, 1, 10) if quick else (100_000, 11, 100)
     rows, count = [], n * (n + 1) // 2
     for noise, words in ((0.0, "clean"), (0.01, "noisy")):
         found = forward(n, samples, noise, repeats)
-        for key, kind in (("warm_ms", "compiled input"), ("with_host_ms", "with compiling the input")):
-            rows.append(_row(f"Preisach, {count} relays, {words}, {kind} / relay scan", found[key], found["scan_ms"]))
-    found = gradient(n, samples // 10, repeats)
-    rows.append(_row(f"Preisach, gradient by {count} weights / relay scan", found["look_up_ms"], found["scan_ms"]))
+        rows.append(
+            _row(f"Preisach, {count} relays, {words}, by states / relay scan", found["run_ms"], found["scan_ms"])
+        )
     found = fit(5 if quick else 20, samples // 10, repeats)
     rows.append(_row("Preisach, weights >= 0 / scipy nnls on all samples", found["states_ms"], found["dense_ms"]))
-    used = memory(2 * n, samples)["memory_mb"]
-    if not quick and used > MEMORY_MB:
-        raise SystemExit(f"the gradient by 20100 weights takes {used:.0f} MB; the limit is {MEMORY_MB} MB")
     return rows
 
 

@@ -54,7 +54,6 @@ REFUSED = {
     "identify.identify": "identify.identify(record)",
     "identify.identify_in_stages": "identify.identify_in_stages(model, [identify.Phase(record, ('c',))])",
     "identify.identify_online": "identify.identify_online(ukf, record, block=50)",
-    "identify.smooth": "identify.smooth(ukf, record)",
     "stage.Actuator": "stage.Actuator(model).record(t, u, seed=0)",
     "stage.Stage": "stage.Stage.of().simulate(three, 0.01)",
     "stage.StageMeasurement": "stage.Stage.of().measure(t, three, seed=0)",

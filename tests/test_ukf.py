@@ -36,7 +36,6 @@ from hystfit.identify import (
     identify_in_stages,
     identify_online,
     run_stream,
-    smooth,
 )
 from hystfit.identify.filter_verdict import loop_count
 from hystfit.identify.sigma_points import Unscented, triangular
@@ -197,7 +196,7 @@ class Linear:
         return F, shift
 
     def kalman(self):
-        """Filter and Rauch-Tung-Striebel smoother in plain numpy; noise enters before each step but the first."""
+        """Filter in plain numpy; noise enters before each step but the first."""
         u, y = self.record.u, self.record.y
         x = np.array([u[0], 0.0, float(self.ukf.z0[0])])
         P = np.asarray(self.ukf.prior) ** 2
@@ -209,39 +208,26 @@ class Linear:
             K = P_prior @ self.H / S if np.isfinite(yk) else np.zeros(3)
             x = x_prior + K * ((yk if np.isfinite(yk) else 0.0) - self.H @ x_prior)
             P = P_prior - np.outer(K, K) * S
-            out.append((x, P, x_prior, P_prior, F, S))
+            out.append((x, P, S))
             before, Q = uk, self.Q
-        xs, Ps = [out[-1][0]], [out[-1][1]]
-        for k in range(len(out) - 2, -1, -1):
-            x, P = out[k][:2]
-            x_prior, P_prior, F = out[k + 1][2:5]
-            G = P @ F.T @ np.linalg.inv(P_prior)
-            xs.insert(0, x + G @ (xs[0] - x_prior))
-            Ps.insert(0, P + G @ (Ps[0] - P_prior) @ G.T)
-        return out, np.array(xs), np.array(Ps)
+        return out
 
 
 @pytest.mark.parametrize("missing", [(), (5, 6, 7, 40)])
-def test_linear_filter_and_smoother_equal_kalman_and_rauch(missing):
+def test_linear_filter_equals_kalman(missing):
     case = Linear(missing)
-    out, xs, Ps = case.kalman()
-    result = smooth(case.ukf, case.record)
-    np.testing.assert_allclose(result.filtered, [row[0] for row in out], atol=1e-10)
-    np.testing.assert_allclose(result.info.variance, [row[5] for row in out], rtol=1e-10)
-    root = np.asarray(result.state.root)
+    out, state, means, variances = case.kalman(), case.ukf.init(), [], []
+    update = jax.jit(lambda state, sample: case.ukf.update(state, sample))
+    stream = Sample.stream([case.record])
+    for k in range(len(case.record)):
+        state, info = update(state, jax.tree.map(lambda leaf, k=k: leaf[k], stream))
+        means.append(state.mean)
+        variances.append(info.variance)
+    np.testing.assert_allclose(means, [row[0] for row in out], atol=1e-10)
+    np.testing.assert_allclose(variances, [row[2] for row in out], rtol=1e-10)
+    root = np.asarray(state.root)
     np.testing.assert_allclose(root @ root.T, out[-1][1] + case.Q, atol=1e-10)
-    np.testing.assert_allclose(result.mean, xs, atol=1e-9)
-    np.testing.assert_allclose(result.covariance, Ps, atol=1e-10)
-    assert int(result.state.tally[2]) == len(missing)
-
-
-def test_smoothed_states_are_nearer_the_truth():
-    record = measured(seed=3)
-    result = smooth(Ukf.of(bouc_wen(1.05, 0.95, 1.1, 0.9), record, start="model"), record)
-    h = C * record.u - np.asarray(simulate(TRUTH, jnp.asarray(record.u))[0])
-    early = slice(200, 2000)
-    errors = [np.sqrt(np.mean((np.asarray(mean)[early, 0] - h[early]) ** 2)) for mean in (result.filtered, result.mean)]
-    assert errors[1] < 0.5 * errors[0]
+    assert int(state.tally[2]) == len(missing)
 
 
 # -- what it identifies ------------------------------------------------------------------------------------------------

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Device, Output, Reading, lists
+from hystfit.cli.options import DEFAULT_READING, LOOP_FITTING, STDOUT, Device, LoopFitting, Output, Reading, lists
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width
 from hystfit.config import use_device

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.options import (
     DEFAULT_READING,
+    LOOP_FITTING,
     NO_SETTINGS,
     NO_SPLIT,
     STDOUT,
     Loop,
+    LoopFitting,
     Output,
     Purpose,
     Reading,

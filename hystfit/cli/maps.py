@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from hystfit.cli.batches import ENDINGS, RUN, Format, check_packages
-from hystfit.cli.fitting_options import LOOP_FITTING, LoopFitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import STDOUT, Device, Output, lists
+from hystfit.cli.options import LOOP_FITTING, STDOUT, Device, LoopFitting, Output, lists
 from hystfit.cli.write import finish, progress
 from hystfit.config import use_device
 from hystfit.fitting.registry import ESTIMATORS

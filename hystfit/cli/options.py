@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from cyclopts import Group, Parameter
 
 from hystfit.errors import DataError, ParameterError
+from hystfit.inference.noise.registry import NOISES
 
 F = TypeVar("F", bound=Callable[..., int])
 FILE = Group("Reading the file", sort_key=1)
@@ -228,8 +229,51 @@ class TableOutput(Output):
     """
 
 
+@lists(noises=NOISES)
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Fitting:
+    """Options of every fit.
+
+    Args:
+        fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
+        free: parameter to fit that the model fixes by default; repeatable.
+        tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER ("k2=2*k1", "gamma[1]=gamma[0]"); repeatable.
+        noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
+            does not; the other noise models refine the fit by their likelihood.
+        starts: number of starting points.
+        seed: random seed for the starting points.
+    """
+
+    fix: list[str] | None = None
+    free: list[str] | None = None
+    tie: list[str] | None = None
+    noise: str = "auto"
+    starts: int = 8
+    seed: int = 0
+
+    def keywords(self) -> dict[str, Any]:
+        """Arguments of `hystfit.fit`."""
+        chosen = {"fix": named_values(self.fix or []), "free": self.free or [], "tie": tied_values(self.tie or [])}
+        return vars(self) | chosen
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class LoopFitting(Fitting):
+    """Options of a fit to loops that share no parameter.
+
+    Args:
+        loss: linear, or a robust loss that reduces the influence of outliers: huber, soft-l1, cauchy.
+        start: starting values estimated from the data, or those of the model.
+    """
+
+    loss: str = "linear"
+    start: Literal["data", "model"] = "data"
+
+
 DEFAULT_READING, NO_SPLIT, STDOUT, NO_SETTINGS = Reading(), Split(), Output(), SequentialSettings()
-NO_TABLE = TableOutput()
+NO_TABLE, FITTING, LOOP_FITTING = TableOutput(), Fitting(), LoopFitting()
 
 
 def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.batches import FEW
-from hystfit.cli.fitting_options import FITTING, Fitting
 from hystfit.cli.interrupts import resumable
-from hystfit.cli.options import DEFAULT_READING, STDOUT, Output, Reading
+from hystfit.cli.options import DEFAULT_READING, FITTING, STDOUT, Fitting, Output, Reading
 from hystfit.cli.write import finish, progress, write_input
 from hystfit.errors import DataError
 

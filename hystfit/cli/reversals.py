@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import DEFAULT_READING, STDOUT, Loop, Output, Reading, command_words
 from hystfit.cli.records import load
@@ -26,6 +26,9 @@ _HOW = {
     "fitted": "fitted Preisach density",
     "sampled": "posterior of a Preisach density",
 }
+
+
+_Numbers = Mapping[str, tuple[str, float | None, float | None, str]]  # label, value, standard error and unit by name
 
 
 def forc(
@@ -62,6 +65,7 @@ def forc(
     diagram = diagrams[_HOW[density]]
     numbers, loop = forc_numbers(diagram), forc_loop(family)
     units = {symbol: data.units[symbol] for symbol in ("u", "y")}
+    of_density, of_loop = numbers.numbers(units), loop.numbers()
     how = _HOW[density] + (f", smoothing factor {smoothing}" if density == "regression" else "")
     notes = [*map(str, corrections), *family.notes, *map(str, found)]
     content = {
@@ -71,21 +75,24 @@ def forc(
         "density": density,
         "smoothing": smoothing if density == "regression" else None,
         "units": {"input": units["u"] or None, "output": units["y"] or None},
-        "numbers": numbers.to_dict(units),
-        "loop": loop.to_dict(),
+        "numbers": _plain(of_density),
+        "loop": _plain(of_loop),
         "notes": notes,
         "provenance": provenance(data, None),
     }
-    tables = {"of the density": _density_table(numbers, units), "of the curves": loop.table()}
+    tables = {"of the density": _table(of_density), "of the curves": _table(of_loop)}
     shown = [line for title, table in tables.items() for line in (title, *table.lines("  "))]
     text = "\n".join([family.words(), f"density: {how}", *shown, *(f"  - {note}" for note in notes)])
 
     def save(folder: Path) -> None:
+        from hystfit.cli.figures import sheet
         from hystfit.cli.pages import forc_page
+        from hystfit.results.preisach_plots import plot_compared
 
         figures = _figures(diagram, numbers, loop, family, units)
         if len(diagrams) > 1:
-            figures["compared"] = _compared(diagrams, units)
+            figures["compared"] = sheet(5.6 * len(diagrams), 8.4)
+            plot_compared(diagrams, figures["compared"], units=units)
         _write_density(folder, diagram, numbers, units)
         page = forc_page(
             family.words(), how, tables, numbers, units["u"], notes, figures, command_words(loops, reading)
@@ -119,25 +126,18 @@ def _density(
     return local | {_HOW[density]: sampled_density(posterior, rising=rising)}, posterior.status, posterior.notes
 
 
-def _compared(diagrams: Mapping[str, ForcDiagram], units: dict[str, str]) -> Figure:
-    from hystfit.cli.figures import sheet
-    from hystfit.results.preisach_plots import plot_compared
-
-    figure = sheet(5.6 * len(diagrams), 8.4)
-    plot_compared(diagrams, figure, units=units)
-    return figure
-
-
-def _density_table(numbers: ForcNumbers, units: dict[str, str]) -> Table:
-    from hystfit.models.preisach.forc_numbers import NUMBERS
-
-    unit = {**units, "%": "%"}
-    rows = [
-        (NUMBERS[name][0], *rounded(value, numbers.stderr.get(name)), unit[NUMBERS[name][1]])
-        for name, value in numbers.values.items()
-        if value is not None
-    ]
+def _table(numbers: _Numbers) -> Table:
+    """The numbers that are known, with their standard errors."""
+    rows = [(label, *rounded(value, e), unit) for label, value, e, unit in numbers.values() if value is not None]
     return Table(["", Column("value"), Column("+- stderr"), Column("unit", left=True)], rows)
+
+
+def _plain(numbers: _Numbers) -> dict[str, Any]:
+    """The numbers for `result.json`."""
+    return {
+        name: {"value": value, "stderr": stderr, "unit": unit or None}
+        for name, (_, value, stderr, unit) in numbers.items()
+    }
 
 
 def _figures(

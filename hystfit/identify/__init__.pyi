@@ -20,7 +20,6 @@ from .remedies import bias_compensated as bias_compensated
 from .remedies import decimate as decimate
 from .remedies import integrated_regression as integrated_regression
 from .rls import Rls as Rls
-from .smoother import smooth as smooth
 from .staged import Phase as Phase
 from .staged import identify_in_stages as identify_in_stages
 from .ukf import Ukf as Ukf

@@ -15,6 +15,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.identify.vector_hysteresis import FEWEST
+from hystfit.quality.baselines import play_positions
 
 _STOPS, _FINEST, _COARSEST = 8, 3.2e-3, 0.745  # number, and half widths over the saturation: 1.5 to 350 mT of 0.47 T
 _CLIP = 0.995  # of the saturation, at most, where the single-valued curve turns up
@@ -163,7 +164,9 @@ class FieldFromInduction:
 
     def stops(self, one: FluxSequence) -> np.ndarray:
         """Stops of B [T] from all histories, shape (T, histories, 8)."""
-        return _stops(one.b, self.widths, self.states())
+        states = self.states()
+        plays = play_positions(one.b, np.tile(self.widths, len(states)), (one.b[0] - states).ravel())
+        return (one.b[:, None] - plays).reshape(one.b.size, *states.shape)
 
     def columns(self, one: FluxSequence, stops: np.ndarray) -> np.ndarray:
         """The columns of the coefficients, shape (T, 28).
@@ -265,16 +268,6 @@ class FieldFromInduction:
         if not adapt:
             return np.mean([self.columns(one, stops[:, k]) @ (self.w / self.size) for k in best], axis=0)
         return np.mean([self._adapted(one, stops[:, k])[0] for k in best], axis=0)
-
-
-def _stops(b: np.ndarray, widths: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Stops of a signal from several states, shape (T, states, widths)."""
-    found, s = np.empty((b.size, *states.shape)), states
-    found[0] = s
-    for k, step in enumerate(np.diff(b), start=1):
-        s = np.minimum(np.maximum(s + step, -widths), widths)
-        found[k] = s
-    return found
 
 
 def _solved(columns: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -102,8 +102,11 @@ class GradientCorrection(LinearIdentifier):
             lambdas = 1.0 / np.maximum(np.mean(rows.phi**2, axis=0), np.finfo(float).tiny)
         else:
             lambdas = check_weights(weights, regressor.p)
-        if step is not None:
-            _check_step(step, lambdas, rows)
+        largest = float(np.max(rows.phi**2 @ np.atleast_2d(lambdas).max(axis=0)))
+        if step is not None and not 0 < step < 2 / largest:
+            raise ParameterError(
+                f"step must lie in (0, {2 / largest:.4g}) on these records, where the error falls at every row; got {step:g}"
+            )
         return cls(regressor, theta0, jnp.asarray(lambdas, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
 
     def init(self) -> GradientState:
@@ -175,11 +178,3 @@ def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.nda
                 "guaranteed; scale all weights by one common factor, or keep them constant"
             )
     return array
-
-
-def _check_step(step: float, weights: np.ndarray, rows: Rows) -> None:
-    largest = float(np.max(rows.phi**2 @ np.atleast_2d(weights).max(axis=0)))
-    if not 0 < step < 2 / largest:
-        raise ParameterError(
-            f"step must lie in (0, {2 / largest:.4g}) on these records, where the error falls at every row; got {step:g}"
-        )

@@ -29,7 +29,7 @@ class RlsState(NamedTuple):
 
     Attributes:
         theta: shape (p,), in the units of the basis.
-        root: S with P = S S^T in the square-root form, P itself in the symmetric one, shape (p, p).
+        root: S with P = S S^T, shape (p, p).
         last: (u, y) of the previous sample; NaN before the first.
     """
 
@@ -47,11 +47,9 @@ class Rls(LinearIdentifier):
         forgetting: lambda, in (0, 1]; 1 weights all samples alike. Forgetting pauses without excitation, so the covariance cannot
             wind up.
         prior: P_0 = prior * identity, in the units of the basis.
-        form: "square-root" (Potter's update of a factor of P, which stays positive definite in single precision) or "symmetric"
-            (P itself, made symmetric after every step).
 
     Raises:
-        ParameterError: forgetting or prior out of range, or an unknown form.
+        ParameterError: forgetting or prior out of range.
     """
 
     method: ClassVar[str] = "rls"
@@ -60,7 +58,6 @@ class Rls(LinearIdentifier):
     theta0: Float[Array, " p"]
     forgetting: Scalar = eqx.field(default=1.0, converter=as_array)
     prior: Scalar = eqx.field(default=1e8, converter=as_array)
-    form: str = eqx.field(static=True, default="square-root")
 
     @classmethod
     def of(
@@ -72,7 +69,6 @@ class Rls(LinearIdentifier):
         basis: str = "legendre",
         forgetting: float = 1.0,
         prior: float = 1e8,
-        form: str = "square-root",
     ) -> Rls:
         """Scaled to records.
 
@@ -81,7 +77,7 @@ class Rls(LinearIdentifier):
             data: the records.
             start: theta0 is "zero", the values of the "model", or read from the "data".
             basis: of the regressors, "legendre" or the paper's "powers".
-            forgetting, prior, form: see the attributes.
+            forgetting, prior: see the attributes.
 
         Raises:
             ParameterError: a setting out of range.
@@ -91,43 +87,29 @@ class Rls(LinearIdentifier):
             raise ParameterError(f"forgetting must lie in (0, 1], got {forgetting:g}; 0.99 to 1 is usual")
         if not 0 < prior < np.inf:
             raise ParameterError(f"prior must be positive and finite, got {prior:g}")
-        if form not in ("square-root", "symmetric"):
-            raise ParameterError(f"form must be square-root or symmetric, got {form!r}")
         regressor, _, theta0 = regression_of(model, Dataset.of(data), basis, start)
-        return cls(regressor, theta0, forgetting, prior, form)  # type: ignore[arg-type]
+        return cls(regressor, theta0, forgetting, prior)  # type: ignore[arg-type]
 
     def init(self) -> RlsState:
         """The start and its prior covariance."""
-        scale = jnp.sqrt(self.prior) if self.form == "square-root" else self.prior
-        root = scale * jnp.eye(self.regressor.p, dtype=self.theta0.dtype)
+        root = jnp.sqrt(self.prior) * jnp.eye(self.regressor.p, dtype=self.theta0.dtype)
         return RlsState(self.theta0, root, jnp.full(2, jnp.nan, self.theta0.dtype))
 
     def correct(self, state: RlsState, phi: Array, error: Array) -> RlsState:
-        """About 2 p^2 multiplications."""
-        gain, root = (self._potter if self.form == "square-root" else self._symmetric)(state.root, phi)
-        return state._replace(theta=state.theta + gain * error, root=root)
-
-    def _forgetting(self, trace: Array) -> Array:
-        return jnp.where(trace > _WINDUP * self.prior * self.regressor.p, 1.0, self.forgetting)
-
-    def _potter(self, root: Array, phi: Array) -> tuple[Array, Array]:
-        forgetting = self._forgetting(jnp.sum(root**2))
+        """Potter's update of a factor of P, which stays positive definite in single precision: about 2 p^2 multiplications."""
+        root = state.root
+        winds_up = jnp.sum(root**2) > _WINDUP * self.prior * self.regressor.p
+        forgetting = jnp.where(winds_up, 1.0, self.forgetting)
         f = root.T @ phi
         total = forgetting + f @ f
         column = root @ f
         down = column / (total + jnp.sqrt(forgetting * total))
-        return column / total, (root - down[:, None] * f[None, :]) / jnp.sqrt(forgetting)
-
-    def _symmetric(self, P: Array, phi: Array) -> tuple[Array, Array]:
-        forgetting = self._forgetting(jnp.trace(P))
-        column = P @ phi
-        gain = column / (forgetting + phi @ column)
-        P = (P - gain[:, None] * column[None, :]) / forgetting
-        return gain, 0.5 * (P + P.T)
+        root = (root - down[:, None] * f[None, :]) / jnp.sqrt(forgetting)
+        return state._replace(theta=state.theta + column / total * error, root=root)
 
     def covariance(self, state: RlsState) -> Float[Array, "p p"]:
-        """P, by either form."""
-        return state.root @ state.root.T if self.form == "square-root" else state.root
+        """P, in the units of the basis."""
+        return state.root @ state.root.T
 
     def check(self, run: Run, rows: Rows) -> tuple[Status, list[Note]]:
         """Whether the estimate is valid, determined by the input, and not biased by noise."""

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.identify.base import free_only
 from hystfit.identify.identification import free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.simulation import states_over
 from hystfit.models.starting import scales_of
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
@@ -65,23 +62,13 @@ def identified_space(
     return space
 
 
-@eqx.filter_jit
-def _states(model: Any, u: Array, dt: Array) -> Array:
-    def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-        state, _ = model.step(state, *sample)
-        return state, state
-
-    before = jnp.concatenate([u[:1], u[:-1]])
-    return jax.lax.scan(body, model.init(u[0]), (before, u, dt))[1]
-
-
 def state_ranges(model: AbstractHysteresis, data: Dataset) -> np.ndarray:
     """Range of every state over the records in a simulation, shape (states,).
 
     Raises:
         ParameterError: the simulation is not finite.
     """
-    runs = [np.asarray(_states(model, jnp.asarray(record.u), jnp.asarray(record.dt))) for record in data]
+    runs = [states_over(model, record.u, record.dt) for record in data]
     ranges = np.max([np.ptp(run, axis=0) for run in runs], axis=0)
     if not np.isfinite(ranges).all():
         raise ParameterError("the simulation of the start is not finite: use better starting values, or start='data'")

@@ -203,7 +203,7 @@ class Ukf(AbstractIdentifier):
         known_input = jnp.isfinite(sample.u)
         sample = sample._replace(u=jnp.where(known_input, sample.u, state.u))
         state = jax.lax.cond(sample.first, lambda s, u: self.restart(s, u), lambda s, u: s, state, sample.u)
-        points, outputs = self.propagate(state, sample.u, sample.dt)
+        points, outputs = self._propagated(state, sample.u, sample.dt)
         mean, predicted = self.scheme.mean(points), self.scheme.mean(outputs)
         point_deviations, output_deviations = points - mean, outputs - predicted
         noise = self.noise * (1.0 + self.caution * jnp.exp(-state.tally[1] / jnp.maximum(self.settling, 1e-3)))
@@ -227,17 +227,8 @@ class Ukf(AbstractIdentifier):
         )
         return new, Info(new.mean[self.states :], jnp.where(used, error, jnp.nan), used, variance)
 
-    def propagate(self, state: UkfState, u: Array, dt: Array) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
-        """Sigma points and their outputs after one step.
-
-        Args:
-            state: of the filter before the step.
-            u: input at the end of the step [u].
-            dt: duration of the step.
-
-        Returns:
-            Points of shape (m, n) and outputs of shape (m,), m = 2 n + 1.
-        """
+    def _propagated(self, state: UkfState, u: Array, dt: Array) -> tuple[Float[Array, "m n"], Float[Array, " m"]]:
+        """Sigma points and their outputs after one step of the input to u."""
         s = self.states
         points = self.scheme.points(state.mean, state.root)
 

@@ -138,7 +138,8 @@ class VectorHysteresis:
         found = least_squares(
             lambda z: (predict(z) - flux) / top, begin, lambda z: slopes(z) / top, x_scale="jac", method="lm"
         )
-        values, by_vector = _parameters(jnp.asarray(found.x), cells), jax.jacfwd(_stacked)(jnp.asarray(found.x), cells)
+        stacked = lambda z: jnp.concatenate([jnp.atleast_1d(part) for part in _parameters(z, cells)])
+        values, by_vector = _parameters(jnp.asarray(found.x), cells), jax.jacfwd(stacked)(jnp.asarray(found.x))
         variance = 2 * found.cost / max(flux.size - found.x.size, 1)
         covariance = variance * np.linalg.pinv(found.jac.T @ found.jac)
         errors = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", by_vector, covariance, by_vector), 0.0))
@@ -209,10 +210,6 @@ def _parameters(z: Array, cells: int) -> tuple[Array, Array, Array, Array]:
     """Js, a, kappa and w of a vector: logarithms, and of the weights those of their ratios to the last."""
     share = jax.nn.softmax(jnp.concatenate([z[2 + cells :], jnp.zeros(1)]))
     return jnp.exp(z[0]), jnp.exp(z[1]), jnp.exp(z[2 : 2 + cells]), share
-
-
-def _stacked(z: Array, cells: int) -> Array:
-    return jnp.concatenate([jnp.atleast_1d(part) for part in _parameters(z, cells)])
 
 
 _of_vector = jax.jit(lambda z, h, cells: _run(*_parameters(z, cells), h)[0], static_argnums=2)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -106,7 +105,9 @@ class LeastSquaresInformation(AbstractInformation):
         total = self.white * square + jnp.sum(jax.vmap(slow)(self.slow, self.time), axis=0)
         if not self.curved:
             return square, total, jnp.zeros((J.shape[-1], 0))
-        return square, total, jnp.einsum("rtp,rtk->pk", rows, _curves(setting, self.length) * root)
+        # Beyond the fitted range the curves stay as at its end.
+        curves = on_branches(inducing_shapes(jnp.clip(setting.place, 0.0, 1.0), self.length, POINTS), setting)
+        return square, total, jnp.einsum("rtp,rtk->pk", rows, curves * root)
 
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
         """(A + P)^-1 (B + P) (A + P)^-1 with A = J'J / v and B = J' Sigma J / v^2, for residuals of variance v and prior P."""
@@ -143,8 +144,3 @@ class LikelihoodInformation(AbstractInformation):
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
         """Inverse of the information after elimination of the shapes."""
         return jnp.linalg.inv(self.matrix(moments) + prior)
-
-
-def _curves(setting: Setting, length: Any) -> Float[Array, "R T k"]:
-    """Columns that span smooth curves over the input, on either branch; beyond the fitted range they stay as at its end."""
-    return on_branches(inducing_shapes(jnp.clip(setting.place, 0.0, 1.0), length, POINTS), setting)

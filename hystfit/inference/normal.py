@@ -127,7 +127,9 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1,
             slopes.append(slope)
         gap = out - measured
         good = jnp.isfinite(gap)
-        misfit, factor = _weighed(objective, jnp.where(good, gap, BROKEN * objective.size), root)
+        weigh = lambda r: bend(root * r, objective.bend, objective.loss)
+        residual = jnp.where(good, gap, BROKEN * objective.size)
+        misfit, factor = jax.jvp(weigh, (residual,), (jnp.ones_like(gap),))
         factor = jnp.where(good & (root > 0), factor, 0.0)
         J = [jnp.where(good, slope, 0.0) * factor for slope in slopes]
         cost = cost + misfit**2
@@ -146,8 +148,3 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1,
     matrix = jnp.zeros((p, p)).at[pairs].set(jnp.stack(upper))
     matrix, slope = matrix + jnp.triu(matrix, 1).T, coordinates.slope(z)
     return Normal(z, 0.5 * cost, slope * jnp.stack(gradient), slope * matrix * slope[:, None]).checked()
-
-
-def _weighed(objective: Objective, gap: Array, root: Array) -> tuple[Array, Array]:
-    """The misfit of a residual, and its derivative by the residual."""
-    return jax.jvp(lambda r: bend(root * r, objective.bend, objective.loss), (gap,), (jnp.ones_like(gap),))

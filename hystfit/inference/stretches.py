@@ -60,7 +60,8 @@ def stretches(objective: Objective, x: Float[np.ndarray, " p"], *, misfit: bool 
     length = _length(own.shape[1])
     for record, positions in enumerate(own):
         end = used.shape[1] - int(np.argmax(used[record, ::-1])) if used[record].any() else 0
-        directions, state = np.eye(x.size)[positions], _state(objective, x, record)
+        init = objective.coordinates.assemble(x, record).init
+        directions, state = np.eye(x.size)[positions], np.zeros(jax.eval_shape(init, jnp.zeros(())).shape)
         along, before = np.zeros((len(positions), *state.shape)), np.float64(0.0)
         for start in range(0, end, length):
             at = slice(start, min(start + length, end))
@@ -117,11 +118,6 @@ def linearization_by_stretches(objective: Objective, x: Float[np.ndarray, " p"])
             yield one.jacobian if on.all() else one.jacobian[on]
 
     return Linearization(misfit.reshape(-1), used.reshape(-1), x.size, blocks, joint)
-
-
-def _state(objective: Objective, x: np.ndarray, record: int) -> np.ndarray:
-    """Zeros of the shape of the model's state."""
-    return np.zeros(jax.eval_shape(objective.coordinates.assemble(x, record).init, jnp.zeros(())).shape)
 
 
 def _part(objective: Objective, record: int, at: slice, length: int) -> Objective:

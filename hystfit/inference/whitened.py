@@ -26,28 +26,20 @@ class Whitened(eqx.Module):
     noise: AbstractNoise
     setting: Setting
 
-    def cost(self, x: Float[Array, " p"]) -> Scalar:
-        """Half the squared whitened residual at physical x."""
-        return self._project(self.objective.residual(x)[..., None])[0]
-
-    def normal(self, x: Float[Array, " p"]) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
-        """Cost, gradient and information matrix with respect to physical x."""
-        return self.normal_of(*self.objective.linearize(x))
-
     def normal_of(
         self, r: Float[Array, "R T"], J: Float[Array, "R T p"]
     ) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
-        """`normal` from residuals and their derivatives."""
+        """Half the squared whitened residual, its gradient and the information matrix, from residuals and their derivatives."""
         return self._project(jnp.concatenate([r[..., None], J], axis=-1))
 
     def cost_at(self, z: Float[Array, " p"]) -> Scalar:
-        """`cost` at unconstrained z."""
-        return self.cost(self.objective.coordinates.physical(z))
+        """Half the squared whitened residual at unconstrained z."""
+        return self._project(self.objective.residual(self.objective.coordinates.physical(z))[..., None])[0]
 
     def normal_at(self, z: Float[Array, " p"]) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
-        """`normal` with respect to unconstrained z."""
+        """`normal_of` at unconstrained z, with respect to z."""
         slope = self.objective.coordinates.slope(z)
-        value, gradient, matrix = self.normal(self.objective.coordinates.physical(z))
+        value, gradient, matrix = self.normal_of(*self.objective.linearize(self.objective.coordinates.physical(z)))
         return value, gradient * slope, matrix * slope[:, None] * slope[None, :]
 
     def rows(self, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> Float[Array, "n q"]:

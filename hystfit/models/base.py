@@ -206,7 +206,8 @@ class AbstractHysteresis(AbstractDynamics):
             u: input, shape (T,).
             dt: as in `simulate`.
         """
-        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and _solvable(leaf.info.bounds)]
+        solvable = ((0.0, np.inf), (-np.inf, np.inf))  # by one quadratic program
+        leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and leaf.info.bounds in solvable]
         u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
         extra = bucket(u.size) - u.size if self.causal else 0  # records of similar length share one program
         padded = np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))
@@ -334,11 +335,6 @@ class OutputResonance(NamedTuple):
     model: AbstractHysteresis | None
     omega: float
     zeta: float
-
-
-def _solvable(bounds: tuple[float, float]) -> bool:
-    """Weights that are free or >= 0 can be solved for in one quadratic program."""
-    return bounds[1] == np.inf and bounds[0] in (0.0, -np.inf)
 
 
 @compiled

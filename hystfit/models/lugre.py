@@ -9,7 +9,6 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
@@ -90,7 +89,8 @@ class LuGre(AbstractHysteresis):
         half, out = input_range(records).half, output_range(records)
         short = [record.segment(0, min(len(record), _SAMPLES)) for record in records]
         short = [one for one, record in zip(short, records, strict=True) if one.used.any()] or list(records)
-        rates = [_rates(record) for record in short]
+        steps = [(np.diff(one.u, prepend=one.u[0]), one.dt) for one in short]
+        rates = [du / np.where(dt > 0, dt, 1.0) * (dt > 0) for du, dt in steps]
         typical = speed(short, TYPICAL)
         shapes = [(e, v) for e, v in itertools.product(_EXCESS, _BENDS_AT) if e or v == _BENDS_AT[-1]]
         grid = np.array([(half * bend, e, v * typical) for bend, (e, v) in itertools.product(_BEND, shapes)])
@@ -127,12 +127,6 @@ class LuGre(AbstractHysteresis):
             k=theta[3],
             offset=theta[4],
         )
-
-
-def _rates(record: Record) -> Float[np.ndarray, " T"]:
-    """Velocity over each sample, 0 where no time passes."""
-    dt = record.dt
-    return np.diff(record.u, prepend=record.u[0]) / np.where(dt > 0, dt, 1.0) * (dt > 0)
 
 
 def _normalized(record: Record, rate: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

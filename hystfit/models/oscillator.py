@@ -127,7 +127,8 @@ class BoucWenOscillator(AbstractHysteresis):
             return jnp.stack([y, v, z, jnp.ones_like(y)]), last(ys), last(zs)
 
         # Without exponential and logarithm where n = 1: they take most of the time of a step.
-        return jax.lax.cond(self.n == 1.0, lambda: scanned(_first_power), lambda: scanned(any_power))
+        first_power = lambda x, n: x * zeroth_power(x, n)  # the logarithm is in the derivative by n alone
+        return jax.lax.cond(self.n == 1.0, lambda: scanned(first_power), lambda: scanned(any_power))
 
     def hysteretic_share(self, u: np.ndarray, dt: np.ndarray) -> float | None:
         """Work of z over all dissipated work; what the spring stores at the end is small compared with many cycles."""
@@ -290,11 +291,6 @@ class BoucWenOscillator(AbstractHysteresis):
 
 
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"
-
-
-def _first_power(x: Array, n: Array) -> Array:
-    """x^n at n = 1; the logarithm is in the derivative by n alone."""
-    return x * zeroth_power(x, n)
 
 
 @compiled

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.quality.loops import branches
+from hystfit.quality.baselines import play_positions
 
 Envelope = Literal["identity", "square", "mirror"]
 
@@ -39,15 +39,7 @@ def play_columns(
     Args:
         rest: where the plays are before the first sample.
     """
-    out = np.empty((e.size, r.size))
-    out[0] = np.maximum(e[0] - r, np.minimum(e[0] + r, rest))
-    for first, last in branches(e):
-        way = e[first : last + 1, None]
-        if e[last] > e[first]:
-            np.maximum(way - r, out[first].copy(), out=out[first : last + 1])
-        else:
-            np.minimum(way + r, out[first].copy(), out=out[first : last + 1])
-    return out
+    return play_positions(e, r, np.maximum(e[0] - r, np.minimum(e[0] + r, rest)))
 
 
 def element_columns(

@@ -287,7 +287,10 @@ class PrandtlIshlinskii(AbstractHysteresis):
         place, span = float(self.low), float(self.high) - float(self.low)
         x = np.linspace((low - place) / span, (high - place) / span, _SWEPT)
         order = np.argsort(np.asarray(self.r))
-        widths, total = 2 * np.asarray(self.r)[order], self._single_slope(x)[None, :]
+        single = 2.0 * legval(2.0 * x - 1.0, legder(np.append(0.0, np.asarray(self.b)))) + rising_slope(
+            np.asarray(self.rise), x
+        )
+        widths, total = 2 * np.asarray(self.r)[order], single[None, :]
         for kind, weights in zip(self.envelopes, np.asarray(self.w), strict=True):
             bent = envelope(kind, x)
             moving = np.searchsorted(widths, np.abs(bent[None, :] - bent[:, None]), side="right")
@@ -296,11 +299,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
                 together = together[-1] - together
             total = total + envelope_slope(kind, x)[None, :] * together[moving]
         return Slopes.of(total / span)
-
-    def _single_slope(self, x: np.ndarray) -> np.ndarray:
-        """Derivative of the single-valued part at x."""
-        slope = 2.0 * legval(2.0 * x - 1.0, legder(np.append(0.0, np.asarray(self.b))))
-        return slope + rising_slope(np.asarray(self.rise), x)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """See `PlayStep`; a search where the model has envelopes, a bent single-valued part or hardening."""

@@ -17,7 +17,7 @@ from hystfit.data.record import Record, median_interval
 from hystfit.models.simulation import run
 from hystfit.params.host_arrays import compiled
 from hystfit.params.units import Scales
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import clear_reversals
 
 LARGE, TYPICAL = 0.99, 0.9  # quantiles of the speeds of the input that count as the largest and as a typical one
 
@@ -98,12 +98,8 @@ def thinned(records: Sequence[Record], count: int = 500) -> list[Record]:
     short = []
     for record in records:
         kept = np.arange(0, len(record), max(1, len(record) // count))
-        turns = reversals(record.u, 0.02 * float(np.ptp(record.u)))
-        kept = np.unique(np.concatenate([kept, np.asarray(turns, dtype=int)[:count], [len(record) - 1]]))
-        t = None if record.t is None else record.t[kept]
-        thin = {"u": record.u[kept], "y": record.y[kept], "t": t, "weight": record.weight[kept]}
-        usable = ((record.weight[kept] > 0) & np.isfinite(record.y[kept])).sum() > 20
-        short.append(record.replace(**thin) if usable else record)
+        kept = np.unique(np.concatenate([kept, clear_reversals(record.u)[:count], [len(record) - 1]]))
+        short.append(record.take(kept) if record.used[kept].sum() > 20 else record)
     return short
 
 

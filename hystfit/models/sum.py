@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -49,12 +49,7 @@ class Sum(AbstractComposition):
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """A scan for each part: a loop over all at once touches too much to be compiled into one piece."""
-        return self._added(state, u, lambda part, s: part.sweep(s, u0, u, dt))
-
-    def _added(
-        self, state: Array, u: Array, sweep: Callable[[AbstractHysteresis, Array], tuple[Array, Array]]
-    ) -> tuple[Array, Array]:
-        runs = [sweep(part, s) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
+        runs = [part.sweep(s, u0, u, dt) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
         return jnp.concatenate([s for s, _ in runs]), sum((y for _, y in runs), jnp.zeros_like(u))
 
     def start(self, records: Sequence[Record]) -> Sum:

@@ -37,7 +37,8 @@ def within(text: str, width: int) -> str:
 def _wrapped(line: str, width: int) -> str:
     if len(line) <= width or _COMMAND.match(line):
         return line
-    hang = _hang(line)
+    column = _LAST_COLUMN.match(line)
+    hang = column.end() if column else len(line) - len(line.lstrip()) + 2  # where the second line begins
     if hang > _HANG * width:
         return line
     return textwrap.fill(
@@ -49,10 +50,3 @@ def _wrapped(line: str, width: int) -> str:
         replace_whitespace=False,
         drop_whitespace=True,
     )
-
-
-def _hang(line: str) -> int:
-    """Where the second line begins."""
-    if column := _LAST_COLUMN.match(line):
-        return column.end()
-    return len(line) - len(line.lstrip()) + 2

@@ -183,22 +183,12 @@ class Leaf:
         return "" if not self.shape else "[" + ",".join(str(i) for i in np.unravel_index(k, self.shape)) + "]"
 
 
-def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
-
-
 def _declaration(node: Any, field: dataclasses.Field[Any]) -> tuple[str, ParamInfo | None]:
     """Name of a field of a model, and what it declares; None for one that is no parameter."""
     if declared := field.metadata.get("declared"):
         return declared(node)
     info, common = field.metadata.get("param"), field.metadata.get("common")
     return field.name, dataclasses.replace(info, per_record=False, common=True) if common and common(node) else info
-
-
-def _effect(node: Any, field: dataclasses.Field[Any]) -> Callable[[], Any] | None:
-    """What gives the effect of the elements of a field; None where none is declared."""
-    effect = field.metadata.get("effect")
-    return functools.partial(effect, node) if effect else None
 
 
 def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None, Callable[[], Any] | None]:
@@ -211,11 +201,13 @@ def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo
             fields = dataclasses.fields(node) if dataclasses.is_dataclass(node) else ()  # a named tuple has none
             if field := next((f for f in fields if f.name == key.name), None):
                 word, info = _declaration(node, field)
-                effect = _effect(node, field)
+                declared = field.metadata.get("effect")
+                effect = functools.partial(declared, node) if declared else None
             words.append(word)
             node = getattr(node, key.name)
         elif isinstance(key, jax.tree_util.SequenceKey):
-            siblings = [_snake(type(child).__name__) for child in node]
+            snake = lambda name: re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()
+            siblings = [snake(type(child).__name__) for child in node]
             word = siblings[key.idx]
             words.append(f"{word}{siblings[: key.idx].count(word) + 1}" if siblings.count(word) > 1 else word)
             node = node[key.idx]

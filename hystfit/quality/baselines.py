@@ -181,7 +181,7 @@ def play_positions(
     ends = np.concatenate([[0], np.flatnonzero(rising[1:] != rising[:-1]) + 1, [u.size - 1]])
     for start, stop in itertools.pairwise(ends.tolist()):
         way, at, run = u[start + 1 : stop + 1], p[:, start, None], p[:, start + 1 : stop + 1]
-        if rising[start]:
+        if stop > start and rising[start]:
             np.maximum(np.subtract(way, radii, out=run), at, out=run)
         else:
             np.minimum(np.add(way, radii, out=run), at, out=run)

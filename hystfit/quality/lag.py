@@ -55,12 +55,6 @@ class _Turn:
     scale: float
 
 
-def _smooth(u: np.ndarray, noise: float | None) -> np.ndarray:
-    if not noise:
-        return u
-    return smooth(u, 7)
-
-
 def _cubic_spline(values: np.ndarray) -> Spline:
     """The cubic B-spline through samples, shape (T,), mirrored at its ends.
 
@@ -154,7 +148,7 @@ def estimate_lag(
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:
         return None
-    spline = _cubic_spline(_smooth(u, u_noise))
+    spline = _cubic_spline(smooth(u, 7) if u_noise else u)
     delays = np.arange(-reach, reach + 0.25, 0.5)
     estimates = []
     for near in NEAR:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.outcome import Column, Table
-from hystfit.outcome.table import rounded
 from hystfit.quality.reversal_curves import ReversalFamily, at_inputs
 from hystfit.results.loop_values import LoopValues, quantities
 
@@ -67,18 +64,6 @@ class ForcLoop:
             "coercivity_ratio": ("Hcr/Hc", self.coercivity_ratio, ""),
         }
         return found | {n: (label, v, None, unit) for n, (label, v, unit) in further.items() if v is not None}
-
-    def table(self) -> Table:
-        """The numbers with their standard errors."""
-        rows = [(label, *rounded(value, stderr), unit) for label, value, stderr, unit in self.numbers().values()]
-        return Table(["", Column("value"), Column("+- stderr"), Column("unit", left=True)], rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """For `result.json`: value, standard error and unit of each number."""
-        return {
-            name: {"value": value, "stderr": stderr, "unit": unit or None}
-            for name, (_, value, stderr, unit) in self.numbers().items()
-        }
 
 
 def forc_loop(family: ReversalFamily) -> ForcLoop:

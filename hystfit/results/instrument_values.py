@@ -27,7 +27,8 @@ def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches
     """
     stated = {_name_of(one): one for one in record.stated if one.quantity}
     if any(row.name == "remanence_end" for row in found):
-        side = _last_direction(record)
+        u = record.u[record.used]
+        side = "rising" if u.argmin() > u.argmax() else "falling"  # the direction in which the input ends
         if f"remanence_{side}" in stated:
             stated["remanence_end"] = stated.pop(f"remanence_{side}")
     beside = lambda row: dataclasses.replace(row, stated=_in_unit(stated.get(row.name), row.unit))
@@ -42,12 +43,6 @@ def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches
         if one.name in stated:
             label = f"{one.label}, after the slope correction of the file"
             yield dataclasses.replace(beside(one), name=f"{one.name}_corrected", label=label)
-
-
-def _last_direction(record: Record) -> str:
-    """Direction in which the input of a record ends."""
-    u = record.u[record.used]
-    return "rising" if u.argmin() > u.argmax() else "falling"
 
 
 def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note]:

@@ -64,10 +64,6 @@ def _coercivity(b: Branch, noise: float | None) -> Found | None:
     return _opposing(b.y, b.u, noise)
 
 
-def _flux_coercivity(b: Branch, noise: float | None) -> Found | None:
-    return _opposing(b.y + MU0 * b.u, b.u, noise)
-
-
 def _remanence(b: Branch, noise: float | None) -> Found | None:
     return crossing(b.u, b.y, None, noise)
 
@@ -138,7 +134,7 @@ def switching_distribution(b: Branch, noise: float | None) -> Found | None:
 
 _ROWS = (
     _Row("HcJ", "coercivity HcJ (J = 0)", "field", _coercivity),
-    _Row("HcB", "coercivity HcB (B = 0)", "field", _flux_coercivity),
+    _Row("HcB", "coercivity HcB (B = 0)", "field", lambda b, noise: _opposing(b.y + MU0 * b.u, b.u, noise)),
     _Row("Br", "remanence Br", "induction", _remanence),
     _Row("energy_product", "(BH)max", "energy product", energy_product, hard=True),
     _Row("knee_field", f"knee field Hk (J = {_KNEE} Jr)", "field", _squareness_field, hard=True),

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
-from numpy.polynomial.legendre import legvander
+from numpy.polynomial.legendre import legval, legvander
 
 from hystfit.models.design import Factored
-from hystfit.models.preisach.compiled import Code, rises_first, staircase_of, ties
 from hystfit.models.preisach.everett import cells, first_rise_masses, fold, mirror
 from hystfit.models.preisach.plane import AbstractPlane, ramps
+from hystfit.models.preisach.relay_codes import Code, rises_first, staircase_of, ties
 from hystfit.models.preisach.staircase import Staircase
 
 
@@ -91,16 +91,47 @@ def _single_valued_columns(model: AbstractPlane, u: np.ndarray) -> list[np.ndarr
     return out
 
 
+def output(model: AbstractPlane, u: np.ndarray) -> np.ndarray:
+    """Output over an input, shape (T,): every extremum adds to the output at the one before it, and every state to that at its last one."""
+    u = np.asarray(u, dtype=float)
+    code, stairs = staircase_of(model, u)
+    sums = Triangles(model.n, model.symmetric).collected(np.asarray(model.w))
+    rest, first, pair = _host_tables(model, code, lambda rows: rows @ sums)
+    added = lambda value, parent: np.concatenate(_moves(value, parent, stairs.node_value, first, pair))
+    chain = added(stairs.node_value, stairs.node_parent)
+    for layer in stairs.layers()[1:]:
+        chain[layer] += chain[stairs.node_parent[layer]]
+    y = rest + np.append(chain, 0.0)[stairs.state_parent] + added(stairs.state_value, stairs.state_parent)
+    if code is None:
+        return (y + _single_valued(model, stairs.state_value))[stairs.index]
+    at, level = ties(model, code, stairs)
+    y[at] += 2.0 * sums[level * (level + 1) // 2 + level]
+    return y[stairs.index] + _single_valued(model, u)
+
+
+def _single_valued(model: AbstractPlane, u: np.ndarray) -> np.ndarray:
+    """`AbstractPlane.single_valued` on the host: the ramps add up to straight lines between levels and beyond them."""
+    center = float(model.center)
+    y = legval((u - center) / float(model.half), np.append(float(model.offset), model.b))
+    if not model.slopes.size:
+        return y
+    levels = np.asarray(model.levels)
+    knots = np.unique(np.concatenate([levels, [min(u.min(), levels[0]) - 1.0, center, max(u.max(), levels[-1]) + 1.0]]))
+    return y + np.interp(
+        u, knots, ramps(levels, np.asarray(center), knots, model.symmetric, np) @ np.asarray(model.slopes)
+    )
+
+
 def weight_columns(model: AbstractPlane, code: Code | None, stairs: Staircase) -> Factored:
     """Mean relay of every cell, or state of every relay, in each distinct state: shape (S, weights).
 
     A move between two extrema switches a triangle of relays. The basis has the triangles with their corners on the grid; any other one
     is a sum of six of them: E is bilinear between the corners, but for the squares of the diagonal cells (`everett`).
     """
-    rest, first, pair = _host_tables(model, code)
+    rest, first, pair = _host_tables(model, code, lambda rows: rows)
     own = _moves(stairs.node_value, stairs.node_parent, stairs.node_value, first, pair)
-    rows = _moves(stairs.state_value, stairs.state_parent, stairs.node_value, first, pair)
-    rows = rows + _ancestors(stairs) @ scipy.sparse.vstack([own, rest], format="csr")
+    rows = scipy.sparse.vstack(_moves(stairs.state_value, stairs.state_parent, stairs.node_value, first, pair))
+    rows = rows + _ancestors(stairs) @ scipy.sparse.vstack([*own, rest], format="csr")
     if code is not None:
         at, level = ties(model, code, stairs)
         extra = (np.full(at.size, 2.0), (at, level * (level + 1) // 2 + level))
@@ -122,39 +153,49 @@ def _ancestors(stairs: Staircase) -> scipy.sparse.csr_array:
     return scipy.sparse.coo_array((np.ones(rows.size), (rows, columns)), shape=shape).tocsr()
 
 
-Moves = Callable[[np.ndarray], scipy.sparse.csr_array]
-Pairs = Callable[[np.ndarray, np.ndarray], scipy.sparse.csr_array]
+Moves = Callable[[np.ndarray], Any]
+Pairs = Callable[[np.ndarray, np.ndarray], Any]
 
 
-def _moves(
-    value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Moves, pair: Pairs
-) -> scipy.sparse.csr_array:
-    """What each extremum or state adds to the one before it."""
+def _moves(value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Moves, pair: Pairs) -> tuple[Any, Any]:
+    """What each extremum or state adds to the one before it: those without one, and the others."""
     count = int(np.count_nonzero(parent < 0))
     now, before = value[count:], nodes[parent[count:]]
-    switched = pair(np.maximum(now, before), np.minimum(now, before))
-    switched.data *= np.repeat(np.where(now > before, 2.0, -2.0), np.diff(switched.indptr))
-    return scipy.sparse.vstack([first(value[:count]), switched], format="csr")
+    sign = scipy.sparse.diags_array(np.where(now > before, 2.0, -2.0))
+    return first(value[:count]), sign @ pair(np.maximum(now, before), np.minimum(now, before))
 
 
-def _host_tables(model: AbstractPlane, code: Code | None) -> tuple[scipy.sparse.csr_array, Moves, Pairs]:
-    """The rest state, first excursions and moves between extrema, as sums of the triangles of the basis."""
+def _host_tables(model: AbstractPlane, code: Code | None, read: Moves) -> tuple[Any, Moves, Pairs]:
+    """The rest state, first excursions and moves between extrema, as `read` takes sums of the triangles of the basis."""
     levels, n = np.asarray(model.levels), model.n
     if code is None:
-        pair: Pairs = functools.partial(_triangle_parts, levels)
+        pair: Pairs = lambda high, low: read(_triangle_parts(levels, high, low))
         top, bottom = levels[-1], levels[0]
     else:
         at_most, below = code.passed()
-        pair = lambda high, low: _entries(n, at_most[high, None] - 1, below[low, None], np.ones((high.size, 1)))
+        pair = lambda high, low: read(_entries(n, at_most[high, None] - 1, below[low, None], np.ones((high.size, 1))))
         top, bottom = code.top, 0
-    everything = _entries(n, np.array([[n - 1]]), np.array([[0]]), np.ones((1, 1)))
+    everything = read(_entries(n, np.array([[n - 1]]), np.array([[0]]), np.ones((1, 1))))
     if model.initial == "negative":
         return -everything, lambda x: 2 * pair(x, np.full_like(x, bottom)), pair
     if model.initial == "positive":
         return everything, lambda x: -2 * pair(np.full_like(x, top), x), pair
-    parts = _first_cells if code is None else functools.partial(_first_relays, code=code)
-    first = lambda x: _differences(n, parts(model, x))
+    if code is None:  # quadratic in the input between levels and their mirror images
+        knots = np.unique(np.concatenate([levels, 2 * float(model.center) - levels, [float(model.center)]]))
+        at_knots = read(_differences(n, _first_cells(model, np.sort(np.append(knots, 0.5 * (knots[1:] + knots[:-1]))))))
+        first: Moves = lambda x: _quadratic(knots, x) @ at_knots
+    else:
+        first = lambda x: read(_differences(n, _first_relays(model, x, code=code)))
     return everything - first(np.array([top])), first, pair
+
+
+def _quadratic(knots: np.ndarray, x: np.ndarray) -> scipy.sparse.csr_array:
+    """From values at knots and half-way between them to those at x of a function that is quadratic between knots, shape (K, 2 k - 1)."""
+    at = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
+    t = np.clip((x - knots[at]) / (knots[at + 1] - knots[at]), 0.0, 1.0)
+    parts = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=1)
+    places, ends = 2 * at[:, None] + np.arange(3), 3 * np.arange(x.size + 1)
+    return scipy.sparse.csr_array((parts.ravel(), places.ravel(), ends), shape=(x.size, 2 * knots.size - 1))
 
 
 def _entries(n: int, i: np.ndarray, j: np.ndarray, value: np.ndarray) -> scipy.sparse.csr_array:

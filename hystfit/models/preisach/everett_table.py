@@ -1,4 +1,4 @@
-"""Everett tables as the inverse-Preisach paper uses them (Song et al. 2005): node values, two interpolations, an alternating sum."""
+"""Everett tables as they are read off measured curves (Song et al. 2005), and the nearest monotone ones."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import scipy  # loads its subpackages when they are first used
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.everett import cells
-from hystfit.models.preisach.staircase import compile_input
 
 _NEAR = 0.05  # of the levels' range: an input so close to the lowest level has come back to it
 
@@ -118,32 +117,6 @@ class EverettTable:
         i, j = cells(self.levels.size - 1)
         size = float(np.abs(self.X).max()) or 1.0
         return np.concatenate([self.X[i, j] - self.X[i + 1, j], self.X[i + 1, j + 1] - self.X[i + 1, j]]) / size
-
-    def __call__(self, alpha: np.ndarray | float, beta: np.ndarray | float) -> np.ndarray:
-        """X by eqs. (4) and (5): bilinear in a rectangle, linear in a triangle on the diagonal; arguments clamped to the grid."""
-        i, p = self._locate(alpha)
-        j, q = self._locate(beta)
-        X = self.X
-        bilinear = (1 - p) * ((1 - q) * X[i, j] + q * X[i, j + 1]) + p * ((1 - q) * X[i + 1, j] + q * X[i + 1, j + 1])
-        return np.where(i == j, np.maximum(p - q, 0.0) * X[i + 1, i], bilinear)
-
-    def _locate(self, u: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        u = np.clip(np.asarray(u, dtype=float), self.levels[0], self.levels[-1])
-        i = np.clip(np.searchsorted(self.levels, u, side="right") - 1, 0, self.levels.size - 2)
-        return np.asarray(i), np.asarray((u - self.levels[i]) / (self.levels[i + 1] - self.levels[i]))
-
-    def output(self, u: np.ndarray) -> np.ndarray:
-        """Response to an input that starts with an empty memory, by eqs. (2) and (3), shape (T,)."""
-        stairs = compile_input(np.clip(np.asarray(u, dtype=float), self.levels[0], self.levels[-1]), "negative")
-        chain = self._terms(stairs.node_value, stairs.node_parent, stairs.node_value)
-        for layer in stairs.layers()[1:]:
-            chain[layer] += chain[stairs.node_parent[layer]]
-        own = self._terms(stairs.state_value, stairs.state_parent, stairs.node_value)
-        return self.base + (np.append(chain, 0.0)[stairs.state_parent] + own)[stairs.index]
-
-    def _terms(self, value: np.ndarray, parent: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        before = np.where(parent < 0, self.levels[0], nodes[parent])
-        return np.sign(value - before) * self(np.maximum(value, before), np.minimum(value, before))
 
     def monotone(self) -> tuple[EverettTable, Moved]:
         """The nearest table that rises with alpha and falls with beta, as an inverse needs, and how far it had to move.

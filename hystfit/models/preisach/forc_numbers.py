@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -69,11 +69,15 @@ class ForcNumbers:
     stderr: dict[str, float]
     profiles: dict[str, Profile]
 
-    def to_dict(self, units: dict[str, str]) -> dict[str, Any]:
-        """For `result.json`: value, standard error and unit of each number."""
+    def numbers(self, units: Mapping[str, str]) -> dict[str, tuple[str, float | None, float | None, str]]:
+        """Label, value, standard error and unit of each number, by name.
+
+        Args:
+            units: of the input "u" and the output "y".
+        """
         unit = {**units, "%": "%"}
         return {
-            name: {"value": value, "stderr": self.stderr.get(name), "unit": unit[NUMBERS[name][1]] or None}
+            name: (NUMBERS[name][0], value, self.stderr.get(name), unit[NUMBERS[name][1]])
             for name, value in self.values.items()
         }
 

@@ -19,8 +19,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import Use
 from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix, Penalty
-from hystfit.models.preisach.compiled import compile_for, respond
-from hystfit.models.preisach.design_matrix import states
+from hystfit.models.preisach.design_matrix import output, states
 from hystfit.models.preisach.everett import cells, mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count, ramps
@@ -35,8 +34,6 @@ from hystfit.params.param import element_weights, leaves_of, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
 
-# Samples times weights up to which columns on the host beat compiling look-ups for yet another shape.
-_SMALL = 4_000_000
 _RIDGE = 1e-3  # penalty on the weights themselves, relative to that on their second differences
 # Cells along an axis that a comparison tries, one step from the model's own at a time.
 _SIZES = (8, 12, 16, 24, 30, 40, 48, 60)
@@ -253,15 +250,8 @@ class Preisach(AbstractPlane):
         return self.spacing == "reversal-curves"
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns of distinct states, or by look-ups where these would be many."""
-        u = np.asarray(checked_drive(self, u, dt)[0])
-        if u.size * self.w.size > _SMALL:
-            return np.asarray(respond(self, compile_for(self, u)))
-        columns, single_valued, index = states(self, u)
-        y = columns @ np.asarray(self.w) + float(self.offset)
-        if single_valued:
-            y += np.column_stack(single_valued) @ np.concatenate([self.slopes, self.b])
-        return y[index]
+        """By the distinct states that the input visits, without a program to compile."""
+        return output(self, np.asarray(checked_drive(self, u, dt)[0]))
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns on the distinct states that the input visits."""

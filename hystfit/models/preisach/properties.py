@@ -12,8 +12,8 @@ from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.staircase import compile_input, turning_points
-from hystfit.quality.loops import SAME_LEVEL
+from hystfit.models.preisach.staircase import compile_input
+from hystfit.quality.loops import clear_reversals
 
 # Extrema of the test signals of Song et al. 2005 (their Figs. 7 to 15), in volts; the last is one of our choice.
 WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
@@ -94,20 +94,7 @@ def _crossing(u: np.ndarray, y: np.ndarray, level: float, sign: float) -> float:
 
 def _corners(u: np.ndarray) -> np.ndarray:
     """First sample, reversals larger than the noise, last sample."""
-    least, corners, best = SAME_LEVEL * float(np.ptp(u)), [0], 0
-    direction = 0
-    for k in turning_points(u) if not (u[1:] == u[:-1]).any() else range(u.size):
-        step = u[k] - u[best]
-        if direction == 0:
-            if abs(step) > least:
-                direction, best = (1 if step > 0 else -1), k
-        elif direction * step >= 0:
-            best = k
-        elif abs(step) > least:
-            corners.append(best)
-            direction, best = -direction, k
-    corners.append(best)
-    return np.unique(corners)
+    return np.unique(np.concatenate([[0], clear_reversals(u), [u.size - 1]]))
 
 
 @dataclasses.dataclass(frozen=True)

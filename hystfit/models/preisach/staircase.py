@@ -43,16 +43,6 @@ class Staircase:
     index: np.ndarray
     depth: int
 
-    def jumps(self) -> np.ndarray:
-        """Ancestors at distance 1, 2, 4, ... of every node, shape (levels, K); K stands for none."""
-        count = self.node_parent.size
-        up = np.append(np.where(self.node_parent < 0, count, self.node_parent), count)
-        rows = []
-        while (up[:-1] < count).any():
-            rows.append(up[:-1])
-            up = up[up]
-        return np.stack(rows) if rows else np.zeros((0, count), dtype=int)
-
     def layers(self) -> list[slice]:
         """The nodes that remember 1, 2, ... extrema (themselves included): each layer's parents are in the layer before."""
         edges = np.searchsorted(levels(self.node_parent), np.arange(1, self.depth + 2))
@@ -73,7 +63,8 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
     v = np.asarray(v)
     fresh = np.append(True, v[1:] != v[:-1])
     run, v = np.cumsum(fresh) - 1, v[fresh]
-    values, code = _codes(v)
+    whole = np.issubdtype(v.dtype, np.integer)
+    values, code = (np.arange(v.max() + 1), v) if whole else np.unique(v, return_inverse=True)
     turns = turning_points(v)
     tree = build_tree(v[turns], code[turns], values.size, rest, center)
     # A sample starts from the last turning point before it; the first one from the rest.
@@ -92,13 +83,6 @@ def turning_points(v: np.ndarray) -> np.ndarray:
         return np.arange(v.size)
     rising = v[1:] > v[:-1]
     return np.concatenate([[0], np.flatnonzero(rising[1:] != rising[:-1]) + 1, [v.size - 1]])
-
-
-def _codes(v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct values and the number of each sample's."""
-    if np.issubdtype(v.dtype, np.integer):
-        return np.arange(v.max() + 1), v
-    return np.unique(v, return_inverse=True)
 
 
 # -- the tree of dominant extrema ------------------------------------------------------------------------------------------

@@ -7,8 +7,6 @@ import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Status
@@ -17,7 +15,7 @@ from hystfit.outcome.table import number, rounded
 from hystfit.outcome.wrapping import NAMED
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
-from hystfit.quality.loops import SAME_LEVEL, reversals
+from hystfit.quality.loops import clear_reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.loop_kinds import LoopKind
@@ -151,7 +149,7 @@ def _lag(record: Record) -> tuple[str, str] | None:
     """The measured lag or lead, where it is significant."""
     if not record.used.all() or record.t is None:
         return None
-    turns = reversals(record.u, SAME_LEVEL * float(np.ptp(record.u)))
+    turns = clear_reversals(record.u)
     found = estimate_lag(record.u, record.y, record.sampling_interval, turns)
     if found is None or abs(found.samples) < CLEAR * found.stderr:
         return None
