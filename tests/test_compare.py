@@ -227,6 +227,17 @@ def test_a_rest_state_in_the_name_is_kept():
 # -- candidates ------------------------------------------------------------------------------------------------------------
 
 
+def test_weights_of_either_sign_are_tried_on_loops_that_lead_where_plays_fail():
+    """A key with friction that meets its stop, which no plays and no smooth curve describe, and an elastoplastic spring."""
+    x = np.concatenate([np.linspace(0, 4, 200), np.linspace(4, 0, 200)[1:]])
+    friction = np.clip(np.concatenate([np.arange(200), 20 - np.arange(199)]) / 10, -1, 1)
+    key = hf.Record(x, 30 + 5 * x + 800 * np.clip(x - 3.7, 0, None) ** 2 + 6 * friction)
+    assert "preisach-signed" in candidates(hf.Dataset.of(key)).closed
+    assert hf.check(key).advice.model.startswith("preisach-signed")
+    spring = hf.Record(x, x + np.clip(np.concatenate([x[:200], 1 + x[200:] - 4]), -1, 1))
+    assert "preisach-signed" not in candidates(hf.Dataset.of(spring)).closed
+
+
 def test_every_family_that_the_records_can_drive_is_tried():
     timed = candidates(hf.Dataset.of(hf.Record(U, U, T)))
     assert timed.closed[0] == SEARCH

@@ -115,6 +115,18 @@ def test_a_demagnetization_line_has_its_energy_product(mirrored, reverse):
     assert found["energy_product"].unit == "kJ/m3"
 
 
+def test_a_branch_is_read_between_its_samples_in_their_order():
+    """B = 1.2 T (1 + H / 80 kA/m), of which the field of two samples near B = 0 was digitized the wrong way round."""
+    flux = 1.2 - 0.07 * np.arange(-10, 35)
+    field = 80e3 * (flux / 1.2 - 1) + 1e3
+    close = np.flatnonzero(np.abs(flux) < 0.07)
+    field[close] = np.mean(field[close]) + np.array([-300.0, 300.0])
+    found = values_of(hf.Record(field, flux, **MAGNETIC))
+    at_zero = np.interp(0.0, -flux, field)
+    assert found["coercive_input"].value == pytest.approx(-at_zero, rel=1e-12)
+    assert found["remanence"].value == pytest.approx(1.2 * (1 - 1e3 / 80e3), rel=1e-9)
+
+
 @pytest.mark.parametrize("curve", [np.tanh, lambda x: x**2])
 def test_curves_without_a_loop_have_no_quantities_of_a_loop(curve):
     u = np.linspace(0, 3, 200)

@@ -411,6 +411,15 @@ def test_speed_dependence_is_distinguished_from_a_lag():
     assert has(late.findings, Code.LAG)
 
 
+def test_the_turns_of_a_triangle_read_with_little_noise_are_no_lead_of_the_output():
+    """As machines write a commanded ramp: rounded or read back; smoothing it would bend its turns, and the force seem to lead."""
+    u = np.interp(np.arange(961), np.arange(0, 961, 60), np.array([0, *([1, -1, 2, -2, 3, -3, 4] * 2), -4, 0])[:17])
+    rng = np.random.default_rng(0)
+    for read in (np.round(u, 4), u + rng.normal(0, 2e-3, u.size)):
+        found = examined(Record(read, steel(u) + rng.normal(0, 1e-2, u.size), t=0.1 * np.arange(u.size)))
+        assert not has(found.findings, Code.SPEED_DEPENDENT, Code.LAG)
+
+
 def test_loops_that_widen_with_frequency_depend_on_rate():
     slow, fast = signals.sine(8, 200, frequency=0.5)[1], signals.sine(4, 200, frequency=2.0)[1]
     u = np.concatenate([slow, fast])

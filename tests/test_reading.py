@@ -692,6 +692,7 @@ def test_loops_at_several_temperatures_or_in_two_modes_are_named(tmp_path: Path)
         return told or [record.name for record in data if len(data) > 1]
 
     assert not named(steady, modes=False)
+    assert not named(300 + 3 * np.random.default_rng(0).standard_normal(200), modes=False)  # noise of a thermostat
     assert named(np.where(late, steady - 250, steady), modes=False) == ["Temperature=300", "Temperature=50"]
     (text,) = named(np.linspace(50, 300, 200), modes=False)
     assert "to 300 K within" in text

@@ -15,6 +15,8 @@ import scipy.io
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
+from hystfit.outcome import Severity
+from hystfit.params.units import conversion
 from hystfit.reading import read
 from hystfit.reading.column_names import column_quantity
 
@@ -525,7 +527,7 @@ def test_names_of_units_in_columns(tmp_path: Path) -> None:
     force = one(tmp_path, "Force,Distance,Time\ng,mm,sec\n" + rows(",", Y, U, 0.1 * np.arange(N)))
     is_pair(force)
     flow = one(tmp_path, "SSC_mgL,Q_cms\n" + rows(",", Y, U))
-    assert flow.y_unit == "m3/s"
+    assert (flow.u_unit, flow.y_name) == ("m3/s", "SSC_mgL")  # the discharge drives the sediment
     assert column_quantity("P_11") == column_quantity("P")
     assert column_quantity("Ta_C") == "temperature"
 
@@ -614,3 +616,108 @@ def test_the_field_of_a_magnet_drives_beside_its_set_current(tmp_path: Path) -> 
     (tmp_path / "loop.dat").write_text(text, encoding="utf-8")
     record = read(tmp_path / "loop.dat")
     assert (record.u_name, record.u_unit, record.y_unit) == ("Applied field (kA/m)", "kA/m", "mV")
+
+
+# Names and units as instruments and programs write them ----------------------------------------------------------------------------
+
+
+def test_a_clock_of_arduino_counts_thousandths(tmp_path: Path) -> None:
+    for name in ("Millis", "MILLIS", "timestamp_millis"):
+        record = one(tmp_path, f"{name},pos (mm),load (N)\n" + rows(",", 11 * np.arange(N), U, Y))
+        assert record.t is not None
+        assert conversion(record.t_unit, "s") == pytest.approx(1e-3, rel=1e-12)
+
+
+@pytest.mark.parametrize("word", ["scaled", "filtered", "left", "raw"])
+def test_a_word_in_brackets_is_no_unit(word: str, tmp_path: Path) -> None:
+    record = one(tmp_path, f"Stroke ({word}),Load ({word})\n" + rows(",", U, Y))
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("", "")
+    assert one(tmp_path, "Stroke (steps),Load (N)\n" + rows(",", U, Y)).u_unit == "steps"
+
+
+def test_a_log_of_lammps_names_variables_and_fixes(tmp_path: Path) -> None:
+    """f_born is a force of a fix by its mark alone, v_Pz a polarization, and the temperature of a thermostat is held."""
+    steps, random = 10 * np.arange(N), np.random.default_rng(3)
+    noisy = (300 + 6 * random.standard_normal(N)).round(3)
+    columns = steps, 0.002 * steps, noisy, -np.cumsum(Y).round(4), U, Y
+    bins = "  binsize = 8, bins = 6 6 7\n"
+    content = f"units metal\n{bins}   Step   Time   Temp   f_born   v_efield   v_Pz\n" + rows("   ", *columns)
+    record = one(tmp_path, content + "Loop time of 44.2 on 32 procs for 600 steps with 8640 atoms\n", "log.lammps")
+    is_pair(record)
+    assert not any("bin" in key for key in record.metadata)
+
+
+def test_groups_of_rows_are_counted(tmp_path: Path) -> None:
+    columns = np.arange(N) // 2, np.where(np.arange(N) % 2, 0.0, 1.0), U, Y
+    is_pair(one(tmp_path, "attempt,pw,level,response\n" + rows(",", *columns)))
+
+
+def test_of_a_propeller_the_signal_drives_the_thrust(tmp_path: Path) -> None:
+    signal = np.round(1000 + 4 * np.abs(np.linspace(-100, 100, N)))
+    torque, current = (
+        (0.01 * Y + 0.003 * np.cos(np.arange(N))).round(5),
+        (0.1 * Y + 0.02 * np.sin(np.arange(N))).round(4),
+    )
+    thrust = np.round((signal - 1000) ** 2 / 1e5 + 0.02 * np.gradient(signal), 4)
+    head = "Time (s),ESC signal (µs),Torque (N·m),Thrust (kgf),Voltage (V),Current (A)\n"
+    others = 0.1 * np.arange(N), signal, torque, thrust, (14.8 - 0.01 * Y).round(3), current
+    is_pair(one(tmp_path, head + rows(",", *others)), signal, thrust)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("ta_C", "vpd_kPa", "sapflow_cm3_cm2_h", "par_umol_m2_s"),
+        ("Air temp (C)", "VPD (kPa)", "Sap flux density (cm h-1)", "PAR (umol m-2 s-1)"),
+    ],
+)
+def test_sap_flows_while_the_air_is_dry(names: tuple[str, ...], tmp_path: Path) -> None:
+    warmth = np.round(18 + U / 5 + 0.2 * np.cos(np.arange(N)), 3)
+    content = ",".join(names) + "\n" + rows(",", warmth, U, Y, np.round(9 * U + 3 * Y, 3))
+    is_pair(one(tmp_path, content))
+
+
+def test_a_table_of_results_has_no_loop(tmp_path: Path) -> None:
+    names, random = np.array([f"CNF{k}" for k in range(N)]), np.random.default_rng(4)
+    classes = [random.integers(1, count, N) for count in (6, 15, 4)]
+    table = "specimen,Type,Color,Shade\n" + rows(",", names, *classes)
+    with pytest.raises(DataError, match="every row has a 'specimen' of its own"):
+        read(written(tmp_path, table, "results.csv"))
+    record = one(tmp_path, "specimen,diameter (mm),load (kN)\n" + rows(",", names, *random.random((2, N)).round(4)))
+    assert [note.severity for note in record.notes if "'specimen' of its own" in note.text] == [Severity.WARNING]
+    plain = one(tmp_path, "state,stroke (mm),load (kN)\n" + rows(",", np.repeat(["a", "b"], N // 2), U, Y))
+    assert not any("of its own" in note.text for note in plain.notes)
+
+
+def test_a_strain_sensor_under_a_force_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="Strain sensor"):
+        read(written(tmp_path, "Force (N),Strain sensor (ue)\n" + rows(",", U, Y), "sensor.csv"))
+    is_pair(one(tmp_path, "Load (N),Strain (ue)\n" + rows(",", Y, U)))
+
+
+@pytest.mark.parametrize("unit", ["Coulombs", "C", "mAh"])
+def test_charge_that_starts_again_in_each_state_of_a_cell_drives_its_voltage(tmp_path: Path, unit: str) -> None:
+    rows, t = [], 0
+    for state, current in (("CHARGE", 2.0), ("DISCHARGE", -2.0), ("CHARGE", 2.0)):
+        for k in range(40):
+            t += 60
+            level = k / 40 if current > 0 else 1 - k / 40
+            rows.append(f"{t},{3.2 + 0.7 * level + 0.03 * current:.4f},{current},{120 * (k + 1)},{state}\n")
+    file = tmp_path / "cell.csv"
+    file.write_text(f"Timestamp (s),Voltage (V),Current (A),Charge ({unit}),Test State\n{''.join(rows)}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert record.u_name == "Charge throughput"
+    assert record.y_name == "Voltage (V)"
+    assert record.u[[39, 79, 119]] == pytest.approx([4680, -120, 4680])
+
+
+def test_charge_without_states_is_the_output_of_a_voltage(tmp_path: Path) -> None:
+    t = np.arange(200) * 0.05
+    file = tmp_path / "capacitor.csv"
+    rows = (f"{a:.2f},{np.sin(a):.5f},{np.sin(a - 0.3):.5f}\n" for a in t)
+    file.write_text(f"Time (s),Voltage (V),Charge (C)\n{''.join(rows)}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_name, record.y_name) == ("Voltage (V)", "Charge (C)")

@@ -14,6 +14,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.note import has
 from hystfit.reading import dialect, read
+from hystfit.reading.names_with_units import split_unit
 
 T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
 U = [0.0, 1.25, -2.5, 3.5, -1.75, 0.5]
@@ -420,3 +421,80 @@ def test_rows_in_which_the_input_alone_reads_zero_are_left_out(tmp_path) -> None
     save("pulsed.csv", pulsed, 0.01 * pulsed + 1e-4 * np.arange(h.size))
     save("loop.csv", h, m)
     assert len(read(tmp_path / "pulsed.csv")) == len(read(tmp_path / "loop.csv")) == h.size
+
+
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        ("time_s,displacement_mm,force_kn", ("mm", "kN")),
+        ("time_s,strain_percent,stress_mpa", ("%", "MPa")),
+        ("time_s,pressure_kpa,displacement_um", ("kPa", "um")),
+        ("time_s,rotation_rad,moment_knm", ("rad", "kNm")),
+        ("time_s,voltage_mv,current_ua", ("mV", "uA")),
+        ("time_s,field_ka_m,polarization_mt", ("kA/m", "mT")),
+        ("time_s,field_oe,moment_emu", ("Oe", "emu")),
+        ("time_s,efield_kv_per_cm,polarization_uc_cm2", ("kV/cm", "uC/cm2")),
+        ("time_s,angle_deg,torque_nm", ("deg", "Nm")),
+        ("time_s,rotation_rad,moment_kN_m", ("rad", "kN*m")),
+        ("time_s,curvature_1_m,moment_knm", ("1/m", "kNm")),
+        ("time_s,vds_v,ids_ua", ("V", "uA")),
+        ("time_s,current_a,flux_mwb", ("A", "mWb")),
+        ("time_s,bfield_mt,kerr_mdeg", ("mT", "mdeg")),
+        ("time_s,extension_mm,tension_n", ("mm", "N")),
+        ("time_s,valve_cmd_pct,flow_lpm", ("pct", "L/min")),
+        ("time_s,pressure_bar,uptake_mmol_g", ("bar", "mmol/g")),
+        ("time_s,p_p0,n_ads_cm3_g", ("", "cm3/g")),
+        ("Time (S),Displacement (Mm),LOAD (Kn)", ("mm", "kN")),
+        ("time (s),v (v),i (ma)", ("V", "mA")),
+        ("TIME (MS),VOLTAGE (MV),CURRENT (MA)", ("mV", "mA")),
+        ("time s,disp mm,force kn", ("mm", "kN")),
+        ("time,disp,force\ns,mm,kn", ("mm", "kN")),
+        ("time,voltage,current\ns,v,ma", ("V", "mA")),
+    ],
+)
+def test_units_may_be_written_in_the_wrong_case(tmp_path: Path, names: str, units: tuple[str, str]) -> None:
+    t = np.arange(200) * 0.05
+    file = tmp_path / "loop.csv"
+    rows = "".join(f"{a:.2f},{np.sin(a):.5f},{3 * np.sin(a - 0.3):.5f}\n" for a in t)
+    file.write_text(f"{names}\n{rows}")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_unit, record.y_unit) == units
+
+
+def test_letters_that_are_indices_are_no_units_in_lower_case() -> None:
+    phases = ["i_a", "i_b", "i_c"]
+    assert [split_unit(name, phases) for name in phases] == [(name, "") for name in phases]
+    forces = ["force_n", "force_t"]
+    assert split_unit("force_n", forces) == ("force_n", "")
+    assert split_unit("force_n", ["disp_mm", "force_n"]) == ("force", "N")
+    assert split_unit("price_ma") == ("price_ma", "")
+    assert split_unit("speed_kn") == ("speed_kn", "")
+    assert split_unit("Height (nm)") == ("Height", "nm")
+    assert split_unit("I (MA)") == ("I", "MA")
+
+
+@pytest.mark.parametrize(
+    "form", ["np.float64({})", "numpy.float32({})", "tensor({})", "tensor({}, dtype=torch.float64)", "Decimal('{}')"]
+)
+def test_numbers_may_have_the_name_of_their_type(tmp_path: Path, form: str) -> None:
+    if "," in form:
+        rows = "".join(f"{u};{form.format(y)}\n" for u, y in zip(U, Y, strict=True))
+        text = f"voltage_V;strain\n{rows}"
+    else:
+        rows = "".join(f"{u},{form.format(y)}\n" for u, y in zip(U, Y, strict=True))
+        text = f"voltage_V,strain\n{rows}"
+    record = _read(tmp_path, text)
+    np.testing.assert_array_equal(record.u, U)
+    np.testing.assert_array_equal(record.y, Y)
+    assert has(record.notes, Code.FILE_FORMAT)
+
+
+def test_names_of_many_rows_are_no_table_of_results(tmp_path: Path) -> None:
+    t = np.arange(400) * 0.05
+    rows = lambda n: "".join(f"id-{k},{np.sin(a):.5f},{np.sin(a - 0.3):.5f}\n" for k, a in enumerate(t[:n]))
+    told = [
+        any("table of results" in note.text for note in _read(tmp_path, f"uid,x,force\n{rows(n)}").notes)
+        for n in (30, 400)
+    ]
+    assert told == [True, False]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hystfit.data import Dataset, Record
+from hystfit.data.circulation import circulation
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.params.units import conversion
@@ -408,6 +409,50 @@ def test_marks_that_may_separate_thousands_block_only_their_own_column(tmp_path:
         read(path, output="count")
 
 
+def test_commas_from_one_thousand_on_separate_thousands_beside_points(tmp_path: Path) -> None:
+    field = np.arange(-2000, 2001, 200)
+    lines = "".join(f"{h:,} & {1.4 * np.tanh(h / 700):.3f} \\\\\n" for h in field)
+    table = "\\begin{tabular}{rr}\n$H$ (A/m) & $B$ (T) \\\\\n\\hline\n" + lines + "\\end{tabular}\n"
+    np.testing.assert_array_equal(one(written(tmp_path, table, "table.tex")).u, field)
+
+
+@pytest.mark.parametrize(
+    "comments", [("", "300 K", "", "5 K"), ("A", "A", "B", "B"), ("", "raw data", "", "corrected data")]
+)
+def test_comments_below_the_units_name_loops_side_by_side(comments: tuple[str, ...], tmp_path: Path) -> None:
+    lines = ["\t".join(("Field", "Moment") * 2), "\t".join(("Oe", "emu") * 2), "\t".join(comments)]
+    lines += [f"{h:.6g}\t{m:.6g}\t{h:.6g}\t{0.7 * m:.6g}" for h, m in zip(FIELD, MOMENT, strict=True)]
+    data = read(written(tmp_path, "\n".join(lines) + "\n"))
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == list(dict.fromkeys(filter(None, comments)))
+    for record, factor in zip(data, (1.0, 0.7), strict=True):
+        assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Field", "Oe", "Moment", "emu")
+        np.testing.assert_allclose(record.y, factor * MOMENT, rtol=1e-5)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize(("names", "leads"), [("T,mAm2/kg", False), ("x (mm),F (kN)", True)])
+def test_branches_below_each_other_that_are_mirrored_are_a_loop(
+    names: str, leads: bool, swapped: bool, tmp_path: Path
+) -> None:
+    """Both are listed from the lowest field on, under a title, as far as each was measured."""
+    low, high = np.linspace(-0.32, 0.26, 59), np.linspace(-0.26, 0.32, 59)
+    upper = [f"{h:.4f},{m:.4f}" for h, m in zip(low, np.tanh(9 * low + 0.3) + low, strict=True)]
+    lower = [f"{h:.4f},{m:.4f}" for h, m in zip(high, np.tanh(9 * high - 0.3) + high, strict=True)]
+    blocks = [["Upper hysteresis branch", *upper], ["Lower hysteresis branch", *lower]]
+    lines = ["Corrected hysteresis", "", names, "", *blocks[swapped], "", *blocks[not swapped]]
+    record = one(written(tmp_path, "\n".join(lines) + "\n", "loop.hys"))
+    falls, rises = (high, low) if leads else (low, high)
+    np.testing.assert_allclose(record.u, np.r_[falls[::-1], rises], atol=1e-4)
+    assert (circulation(record.u, record.y) < 0) == leads
+
+
+def test_two_curves_that_are_not_mirrored_stay_two(tmp_path: Path) -> None:
+    field = np.linspace(-0.3, 0.3, 61)
+    curves = ["".join(f"{h:.4f},{np.tanh(9 * h - c):.4f}\n" for h in field) for c in (0.3, 0.9)]
+    assert len(Dataset.of(read(written(tmp_path, "T,mAm2/kg\n" + "\n".join(curves), "two.csv")))) == 2
+
+
 # Battery cyclers -----------------------------------------------------------------------------------------------------------------
 
 CHARGE = np.concatenate([np.linspace(0, 2, 60), np.full(4, 2.0)]), np.concatenate([np.zeros(62), [0.01, 0.02]])
@@ -796,3 +841,15 @@ def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:
     rows = "".join(f"S-{k},{2 + np.sin(k):.5f},{1 + np.cos(7 * k):.5f}\n" for k in range(20))
     record = one(written(tmp_path, f"specimen,Ms,Mr\n{rows}"))
     assert any("no samples of a loop" in note.text for note in record.notes if note.severity is Severity.WARNING)
+
+
+def test_names_of_columns_may_follow_a_label_in_brackets(tmp_path: Path) -> None:
+    rows = [f"   {100 * u:<12g}  {y:<12g}\n" for u, y in zip(np.sin(T), np.sin(T - 0.3), strict=True)]
+    head = "## Kerr bench\nsaved: 2008/04/15\n\n<line>\nID:l2008\nConfigure:WaveLength=632.8nm;\n"
+    file = tmp_path / "kerr.dat"
+    file.write_text(f"{head}<data>:   Field(mT)   Rotation(deg)\n{''.join(rows)}</line>\n")
+    record = read(file)
+    assert isinstance(record, Record)
+    assert (record.u_name, record.u_unit) == ("Field(mT)", "mT")
+    assert (record.y_name, record.y_unit) == ("Rotation(deg)", "deg")
+    np.testing.assert_allclose(record.u, 100 * np.sin(T), rtol=1e-4)

@@ -53,6 +53,15 @@ def test_branches_of_star_files_are_one_loop(saturated: bool, tmp_path: Path) ->
     assert not any("left out" in note.text for note in record.notes)
 
 
+def test_a_desorption_that_starts_below_the_last_adsorbed_point_is_the_other_branch(tmp_path: Path) -> None:
+    """As points of an instrument that lowers the pressure by its own steps, and at a gate, where the branches share no end."""
+    lines = ["data_raw", "_units_pressure kPa", "_units_loading 'ml(STP) g-1'"]
+    for branch, part in (("adsorp", slice(0, TOP - 3)), ("desorp", slice(TOP + 6, N - 8))):
+        lines += ["", "loop_", f"_{branch}_pressure", f"_{branch}_amount", *rows(P[part], Q[part], mark=" ")]
+    record = one(tmp_path, lines, "sample.aif")
+    assert record.u.size == TOP - 3 + N - 8 - (TOP + 6)
+
+
 def test_tables_of_other_columns_in_star_files_are_left_out_and_named(tmp_path: Path) -> None:
     lines = [
         "loop_",

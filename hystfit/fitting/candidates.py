@@ -14,6 +14,7 @@ from hystfit.fitting.structure import Structure, falls
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.faults import CLEAR, noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
@@ -21,6 +22,10 @@ from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of
 from hystfit.results.loop_kinds import LoopKind
+
+# Error of ten plays over that of a single-valued curve, from which weights of either sign are tried on loops of either direction: at most
+# 0.44 on simulated stops and Bouc-Wen springs, 0.55 to 1.7 on force curves of probes and keys, charge curves and voltammograms.
+_LEFT = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +70,7 @@ def candidates(data: Dataset) -> Candidates:
     timed = all(record.t is not None for record in data)
     speeds = len(distinct((speed for record in data for speed in speeds_of(record)), SPEEDS_APART))
     contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
+    plays_fail = _plays_fail(data)
     able = {
         name: model
         for name, model in models.items()
@@ -72,7 +78,7 @@ def candidates(data: Dataset) -> Candidates:
         and (timed or model.rate_independent)
         and speeds >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
-        and contrary not in {need.direction for need in _needs(name)}
+        and (contrary not in {need.direction for need in _needs(name)} or (plays_fail and model.either_way))
     }
     # Signed weights need no negation, and some models are tried both ways.
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
@@ -92,6 +98,12 @@ def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
     except HystfitError:
         return False
     return True
+
+
+def _plays_fail(data: Dataset) -> bool:
+    """Whether ten plays and a cubic curve leave much of the loops, as at contacts, stops and peaks: only weights of either sign may do."""
+    baselines = Baselines.of(data)
+    return baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
 
 
 def _contrary(data: Dataset) -> str:

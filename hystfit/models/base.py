@@ -42,6 +42,8 @@ class AbstractHysteresis(AbstractDynamics):
 
     no_inverse: ClassVar[str] = ""
     """Why no model of its kind has an inverse; "" where one has."""
+    either_way: ClassVar[bool] = False
+    """Whether it describes loops of both directions, whatever its family needs."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}

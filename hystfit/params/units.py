@@ -151,7 +151,7 @@ _SPELLINGS = {
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
     "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T", "dyne": "dyn", "dynes": "dyn",
     "ounce": "oz", "ounces": "oz", "usec": "us", "nsec": "ns", "KN": "kN", "KPa": "kPa", "Kpa": "kPa", "Mpa": "MPa",
-    "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V", "ml": "cc", "mL": "cc", "pct": "%",
+    "millis": "ms", "micros": "us", "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V", "ml": "cc", "mL": "cc", "pct": "%",
 }  # fmt: skip
 # Words before the name of a unit: "millitesla", "kiloamperes".
 _WORDS = {"pico": "p", "nano": "n", "micro": "u", "milli": "m", "centi": "c", "kilo": "k", "mega": "M", "giga": "G"}

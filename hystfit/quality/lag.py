@@ -25,6 +25,8 @@ MOST_TURNS = 40
 # How far the output goes on after a turn within the lag, over how far it came within a lag before: a lag gives a third behind a sine and 1
 # behind a triangle, a play or a valve that sticks 0. Half of the least.
 _GOES_ON = 1 / 6
+# Change of the input by smoothing at its turns, in rms of its noise, that noise alone makes at most: 1.5 at the turns of sines.
+_NOISE_OF_TURNS = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +55,14 @@ class _Turn:
     at: float
     upper: bool
     scale: float
+
+
+def _smooth(u: np.ndarray, noise: float | None, reversals: np.ndarray) -> np.ndarray:
+    """The input without its noise; as it is where smoothing would change its turns by more than the noise, as those of a triangle."""
+    if not noise:
+        return u
+    smoothed = smooth(u, 7)
+    return smoothed if np.median(np.abs(smoothed - u)[reversals]) < _NOISE_OF_TURNS * noise else u
 
 
 def _cubic_spline(values: np.ndarray) -> Spline:
@@ -148,7 +158,7 @@ def estimate_lag(
     reach = int(min(20, np.median(np.diff(reversals)) // 4))
     if reach < 2:
         return None
-    spline = _cubic_spline(smooth(u, 7) if u_noise else u)
+    spline = _cubic_spline(_smooth(u, u_noise, reversals))
     delays = np.arange(-reach, reach + 0.25, 0.5)
     estimates = []
     for near in NEAR:

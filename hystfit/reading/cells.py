@@ -30,7 +30,7 @@ _STAMP = re.compile(
     r"""(?:(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})
             |(?P<p>\d{1,2})[-/.*](?P<q>\d{1,2})[-/.*](?P<yy>\d{4}|\d{2})))?
         (?P<gap>[T ,]*)
-        (?:(?P<hh>\d{1,3}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*|:\d{3})?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
+        (?:(?P<hh>\d{1,5}):(?P<mm>\d{2})(?::(?P<ss>\d{2}(?:[.,]\d*|:\d{3})?))?\s*(?P<half>[AaPp]\.?[Mm]\.?)?
            |(?P<min>\d{1,3}):(?P<sec>\d{2}[.,]\d+))?
         (?P<zone>Z|[+-]\d{2}:?\d{2})?""",
     re.VERBOSE | re.ASCII,
@@ -53,6 +53,8 @@ _NAMED_MONTH = re.compile(
     rf"(\d{{1,2}})[-/. ]{{1,2}}(?:{'|'.join(f'({month})' for month in _MONTHS)})[a-z]*[-/.,: ]{{1,2}}(\d{{4}}|\d{{2}})(?!\d)",
     re.IGNORECASE,
 )
+
+_DAYS = re.compile(r"(\d{1,4}) ?d(?:ays?)?,? ?(\d{1,2})(?=:\d\d:)", re.IGNORECASE)
 
 
 @functools.cache
@@ -88,11 +90,14 @@ def clean(cell: str) -> str:
 
 
 def _matched(cell: str) -> re.Match[str] | None:
-    """A date, a time of day or both in a cleaned cell; the month of the date may be a name, as in 01-May-2010."""
+    """A date, a time of day or both in a cleaned cell: the month may be a name (01-May-2010), and days may have passed (2d 03:04:05)."""
     if named := _NAMED_MONTH.match(cell):
         day, *months, year = named.groups()
         number = next(k for k, month in enumerate(months, 1) if month)
         cell = f"{year if len(year) == 4 else f'20{year}'}-{number}-{day}{cell[named.end() :]}"
+    elif passed := _DAYS.match(cell):
+        days, hours = map(int, passed.groups())
+        cell = f"{24 * days + hours}{cell[passed.end() :]}"
     return _STAMP.fullmatch(cell)
 
 

@@ -29,7 +29,10 @@ _OF_DISCHARGE = re.compile(
 )
 _OF_STEP = re.compile(rf"{_CAPACITY}|容量")
 _SIGNED = re.compile(r"\(?q ?q[o0]\)?|net capacity")  # a charge that goes back and forth as it is
-_UNITS = frozenset({"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr"})
+_OF_STATE = re.compile(r"charge")  # beside a column that tells which steps charge and which discharge
+_UNITS = frozenset(
+    {"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr", "coulomb", "coulombs", "Coulomb", "Coulombs"}
+)
 _AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name that is the unit
 _OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b|电压")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
@@ -74,6 +77,8 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, int, str] |
     signed = next((k for k, name in enumerate(names) if _SIGNED.fullmatch(name) and _is_number(table, k)), None)
     if signed is not None:
         return table.columns[signed], signed, repr(table.names[signed])
+    if step is None and _has_states(table):
+        step = of(_OF_STATE)
     signs = None if step is None else _signs(table)
     if step is None or signs is None:
         return None
@@ -120,6 +125,16 @@ def _signs(table: Table) -> np.ndarray | None:
         if min(signs.values()) < 0 or max(signs.values()) > 0:
             return np.array([signs[label] for label in labels.tolist()])
     return None
+
+
+def _has_states(table: Table) -> bool:
+    """Whether a column of text says charge in some rows and discharge in others."""
+    states = (set(labels.tolist()) for labels in table.labels.values())
+    off = lambda label: _DISCHARGING.search(label) is not None
+    return any(
+        any(map(off, labels)) and any(_CHARGING.search(label) and not off(label) for label in labels)
+        for labels in states
+    )
 
 
 def _one_way(passed: np.ndarray) -> str:

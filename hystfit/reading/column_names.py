@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import functools
 import re
-import tomllib
 from collections.abc import Iterable
-from importlib.resources import files
 
 from hystfit.params.units import quantity
 from hystfit.reading.names_with_units import RATIO, split_unit
+from hystfit.reading.unit_case import in_case
+from hystfit.reading.vocabulary import ROLES, VOCABULARY, WORDS
 
-_VOCABULARY = tomllib.loads((files("hystfit.reading") / "column_names.toml").read_text(encoding="utf-8"))
-_WORDS, _ROLES = (
-    {word: kind for kind, words in _VOCABULARY[table].items() for word in words.split()} for table in ("words", "roles")
-)
-_LETTERS: dict[str, str] = _VOCABULARY["letters"]
-_STATED_AS: dict[str, list[str]] = _VOCABULARY["stated_as"]
-_DRIVERS = frozenset(_VOCABULARY["drivers"].split())
-_MEASURED = frozenset(_VOCABULARY["measured"].split())
-_SECONDARY = frozenset(_VOCABULARY["secondary"].split())
-SIDES = frozenset(_VOCABULARY["sides"].split())
+_LETTERS: dict[str, str] = VOCABULARY["letters"]
+_STATED_AS: dict[str, list[str]] = VOCABULARY["stated_as"]
+_DRIVERS = frozenset(VOCABULARY["drivers"].split())
+_MEASURED = frozenset(VOCABULARY["measured"].split())
+_SECONDARY = frozenset(VOCABULARY["secondary"].split())
+SIDES = frozenset(VOCABULARY["sides"].split())
 _CHANNEL = re.compile(
     r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
@@ -51,7 +47,10 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)", base) and by_unit in ("charge", "capacitance"):
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
+        "charge",
+        "capacitance",
+    ):
         return "temperature"  # T or Ta in degrees Celsius without their sign
     if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress, also the capillary one
@@ -80,7 +79,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     for strong in ("index", "time"):
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
-    named = _WORDS.get(_joined(base)) or (kinds[-1] if kinds else "")
+    named = WORDS.get(_joined(base)) or (kinds[-1] if kinds else "")
     if named == "charge" and (unit or unit_of_name) and not by_unit:
         return ""  # Q in m3/s is a flow
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
@@ -98,11 +97,12 @@ def _field(base: str) -> str:
     path = re.fullmatch(r"(?:\w+\.)+([A-Za-z]\w*)|[\w:]+::([A-Za-z][\w ]*)", base)
     if path and path[2]:
         return path[2]
-    return path[1] if path and (len(path[1]) == 1 or any(w in _WORDS or w in _ROLES for w in _words(path[1]))) else base
+    return path[1] if path and (len(path[1]) == 1 or any(w in WORDS or w in ROLES for w in _words(path[1]))) else base
 
 
 def column_unit(name: str, unit: str) -> str:
-    """The unit of a column; degrees of a temperature that are written without their sign are named so."""
+    """The unit of a column, in its case; degrees of a temperature that are written without their sign are named so."""
+    unit = in_case(split_unit(name)[0], unit) or unit
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
 
 
@@ -133,11 +133,11 @@ def column_role(name: str) -> str:
         return ""  # U is the symbol of a voltage, and u of an input
     first = base.lower().partition("_")[0]
     words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
-    told = [word for word in words if word in _ROLES]
+    told = [word for word in words if word in ROLES]
     others = {word for word in base.lower().split("_") if len(word) > 1} - {"in"}
-    if {*told} == {"in"} and others and not others.intersection(_WORDS):
+    if {*told} == {"in"} and others and not others.intersection(WORDS):
         return ""  # radiation that comes in: sw_in
-    roles = {_ROLES[word] for word in told}
+    roles = {ROLES[word] for word in told}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage
     if roles == {"output"} and _DRIVERS.intersection(words):
@@ -155,7 +155,7 @@ def is_bare_role(name: str) -> bool:
 def without_role(name: str) -> str:
     """A name without the words that say whether it is commanded or measured: q_1 of target_q_1 and of actual_q_1."""
     words = re.split(r"[\W_]+|(?<=[a-z])(?=[A-Z])", _field(split_unit(name)[0].strip()))
-    return " ".join(word.lower() for word in words if word.lower() not in _ROLES and word.lower() not in _MEASURED)
+    return " ".join(word.lower() for word in words if word.lower() not in ROLES and word.lower() not in _MEASURED)
 
 
 @_of_names
@@ -182,11 +182,11 @@ def secondary(name: str) -> int:
 
 def _named_quantities(base: str) -> list[str]:
     """Quantities of the words in a name, those of its own words first."""
-    known = [word for word in _words(re.sub(r"<(\w+)>", r"\1", base)) if word in _WORDS]
+    known = [word for word in _words(re.sub(r"<(\w+)>", r"\1", base)) if word in WORDS]
     if len(set(known)) > 1:  # the axis of F_x is no displacement
         known = [word for word in known if word not in ("x", "y", "z")]
-    kinds = [_WORDS[word] for word in known]
-    kinds += [kind for word, kind in _WORDS.items() if not word.isascii() and word in base.lower()]
+    kinds = [WORDS[word] for word in known]
+    kinds += [kind for word, kind in WORDS.items() if not word.isascii() and word in base.lower()]
     if "displac" in base.lower():
         kinds.append("displacement")
     if _RELATIVE_PRESSURE.search(base):

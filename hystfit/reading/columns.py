@@ -29,6 +29,7 @@ _MANY_SIGNALS = (
 # Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
 # oscilloscope, 15 in 2500 rows.
 _SETTINGS = 0.01
+_MOST_RESULTS = 200  # rows of a table of results, beyond which a name for each is rather a stamp or an identity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +112,8 @@ def choose(
     free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
     filled = {k: np.isfinite(table.columns[k]).mean() for k in free}
     free = [k for k in free if filled[k] > _SETTINGS * max(filled.values())]
-    kinds = {k: column_quantity(table.names[k], table.units[k]) if table.named else "" for k in range(len(table.names))}
+    known = lambda k: table.named or table.units[k]  # columns without names may have units
+    kinds = {k: column_quantity(table.names[k], table.units[k]) if known(k) else "" for k in range(len(table.names))}
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)
     if no_time:
         clock = None
@@ -130,7 +132,16 @@ def choose(
             changes &= np.diff(table.part) == 0
         if k not in taken and changes.any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
+    notes += [warn(Code.LEFT_OUT, text) for text in _of_results(table)]
     return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
+
+
+def _of_results(table: Table) -> list[str]:
+    """Remarks on columns of text that name every row, as that of the specimens in a table of results."""
+    if table.rows > _MOST_RESULTS:
+        return []
+    titles = [table.names[k] for k, label in table.labels.items() if len({*map(str, label)}) == table.rows]
+    return [f"every row has a {title!r} of its own: a table of results has no loop" for title in titles]
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -205,7 +216,7 @@ def _guess_pair(
         equal = [best, other, *(one for one in near if one is not other)]
         apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
         raise _undecided(table, *(apart if len(apart) > 1 else equal)[:2])
-    nameless = not (table.named or given)
+    nameless = not (table.named or given or (kinds[best.input] and kinds[best.output]))
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
             given[role] = position
@@ -279,6 +290,7 @@ def _undecided(table: Table, *equal: Reading) -> DataError:
         shown.append(f"--input {i} --output {o}")
     many = not table.named and len(table.names) > _MANY_SIGNALS
     apart = "; if the outputs are in a file of their own, INPUT_FILE+OUTPUT_FILE reads both" if many else ""
+    apart += "".join(f"; {text}" for text in _of_results(table)[:1])
     return DataError(
         f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
         f"{shown[1]} (input=, output=){apart}. The columns are {table.describe()}"

@@ -12,6 +12,9 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 
+# Parts of a record whose medians are compared, so that the noise of a temperature, 2 to 25 K in molecular dynamics, is no change.
+_PARTS = 32
+
 
 def without_turns(table: Table, output: int, notes: list[Note]) -> Table:
     """The table without the rows in which other channels were measured in turn with the output, which are empty cells there."""
@@ -36,6 +39,12 @@ def _in_its_place(table: Table, columns: list[int], output: int) -> list[int]:
     return [k for k in alike if column_quantity(table.names[k], unit) != "error"]
 
 
+def _change(values: np.ndarray) -> float:
+    """Range of a condition over a record, without its noise: that of the medians of equal parts."""
+    parts = np.array_split(values, min(values.size, _PARTS))
+    return float(np.ptp([np.median(part) for part in parts]))
+
+
 def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) -> Iterator[Note]:
     """Warnings of what makes several measurements of one record.
 
@@ -49,7 +58,7 @@ def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) 
     heated = any(kind(k) == "temperature" for k in used if k is not None)  # it is no condition but the input
     for k in others:
         values = table.columns[k][np.isfinite(table.columns[k])]
-        if kind(k) == "temperature" and not heated and values.size and np.ptp(values) > HEATED:
+        if kind(k) == "temperature" and not heated and values.size and _change(values) > HEATED:
             yield warn(
                 Code.CONDITIONS,
                 f"the temperature ({table.names[k]!r}) changes from {values.min():.4g} to {values.max():.4g} {table.units[k]} within this "

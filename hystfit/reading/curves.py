@@ -18,6 +18,7 @@ from hystfit.reading.columns import Choice
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import clock_goes_on
+from hystfit.reading.two_branches import mirrored
 from hystfit.reading.unseparated_curves import curves_at_conditions
 
 _MOST_CURVES = 10_000
@@ -105,6 +106,10 @@ def split_curves(
         )
         notes.append(Note(Code.CURVES, text))
         return [("", np.concatenate(pieces))], False
+    if choice.time is None and len(pieces) == 2 and (loop := mirrored(table, choice, pieces)) is not None:
+        text = "2 blocks are the branches of one loop, read as one record: each is the other one mirrored through the origin"
+        notes.append(Note(Code.CURVES, text))
+        return [("", loop)], False
     if not has(table.notes, Code.CURVES):
         notes.append(
             Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")

@@ -9,9 +9,11 @@ from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.names_with_units import is_unit, split_unit
+from hystfit.reading.unit_case import in_case, is_symbol
 
-_SAMPLE = re.compile(
-    r"(?!.*(?:rate|interval|freq|period|number|record|block|buffer|window|file|array|\bin$))"  # "Temperature in" has a unit
+_SAMPLE = re.compile(  # "Temperature in" has a unit
+    r"(?!.*(?:rate|interval|freq|period|number|samples|step|setting|multiplier|offset|record|block|buffer|bin_?size|window|file|array"
+    r"|\bin$))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
@@ -25,6 +27,7 @@ _SETTINGS = (
     ),
 )
 _MOST_METADATA = 40
+_LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 _LONGEST_SETTING = 1000  # characters of a line
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
@@ -34,7 +37,7 @@ _LISTED = re.compile(
     r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3}|(?<![A-Za-z])first)(?: column:\s*|(?:\s*[:=).]\s*|\t\s*)(?!\d))(?P<name>.*[A-Za-z].*)"
 )
 _TITLED = re.compile(
-    r"\W*(?P<word>columns?|fields?|names|channels?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
+    r"\W*(?P<word>columns?|fields?|names|channels?(?:[ _]?names?)?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
     re.IGNORECASE,
 )
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
@@ -79,7 +82,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
 
 def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     """Split a header line into `width` cells, by the delimiter of the data or by another one; None if none does."""
-    for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line)):
+    for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line), _LABEL.sub("", line)):
         for mark in (delimiter, ",", ";", "\t", "|", "  ", None):
             parts = _cut(text, mark)
             while len(parts) > width and not parts[-1]:
@@ -138,7 +141,12 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     distinct = lambda row: len(set(filter(None, row))) == len(list(filter(None, row)))
     if place == 0:
         of_names, used = min(1, len(rows) - 1), min(2, len(rows))
-    elif place == 1 and len(rows) > 2 and distinct(rows[2]) and _meanings(rows[2]) > _meanings(rows[0]):
+    elif (
+        place == 1
+        and len(rows) > 2
+        and _meanings(rows[2]) > _meanings(rows[0])
+        and (distinct(rows[2]) or _grouped(rows[2]))
+    ):
         # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
         rows[2] = [rows[0][0], *rows[2][1:]] if rows[0][0] and not any(rows[0][1:]) else rows[2]
         of_names, used = 2, 3
@@ -149,9 +157,19 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
     names = rows[of_names]
-    if not distinct(names) and used < len(rows) and len(set(rows[used])) == len(names):  # Force, Force under A, B
+    if (
+        not (distinct(names) or _grouped(names)) and used < len(rows) and len(set(rows[used])) == len(names)
+    ):  # Force, Force under A, B
         names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
+    if units is not None and place is not None:
+        units = [unit or in_case(name, cell) for unit, name, cell in zip(units, names, bare[place], strict=True)]
     return names, units, used
+
+
+def _grouped(names: Sequence[str]) -> bool:
+    """Whether some names come again and again, two or more of them each time: those of loops side by side."""
+    size = next((k for k in range(2, len(names) // 2 + 1) if [*names[:k]] * (len(names) // k) == [*names]), 0)
+    return size > 0 and len({*names[:size]}) == size
 
 
 def _meanings(names: Sequence[str]) -> int:
@@ -168,10 +186,12 @@ def unit_key(name: str) -> str:
 def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
     """Units in lines of the header that are called so.
 
-    They are those of a column by its name ("loading_unit", "Units of force"), or those of the columns after the first ("Y_Unit_Label",
-    "VUnit", not "HUnit").
+    They are those of a column by its name ("loading_unit", "Units of force"), those of all columns ("UNIT = gf,mm"), or those of the
+    columns after the first ("Y_Unit_Label", "VUnit", not "HUnit").
     """
     width = len(names)
+    if width > 1 and (all_of_them := _behind_words(above, width).get(True)) and all(map(is_unit, all_of_them)):
+        return all_of_them
     settings = (pair for line in above if (pair := setting_of(line)) is not None)
     known = {unit_key(key): unit for key, unit in settings}
     if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
@@ -215,7 +235,7 @@ def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
 
 def _mostly_units(bare: Sequence[str]) -> bool:
     """Whether at least two cells of a line and half of those that are filled are units; the others are words such as "segments"."""
-    count = sum(map(is_unit, bare))
+    count = sum(map(is_unit, bare)) + sum(not is_unit(cell) and is_symbol(cell) for cell in bare)
     return count > 1 and 2 * count >= len(list(filter(None, bare)))
 
 
@@ -246,6 +266,19 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
+def _behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+    """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
+    found = {}
+    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
+        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
+        is_units = match["word"][0].lower() == "u"
+        if fitting := next(
+            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
+        ):
+            found[is_units] = fitting
+    return found
+
+
 def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
     """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
@@ -253,13 +286,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
             found[False] = ["", *names]
-    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
-        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
-        is_units = match["word"][0].lower() == "u"
-        if fitting := next(
-            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
-        ):
-            found[is_units] = fitting  # the last of several
+    found |= _behind_words(above, width)
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []

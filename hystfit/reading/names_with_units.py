@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import parse_unit, quantity
 from hystfit.reading.scaled_units import factor_of
+from hystfit.reading.unit_case import in_case, split_in_case
 
 _BASE = (
     r"(?:[pnuµμm]?s|[pnuµμmckMG]?(?:Gs|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
@@ -19,11 +20,12 @@ _UNIT = re.compile(rf"(?:{_BASE}){_POWER}(?:\s*[/*·.⋅ ]\s*(?:{_BASE}){_POWER}
 _JOINED = re.compile(
     r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
-    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2))"
+    r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2)"
+    r"|([mun]?mol|mg|c?m3|cc|m[lL])_(k?g)|(1)_([cm]?m))"
 )
 # Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
 _FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
-_FLOWS = {"cms": "m3/s", "cfs": "ft3/s"}  # of hydrology
+_FLOWS = {"cms": "m3/s", "cfs": "ft3/s", "lpm": "L/min", "slpm": "L/min", "sccm": "cm3/min", "gpm": "gal/min"}
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
 _CYRILLIC = dict(
@@ -34,12 +36,14 @@ _CYRILLIC = dict(
     )
 )
 _ELECTRIC = {"V": "voltage", "I": "current"}  # symbols whose one-letter index is no unit of another quantity: V_G, I_C
+_CLOCKS = {"millis": "ms", "micros": "us"}  # of Arduino
+# Words in brackets that tell how a column was processed or where it was measured.
+_NO_UNIT = re.compile(r"[a-z]+ed|raw|avg|mean|left|right|top|bottom", re.IGNORECASE)
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 # Names of columns that are no more than a unit, and that unit.
 _BARE_UNITS = {
     unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa".split()
 }
-_BARE_UNITS |= {"millis": "ms", "micros": "us"}  # clocks of Arduino
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
@@ -89,20 +93,22 @@ def _split_alone(name: str) -> tuple[str, str]:
 def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
     if (match := re.fullmatch(r"(.+?[\s,([]+)([А-я/]{1,4})([)\].]*)", name)) and match[2] in _CYRILLIC:
         name = match[1] + _CYRILLIC[match[2]] + match[3]
-    if name in _BARE_UNITS:
-        return name, _BARE_UNITS[name]
+    if bare := _BARE_UNITS.get(name) or _CLOCKS.get(name.lower()):
+        return name, bare
     if RATIO.fullmatch(name):
         return name, ""
     if len(name) >= _WORD and name.isalpha() and is_unit(name):
         return name, name  # Volts
-    return (
+    base, unit = (
         _in_brackets(name)
+        or _in_lower_case(name, siblings)
         or _quotient_in_words(name)
         or _behind_mark(name)
         or _behind_blank(name, siblings)
         or _behind_underscore(name, siblings)
         or (name, "")
     )
+    return base, in_case(base, unit) or unit
 
 
 def _in_brackets(name: str) -> tuple[str, str] | None:
@@ -111,14 +117,15 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
         return None
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
     closed = not re.search(r"[\])>]", unit) or is_unit(unit)
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and is_unit(unit)):
+    closed = closed or bool(in_case(base, unit))
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and (is_unit(unit) or in_case(base, unit))):
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None
     inner, of_inner = split_unit(unit) if "/" in unit or "," in unit else (unit, "")
     if not is_unit(unit) and not inner.isascii() and is_unit(of_inner):
         return f"{base} {inner}", of_inner  # 1-1(位移/mm)
-    if is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12):
+    if is_unit(unit) or (re.match(r"\D*[A-Za-z%°]", unit) and len(unit) <= 12 and not _NO_UNIT.fullmatch(unit)):
         return base, unit
     if re.match(r"\d+[.,]?\d*\s*[A-Za-z%°]", unit):  # M (300 K): a condition
         return base, ""
@@ -159,7 +166,8 @@ def _behind_blank(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
     A unit of one letter is more likely a part of the name, as in Channel A, unless all columns have one.
     """
     match = re.fullmatch(r"(.*\S) (\S+)", name)
-    if not match or not is_unit(match[2]) or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
+    known = match is not None and (is_unit(match[2]) or (len(match[2]) > 1 and bool(in_case(match[1], match[2]))))
+    if not match or not known or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
         return None
     spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
     return (match[1], match[2]) if spelled or _all_have_units(siblings) else None
@@ -170,12 +178,24 @@ def _behind_underscore(name: str, siblings: Sequence[str]) -> tuple[str, str] | 
     match = re.fullmatch(r"(.+)_([^_]+)", name)
     if not match or not is_unit(match[2]) or match[2] in _NOT_SUFFIX:
         return None
-    others = {other[len(match[1]) + 1 :] for other in siblings if other.startswith(f"{match[1]}_")}
-    labels = len(match[2]) == 1 and any(len(other) == 1 and not is_unit(other) for other in others)
+    labels = len(match[2]) == 1 and any(not is_unit(other) for other in _indices(match[1], siblings))
     terminal = len(match[2]) == 1 and quantity(match[2]) != _ELECTRIC.get(match[1], quantity(match[2]))
     if labels or terminal or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
         return None  # I_A, I_B, I_C are currents of three phases, V_G the voltage of a gate
     return match[1], match[2]
+
+
+def _in_lower_case(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
+    """force_kn, field_ka_m; None for other names."""
+    found = split_in_case(name) if "_" in name else None
+    one = found is not None and len(name) == len(found[0]) + 2
+    return None if found is None or (one and len(_indices(found[0], siblings)) > 1) else found
+
+
+def _indices(base: str, siblings: Sequence[str]) -> set[str]:
+    """Single letters behind a name and an underscore: a, b and c of i_a, i_b and i_c."""
+    others = {other[len(base) + 1 :] for other in siblings if other.startswith(f"{base}_")}
+    return {other for other in others if len(other) == 1}
 
 
 def _all_have_units(names: Sequence[str]) -> bool:

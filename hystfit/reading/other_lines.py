@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -11,6 +12,7 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
+from hystfit.reading.coded_names import with_meanings
 from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
 from hystfit.reading.names_with_units import is_unit, split_unit
@@ -49,7 +51,7 @@ class LeftOut:
 class Header:
     """Names and units of the columns, "" where there is none, in how many lines they stand, and whether other lines follow them.
 
-    `over` has the cells of the line above the names, where these name groups of columns.
+    `over` has the cells of the line above the names, or of comments below the units, where these name groups of columns.
     """
 
     names: list[str]
@@ -100,12 +102,16 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         units = [split_unit(name, names)[1] for name in names]
         if not used and not place:
             names, units, used = _labeled_units(text, block)
+    names, of_codes = with_meanings(names, text.lines[:first])
+    units = [unit or of_code for unit, of_code in zip(units, of_codes, strict=True)]
     if not any(units):
         units = stated_units(text.lines[:first], names, dialect.delimiter)
     unknown = [unit for unit in units if unit and not is_unit(unit)]
     if len(unknown) >= _SYMBOLS and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
         units = ["" if unit in unknown else unit for unit in units]
     over = () if not used or place else _over(text, block, first - used - 1)
+    if used > 2 and not over and not place:
+        over = _over(text, block, first - 1)
     return Header(names, units, used, apart=place > 0, over=over)
 
 
@@ -124,10 +130,10 @@ def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:
 
 
 def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
-    """The cells of the line above the names, where it has fewer words than there are columns; () for other lines."""
+    """The cells of a line that names groups of columns: it has fewer words than there are columns; () for other lines."""
     width, row = text.dialect.width, [cells.clean(cell) for cell in block.rows[place]] if place >= 0 else []
     row = [*row, *[""] * (width - len(row))]
-    words = [*filter(None, row)]
+    words = [word for word, _ in itertools.groupby(filter(None, row))]
     several = 1 < len(words) == len({*words}) < width
     return tuple(row) if text.dialect.delimiter and len(row) == width and row[1:] and several else ()
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.reading.column_names import column_role, has_terminals, is_drain, parts_of
+from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -18,6 +18,8 @@ _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by 
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
+_LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
+_COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
 _SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
 
 
@@ -54,18 +56,32 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field
         kinds.update(dict.fromkeys(induced, "induction"))
+    if "Step" in table.names:
+        kinds.update({k: column_quantity(of[1]) for k in free if (of := _LAMMPS.fullmatch(table.names[k]))})
+    if among("electric field"):
+        kinds.update({k: "polarization" for k in free if kinds[k] == "" and _COMPONENT.fullmatch(table.names[k])})
+    if any("thrust" in parts_of(table.names[k]) for k in free):  # of a propeller: its torque and current come after it
+        commanded = [k for k in free if column_role(table.names[k]) == "input"]
+        kinds.update({k: "" for k in free if {"torque", "trq"} & parts_of(table.names[k])})
+        kinds.update({k: "" for k in free if commanded and (k in commanded or kinds[k] == "current")})
     _find_velocities(table, free, kinds)
     fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
     kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
         unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
-        kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k)})
+        kinds.update({k: "index" for k in free if unnamed(k) and _counts(table.columns[k])})
 
 
 def _is_whole(values: np.ndarray) -> bool:
     """Whether a column has whole numbers alone."""
     known = values[np.isfinite(values)]
     return bool((known == np.round(known)).all())
+
+
+def _counts(values: np.ndarray) -> bool:
+    """Whether a column numbers rows or groups of rows: from 0 or 1 it goes up by one or stays."""
+    steps = np.diff(values)
+    return values[0] in (0.0, 1.0) and bool(np.isin(steps, (0.0, 1.0)).all() and steps.any())
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:

@@ -19,7 +19,7 @@ RESPONSE = {
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8, "volume": 0.8,
-    "diameter": 1.8,
+    "diameter": 1.8, "concentration": 1.8,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 LOADS = ("force", "stress")
@@ -29,6 +29,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
     | dict.fromkeys([("electric field", "polarization"), ("voltage", "polarization"), ("voltage", "charge")], 4.0)
     | {("pressure", "loading"): 4.0, ("pressure", "mass"): 4.0, ("voltage", "piezoresponse"): 4.0, ("state of charge", "voltage"): 4.0}
+    | {("flow", "concentration"): 4.0}  # of a river
     | {("displacement", "force"): 4.0, ("displacement", "stiffness"): 4.0}
     | {("strain", "stress"): 4.0, ("shear rate", "stress"): 4.0}
     | dict.fromkeys(

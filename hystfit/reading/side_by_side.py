@@ -174,7 +174,7 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
     )
     number = np.repeat(np.arange(len(groups)), [rows.size for rows in kept])
     base = table.parts[0] if table.parts else Part()
-    titles = titles or [table.over[group[0]] if table.over else "" for group in groups]
+    titles = titles or [next((table.over[k] for k in group if table.over and table.over[k]), "") for group in groups]
     named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
     if "time" in kinds and not named and width > 2 and _goes_on(joined.columns[kinds.index("time")], number):
         text = f"{len(groups)} groups of {width} columns side by side, whose times follow each other, are read as one record"

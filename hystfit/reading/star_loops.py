@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from hystfit.outcome import Code, Note
+from hystfit.reading.branch_words import FALLING, RISING, words_of
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -44,9 +45,16 @@ def read_star(text: TextFile) -> Table | None:
     titles = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, found, strict=True)]
     settings = [f"{name}: {value}" for name, value in items if value]
     blocks = ["\n".join("\t".join(row.split()) for row in loop.rows) for loop in alike]
-    table = plain_text(text.of("\n".join([*settings, "", "\t".join(titles), "\n\n".join(blocks)])))
+    between = "\n" if _are_branches(alike) else "\n\n"
+    table = plain_text(text.of("\n".join([*settings, "", "\t".join(titles), between.join(blocks)])))
     more = f"; {len(loops) - len(alike)} of other columns are left out" if len(loops) > len(alike) else ""
     return table.noted(Note(Code.FILE_FORMAT, f"{len(alike)} tables of a STAR file (CIF, AIF){more}"))
+
+
+def _are_branches(loops: Sequence[_Loop]) -> bool:
+    """Whether two tables are named as the branches of one loop, wherever they end: a desorption starts below the last point."""
+    words = [words_of(" ".join(loop.names)) for loop in loops]
+    return len(words) == 2 and any(a & RISING and b & FALLING for a, b in (words, words[::-1]))
 
 
 def _content(lines: Sequence[str]) -> tuple[list[_Loop], list[tuple[str, str]]]:

@@ -266,6 +266,10 @@ def _check_thousands(text: Text, block: Block) -> tuple[dict[int, str], list[Not
     other = "," if dialect.decimal == "." else "."
     if not doubtful:
         return {}, _doubtful_dots([columns[k] for k in numbers], dialect)
+    # A point that no thousands have before it, as in 0.140, is the decimal mark of the whole file.
+    points = (cells.clean(cell) for k in numbers if k not in doubtful for cell in columns[k] if "." in cell)
+    pointed = dialect.decimal == "." and any(not cells.may_be_thousands(cell, ".") for cell in points)
+    proven |= pointed and all(_only_above_thousand(columns[k]) for k in doubtful)
     problems = {}
     for k in doubtful:
         mark = other if evidence[k][0] else dialect.decimal
@@ -281,6 +285,12 @@ def _check_thousands(text: Text, block: Block) -> tuple[dict[int, str], list[Not
             "the decimal mark or separate thousands; give decimal='.' or decimal=',' (--decimal, decimal=)"
         )
     return problems, []
+
+
+def _only_above_thousand(column: Sequence[str]) -> bool:
+    """Whether the whole numbers of a column have a comma from one thousand on, and only there."""
+    plain = [cells.clean(cell).lstrip("+-") for cell in column if "," not in cell]
+    return bool(plain) and all(re.fullmatch(r"\d{0,3}", cell) for cell in plain)
 
 
 def _doubtful_dots(columns: Sequence[Sequence[str]], dialect: Dialect) -> list[Note]:

@@ -10,6 +10,7 @@ from hystfit.outcome import Note
 from hystfit.reading.encodings import decode
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.lines import lines_of
+from hystfit.reading.typed_numbers import without_types
 
 HEAD = 200  # lines by which layouts are recognized
 
@@ -75,4 +76,5 @@ def text_of(file: FileBytes, opening: Opening) -> TextFile:
         DataError: the bytes are not text.
     """
     content, notes = decode(file.raw, file.source, opening.encoding)
-    return TextFile(content, file.source, file.sha256, (*file.notes, *notes), opening)
+    content, typed = without_types(content)
+    return TextFile(content, file.source, file.sha256, (*file.notes, *notes, *typed), opening)

@@ -1,4 +1,4 @@
-"""Loops whose two branches stand side by side: two outputs over one input, or an input and an output of each branch."""
+"""Loops whose two branches stand side by side, two outputs over one input or an input and an output of each, or below each other."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
 from hystfit.reading.column_names import column_quantity, is_channel
+from hystfit.reading.columns import Choice
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -267,3 +268,27 @@ def _without(name: str, word: str) -> str:
         return name
     rest = re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-")
     return name if not rest or rest.isdigit() or rest.startswith(("(", "[")) else rest
+
+
+def mirrored(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> np.ndarray | None:
+    """The rows of a loop of which both branches are listed the same way, the falling one first; None for other curves.
+
+    Each branch is the other one mirrored through the origin, which two curves of one direction are not. The falling branch is the upper
+    one, or the lower one of a force, which leads.
+
+    Args:
+        pieces: rows of each of two curves.
+    """
+    u, y = table.columns[choice.input], table.columns[choice.output]
+    pieces = [piece if u[piece[-1]] > u[piece[0]] else piece[::-1] for piece in pieces]
+    reach = min(min(-float(u[piece[0]]), float(u[piece[-1]])) for piece in pieces)
+    if not reach > 0 or not all((np.diff(u[piece]) >= 0).all() for piece in pieces):
+        return None
+    at = np.linspace(-reach, reach, max(piece.size for piece in pieces))
+    first, second = (np.interp(at, u[piece], y[piece]) for piece in pieces)
+    apart, widest = np.sqrt(np.mean((first + second[::-1]) ** 2)), np.abs(first - second).max()
+    if not (apart < _NEAR * widest and widest > _OPEN * np.ptp([first, second])):
+        return None
+    leads = column_quantity(table.names[choice.output], table.units[choice.output]) in ("force", "stress")
+    falling, rising = pieces if (np.mean(first - second) > 0) != leads else pieces[::-1]
+    return np.concatenate([falling[::-1], rising])

@@ -325,13 +325,15 @@ def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | No
     if not (magnetic or named) or abs(y[rest]) < REMANENT_PART * largest:
         return ()
     field, flux = -np.sign(y[rest]) * u, np.sign(y[rest]) * y  # the demagnetizing field counts positive
-    order = np.argsort(field, kind="stable")
-    field, flux = field[order], flux[order]
+    if field[0] > field[-1]:  # in the order of the samples: on a steep part the field of digitized ones goes to and fro
+        field, flux = field[::-1], flux[::-1]
     found = []
     if field[-1] > slack and flux[-1] <= SAME_LEVEL * largest:
         found_at = crossing(flux, field, sigma) or (float(field[-1]), None)
         label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
         found.append(LoopValue("coercive_input", label, *found_at, record.u_unit))
     if abs(u[rest]) <= slack:
-        found.append(LoopValue("remanence", "remanence", abs(float(y[rest])), sigma, record.y_unit))
+        order = np.argsort(field, kind="stable")
+        at_rest = float(np.interp(0.0, field[order], flux[order]))
+        found.append(LoopValue("remanence", "remanence", at_rest, sigma, record.y_unit))
     return tuple(with_stated(record, found, lambda _: (), []))

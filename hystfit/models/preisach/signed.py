@@ -17,6 +17,7 @@ class SignedPreisach(Preisach):
     """
 
     has_inverse: ClassVar[bool] = False
+    either_way: ClassVar[bool] = True
     no_inverse: ClassVar[str] = (
         "Preisach masses of either sign have no inverse, because the output need not rise with the input: fit the model with "
         "weights >= 0 (preisach-forc)"

@@ -1,0 +1,88 @@
+"""Files of testing machines, gauges and cyclers whose headers state more than the names of columns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.data import Record
+from hystfit.reading import read
+
+N = 120
+U = np.round(np.concatenate([np.linspace(0, 4, N // 2), np.linspace(4, 0, N // 2)]), 3)
+Y = np.round(30 + 5 * U + np.where(np.arange(N) < N // 2, 6, -6), 2)
+MARKS = [",", "\t", ";"]
+
+
+def one(folder: Path, head: str, *columns: object, mark: str = ",", name: str = "test.csv") -> Record:
+    rows = (mark.join(map(str, row)) for row in zip(*columns, strict=True))
+    path = folder / name
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    data = read(path)
+    assert isinstance(data, Record), [record.name for record in data]
+    return data
+
+
+def is_pair(record: Record, units: tuple[str, str]) -> None:
+    np.testing.assert_allclose(record.u, U)
+    np.testing.assert_allclose(record.y, Y)
+    assert (record.u_unit, record.y_unit) == units
+
+
+@pytest.mark.parametrize("mark", MARKS)
+def test_a_line_of_units_above_columns_without_names_tells_the_force(mark: str, tmp_path: Path) -> None:
+    head = f"MAX FORCE = 56.0{mark}4.0\nUNIT = gf{mark}mm\nDATA COUNT = {N}{mark}\nCOMMENT = {mark}\n"
+    record = one(tmp_path, head, Y, U, mark=mark)
+    is_pair(record, ("mm", "gf"))
+    assert not any("are the columns exchanged" in note.text for note in record.notes)
+
+
+@pytest.mark.parametrize("mark", MARKS)
+def test_names_and_units_of_channels_behind_their_words(mark: str, tmp_path: Path) -> None:
+    names, units = mark.join(["Zeit", "Kraft", "Weg"]), mark.join(["s", "kN", "mm"])
+    record = one(
+        tmp_path, f"T0 = 12.06.2018\nCHANNELNAME = {names}\nUNIT = {units}\n", np.arange(N) / 5, Y, U, mark=mark
+    )
+    is_pair(record, ("mm", "kN"))
+    assert (record.u_name, record.y_name) == ("Weg", "Kraft")
+    np.testing.assert_allclose(record.t, np.arange(N) / 5)
+
+
+@pytest.mark.parametrize(
+    "days", ["{}d {:02d}:{:02d}:{:02d}.50", "{} days {:02d}:{:02d}:{:02d}", '"{} day, {:d}:{:02d}:{:02d}"']
+)
+def test_days_that_passed_are_a_time(days: str, tmp_path: Path) -> None:
+    """As cyclers, pandas and Python write a duration."""
+    clock = [days.format(s // 86400, s // 3600 % 24, s // 60 % 60, s % 60) for s in range(0, 2500 * N, 2500)]
+    record = one(tmp_path, "Time,Position (mm),Force (N)\n", clock, U, Y)
+    is_pair(record, ("mm", "N"))
+    np.testing.assert_allclose(record.t, 2500.0 * np.arange(N))
+
+
+@pytest.mark.parametrize("turbid_first", [False, True])
+def test_codes_of_columns_mean_what_the_comments_say(turbid_first: bool, tmp_path: Path) -> None:
+    """As tables of river gauges, in which the discharge is the first or the second column."""
+    words = ["Discharge, cubic feet per second", "Turbidity, water, unfiltered, formazin nephelometric units (FNU)"]
+    codes, columns = ["69928_00060", "69938_63680"], [U, Y]
+    order = [1, 0] if turbid_first else [0, 1]
+    head = "# Data provided for site 01646500\n#        TS   parameter     Description\n"
+    head += "".join(f"#     {codes[k].replace('_', '       ')}     {words[k]}\n" for k in order)
+    head += "datetime\t" + "\t".join(codes[k] for k in order) + "\n20d\t14n\t14n\n"
+    stamps = [f"2021-09-01 {k // 4 % 24:02d}:{15 * (k % 4):02d}" for k in range(96)]
+    stamps += [f"2021-09-02 {k // 4:02d}:{15 * (k % 4):02d}" for k in range(N - 96)]
+    record = one(tmp_path, head, stamps, *(columns[k] for k in order), mark="\t", name="gauge.txt")
+    is_pair(record, ("ft3/s", ""))
+    assert (record.u_name, record.y_name) == ("Discharge", "Turbidity")
+
+
+def test_the_size_of_a_specimen_comes_after_its_displacement(tmp_path: Path) -> None:
+    record = one(tmp_path, "Time_S,Size_mm,Displacement_mm,Force_N\n", np.arange(N), 10 + U, U, Y)
+    is_pair(record, ("mm", "N"))
+
+
+def test_numbers_of_samples_and_settings_are_no_properties_of_the_sample(tmp_path: Path) -> None:
+    head = "Samples: 120\nStep size: 0.5\nheightMultiplier: 0.7\nSample height (mm): 12.5\n\nPosition (mm),Force (N)\n"
+    record = one(tmp_path, head, U, Y)
+    assert record.metadata == {"Sample height (mm)": "12.5"}
