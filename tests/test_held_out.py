@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hystfit.data import Record
-from hystfit.quality.held_out import FOLDS, Scheme, correlation_length, future, held_out
+from hystfit.quality.held_out import FOLDS, Scheme, correlation_length, future, held_out, inner_loops
 
 T = np.arange(2000) / 100
 
@@ -108,3 +108,46 @@ def test_the_correlation_length_is_that_of_a_first_order_filter():
         errors[k] = np.exp(-1 / 12) * errors[k - 1] + rng.normal()
     assert correlation_length(errors) == pytest.approx(12, abs=2)
     assert correlation_length(rng.normal(size=5000)) == 1
+
+
+def around(amplitude, middle=0.0, cycles=1):
+    u = middle + amplitude * np.cos(2 * np.pi * np.arange(200 * cycles + 1) / 200)
+    return Record(u, u, name=f"{amplitude} about {middle}")
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.3])
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_smaller_of_two_loops_is_predicted_from_the_larger(order, middle):
+    loops = around(1.0), around(0.4, middle)
+    groups = inner_loops([loops[k] for k in order])
+    assert groups.count == 1
+    assert [set(groups.folds[k]) for k in order] == [{-1}, {0}]
+    assert held_out(loops).scheme is Scheme.SCATTERED
+
+
+def test_a_smaller_loop_within_a_record_is_held_out_without_what_leads_to_it():
+    u = np.concatenate([around(1.0).u, 0.7 * np.cos(np.linspace(0, 4 * np.pi, 400)) + 0.3])
+    fold = inner_loops([Record(u, u).replace(weight=np.where(np.arange(u.size) < 20, 0.0, 1.0))]).folds[0]
+    assert set(fold[:190]) == {-1}
+    assert set(fold[320:]) == {0}
+
+
+@pytest.mark.parametrize(
+    "loops",
+    [
+        (around(1.0),),
+        (around(1.0, cycles=3),),
+        (around(1.0), around(0.98)),
+        (around(1.0), around(0.4, 2.0)),
+    ],
+    ids=["one loop", "equal cycles", "two of one size", "one outside the other"],
+)
+def test_loops_of_one_size_and_loops_outside_each_other_have_no_inner_ones(loops):
+    assert inner_loops(loops) is None
+
+
+def test_what_was_put_before_a_record_is_in_no_group():
+    groups = held_out([around(1.0)])
+    fold = groups.after([groups.folds[0].size + 7]).folds[0]
+    assert (fold[:7] == -1).all()
+    assert np.array_equal(fold[7:], groups.folds[0])

@@ -10,7 +10,7 @@ import scipy.stats
 
 import hystfit as hf
 from hystfit.errors import ModelError, ParameterError
-from hystfit.fitting.left_out import bic, left_out_error
+from hystfit.fitting.left_out import bic, left_out_error, ranking_error
 from hystfit.quality.held_out import held_out
 
 T = np.arange(600) / 100
@@ -187,3 +187,35 @@ def test_refits_go_on_until_they_have_converged(measured, monkeypatch):
     found = left_out_error(fit)
     monkeypatch.setattr("hystfit.fitting.left_out._STEPS", 1000)
     assert found == pytest.approx(left_out_error(fit), rel=0.01)
+
+
+def two_loops(seed=0):
+    """Two loops of two hundred relays, by a plain loop over them, and one between them without noise."""
+    rng = np.random.default_rng(seed)
+    coercivity, bias = 0.1 + 0.4 * rng.random(200), 0.15 * rng.normal(size=200)
+    made = []
+    for amplitude, noise in ((1.0, 2e-3), (0.3, 2e-3), (0.6, 0.0)):
+        u = amplitude * np.cos(2 * np.pi * np.arange(401) / 200)
+        state, y = np.where(bias > 0, -1.0, 1.0), np.empty(u.size)
+        for k, value in enumerate([*np.linspace(0, amplitude, 50), *u][-u.size - 50 :]):
+            state = np.where(value >= bias + coercivity, 1.0, np.where(value <= bias - coercivity, -1.0, state))
+            if k >= 50:
+                y[k - 50] = state.mean() + 0.3 * value
+        made.append(hf.Record(u, y + noise * rng.normal(size=u.size), name=f"{amplitude}").segment(200, 401))
+    return made
+
+
+def test_the_error_by_which_models_are_ranked_is_that_of_a_plain_fit_to_the_outer_loop_too():
+    outer, inner, _ = two_loops()
+    fit = hf.fit("bouc-wen", [outer, inner])
+    error, alone = left_out_error(fit), hf.fit("bouc-wen", outer).predict(inner, refit_offset=True)
+    both = np.sqrt(error * np.sqrt(np.mean((alone - inner.y) ** 2)))
+    assert both < 0.8 * error
+    assert ranking_error(fit, error) == pytest.approx(both, rel=0.01)
+    assert ranking_error(fit, error, most=0.9 * both) == np.inf
+
+
+def test_loops_of_one_size_are_ranked_by_scattered_samples():
+    outer, *_ = two_loops()
+    fit = hf.fit("preisach:n=8", outer)
+    assert ranking_error(fit, left_out_error(fit)) == left_out_error(fit)

@@ -653,3 +653,16 @@ class TestMeasured:
             error = np.concatenate([output(fit.model, r.u) - r.y for r in held])
             assert 100 * np.sqrt(np.mean(error**2)) / span <= bar
             assert 100 * np.abs(error).max() / span <= (2.0 if "n" in settings_of else 5.0)
+
+
+def test_groups_of_many_weights_are_left_out_side_by_side_with_the_same_error(monkeypatch):
+    u = np.sin(np.linspace(0, 30, 600)) * np.linspace(0.3, 1, 600)
+    data = hf.Dataset.of(Record(u, u**3 + 0.2 * np.abs(u), name="made"))
+    errors = []
+    for numbers, cores in ((2**21, 1), (1, 1), (1, 2), (1, 3)):
+        for module in ("smooth", "smooth_system"):
+            monkeypatch.setattr(f"hystfit.models.preisach.{module}.NUMBERS", numbers)
+        monkeypatch.setattr("hystfit.runs.threads.usable_cores", lambda cores=cores: cores)
+        errors.append(hf.fit("preisach:n=8", data).left_out)
+    assert len(set(errors)) == 1
+    assert errors[0] > 0

@@ -101,7 +101,10 @@ def _smooth(common: Common, group: Group) -> Weights:
     systems = split.system.of_outputs(design, record, group.y, held)
     fits = [fit_smooth(system, estimator.smoothness, fixed=split.fixed) for system in systems]
     sizes = group.sizes[:, 1]
-    found = [estimator.of_fit(fit, split, x, size, held.count) for fit, size in zip(fits, sizes.tolist(), strict=True)]
+    texts = split.system.notes()
+    found = [
+        estimator.of_fit(fit, split, x, size, held.count, texts) for fit, size in zip(fits, sizes.tolist(), strict=True)
+    ]
     columns, target = weighted_columns(problem.space, [record], x, np.arange(x.size))
     return Weights(
         common,

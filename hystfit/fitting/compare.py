@@ -45,7 +45,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     if none_describes(list(run.data)):
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
         return
-    if white := run.is_white():
+    if white := first == SEARCH and run.is_white():
         lasting = _timeless(chosen.iterated)
         run.skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), WHITE)
         chosen, others = Candidates((first,), lasting), []
@@ -122,10 +122,11 @@ def compare(
     """Fit several models and rank them by their cross-validation error.
 
     What is held out follows the records (`hystfit.quality.held_out`): whole records, amplitude levels, cycles, or scattered samples of a
-    single loop. The input drives the model through what is held out, but its output is not fitted; the offset of a whole record is.
-    Test data are not used. Among models within one standard error of the smallest error, those rank first whose fit converged, of which
-    the data determine fewer parameters, and that have an inverse; one that has not converged, or whose family has no inverse, must err
-    clearly less. A model that cannot be fitted is listed with the reason.
+    single loop; beside scattered samples of loops of several sizes smaller loops, and the geometric mean of both errors ranks. The input
+    drives the model through what is held out, but its output is not fitted; the offset of a whole record is. Test data are not used.
+    Among models within one standard error of the smallest error, those rank first whose fit converged, of which the data determine fewer
+    parameters, and that have an inverse; one that has not converged, or whose family has no inverse, must err clearly less. A model that
+    cannot be fitted is listed with the reason.
 
     Args:
         data: one record or several, or a data frame.

@@ -18,7 +18,7 @@ from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import choose_method, solve, started_problem
 from hystfit.fitting.least_squares import LeastSquares
-from hystfit.fitting.left_out import LeftOut, bic, left_out_error
+from hystfit.fitting.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
@@ -29,7 +29,7 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
-from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out
+from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out, inner_loops
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
@@ -193,15 +193,19 @@ class ComparisonRun:
             starts = 1 if len(points) > 1 else min(_FIRST_STARTS, self.options.starts)
             alike = self._all_held and [*map(len, fitted)] == [*map(len, self.data)]
             lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
-            estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered))
+            estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
             one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
-        """The fit of another model with the same elements, whose bounds alone differ: one size serves both."""
+        """The fit of another model with the same elements, whose bounds alone differ: one size serves both.
+
+        Beside bounded masses, and of reversal curves beside either.
+        """
         kinds = ((fit, type(fit.model)) for fit in self.fits.values() if model.choices(list(self.data)))
-        return next((fit for fit, kind in kinds if isinstance(model, kind) and type(model) is not kind), None)
+        alike = lambda kind: isinstance(model, kind) or (model.from_saturation and issubclass(kind, type(model)))
+        return next((fit for fit, kind in kinds if alike(kind) and type(model) is not kind), None)
 
     def _fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Fit a model of the size that suits the data."""
@@ -217,29 +221,35 @@ class ComparisonRun:
         if not sized and (alike := self._alike(model)) is not None:
             given = type(model).of(**alike.model.settings())
         elif not sized:
-            chosen, one.choices = (one.sizes or SizeSearch(self.data, self.options.spacing, progress)).chosen(model)
+            one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress)
+            chosen, one.choices = one.sizes.chosen(model)
             given = chosen if one.choices else given
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
-        one.solved = early or solve_model(given, self.data, self.options, self._worth(_LOWERED))
+        ready = one.sizes.setup(given) if one.sizes is not None and isinstance(given, AbstractHysteresis) else None
+        one.sizes = None  # with its equations
+        one.solved = early or solve_model(given, self.data, self.options, self._worth(_LOWERED, model), ready)
 
-    def _worth(self, lowered: float) -> float:
+    def _worth(self, lowered: float, model: AbstractHysteresis) -> float:
         """The rms error [y] of a descent, of which a finished fit leaves this part at least, above which it would be beaten."""
-        if self.named or self.best is None:
+        return self._most(Status.OK, inverts=model.has_inverse) * self.span / 100 / lowered
+
+    def _most(self, status: Status, *, inverts: bool) -> float:
+        """The error on left-out data above which a model cannot win [percent of range]."""
+        if self.named or self.least is None:
             return np.inf
-        return self.equal * self.best * self.span / 100 / lowered
+        return self.equal * self.least / handicap(status, inverts)
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
         assert one.solved is not None
         name, result = one.name, one.solved.unjudged
         progress("cross-validation")
-        most = np.inf
-        if self.least is not None and not self.named:
-            most = self.equal * self.least / handicap(result.status, result.model.has_inverse)
+        most = self._most(result.status, inverts=result.model.has_inverse)
         score, criterion = left_out_error(result, self.left_out, most * self.span / 100), bic(result)
-        stopped = np.isfinite(most) and np.isposinf(score)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
+            score = ranking_error(result, float(score), most * self.span / 100)
+        stopped = np.isfinite(most) and np.isposinf(score)
         one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -257,33 +267,34 @@ class ComparisonRun:
         )
 
     def _excluded_row(self, one: Candidate) -> Row | None:
-        """The row of a model whose first fit is far from the best error on left-out data; None for a model that may win."""
-        best, first, name = self.best, one.first, one.name
-        if best is None or first is None:
+        """The row of a model whose first fit is far from the error above which it cannot win; None for a model that may win."""
+        first, name = one.first, one.name
+        if first is None:
             return None
+        most = self._most(Status.OK, inverts=make_model(name).has_inverse)
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
         lowered = first.lowered if first.model is None else min(self._lowered, default=first.lowered)
-        if not np.isfinite(error) or error * lowered <= self.equal * best:
+        if not np.isfinite(error) or error * lowered <= most:
             return None
         note = (
-            f"stopped after a first fit with an error of {error:.2g} %, because another model has a cross-validation error "
-            f"of {best:.2g} % (hystfit compare --models {name} validates it)"
+            f"stopped after a first fit with an error of {error:.2g} %, because beside another model it cannot win above a "
+            f"cross-validation error of {most:.2g} % (hystfit compare --models {name} validates it)"
         )
         return Row(name, name, in_sample_percent=error, parameters=first.parameters, note=note)
 
     def _beaten_row(self, one: Candidate) -> Row | None:
         """The row of a model that errs more on the samples it was fitted to than another on left-out data; None for the others."""
-        best, solved = self.best, one.solved
-        if best is None or solved is None:
+        if one.solved is None:
             return None
-        result = solved.unjudged
+        result = one.solved.unjudged
+        most = self._most(result.status, inverts=result.model.has_inverse)
         error = 100 * result.problem.error_where_held_out(result.problem.misfit(result.x)) / self.span
-        if error <= self.equal * best:
+        if error <= most:
             return None
         note = (
-            f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error of another model, "
-            f"{best:.2g} % (hystfit compare --models {one.name} validates it)"
+            f"not cross-validated: its error on the fitted samples, {error:.2g} %, exceeds the cross-validation error above "
+            f"which it cannot win beside another model, {most:.2g} % (hystfit compare --models {one.name} validates it)"
         )
         largest, parameters = result.train.max_error_percent, len(result.free_names)
         return Row(result.name, one.name, None, error, largest, parameters, note=note)
@@ -355,7 +366,10 @@ class ComparisonRun:
     @property
     def scheme(self) -> Scheme:
         """What was held out."""
-        return Scheme.FUTURE if self.left_out == "future" else self.held.scheme
+        if self.left_out == "future":
+            return Scheme.FUTURE
+        scattered = self.held.scheme is Scheme.SCATTERED
+        return Scheme.INNER if scattered and inner_loops(list(self.data)) is not None else self.held.scheme
 
     @functools.cached_property
     def held(self) -> HeldOut:

@@ -76,10 +76,11 @@ def solve_model(
     data: Dataset,
     options: FitOptions,
     worth: float = np.inf,
+    ready: FitSetup | None = None,
 ) -> Solved:
     """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers.
 
-    A fit with an rms error above `worth` [y] where samples are held out need not be finished.
+    A fit with an rms error above `worth` [y] where samples are held out need not be finished; `ready` is what `set_up_fit` would give.
     """
     named, notes = not isinstance(model, AbstractHysteresis), list[Note]()
     watch = Stopwatch()
@@ -94,7 +95,7 @@ def solve_model(
     if options.covariates:
         made = Varying.of(made, dependences(options.covariates), list(data))
         notes += made.notes(list(data))
-    setup = set_up_fit(made, data, options, held=not named, notes=tuple(notes))
+    setup = ready or set_up_fit(made, data, options, held=not named, notes=tuple(notes))
     estimate = solve(setup.problem, setup.method, options.starts, options.seed, setup.points, worth)
     return Solved(setup, estimate, options, watch)
 

@@ -16,7 +16,7 @@ from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis
-from hystfit.quality.held_out import FOLDS, future
+from hystfit.quality.held_out import FOLDS, Scheme, future
 from hystfit.results.result import FitResult
 
 # Part of the effect of a parameter on all samples, below which the others do not determine it, such as an initial state that they have
@@ -52,12 +52,30 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
         return _refitted(result.method, problem, x, splits, most)
     if result.left_out is not None and len(linear_positions(problem)):
         return result.left_out  # by which the fit chose its regularization
-    if result.method == "preisach":
+    return _held_out_error(result.method, problem, x, most)
+
+
+def ranking_error(result: FitResult, error: float, most: float = np.inf) -> float:
+    """The error by which models are ranked: where scattered samples are held out, its geometric mean with that on `inner_loops`, if any.
+
+    Args:
+        result, most: see `left_out_error`.
+        error: its value.
+    """
+    problem = result.problem
+    inner = problem.by_inner_loops() if problem.held_out.scheme is Scheme.SCATTERED else None
+    if inner is None:
+        return error
+    return float(np.sqrt(error * _held_out_error(result.method, inner, result.x, most**2 / max(error, 1e-300))))
+
+
+def _held_out_error(method: str, problem: Problem, x: np.ndarray, most: float) -> float:
+    """Error on the groups that are held out of a problem whose fit is x; see `left_out_error`."""
+    if method == "preisach":
         return left_out_scores(problem, x).held
-    if result.method == "convex" and len(linear_positions(problem)):
-        system = LinearSystem.of(problem, x)
-        return float(fit_ridge(system, Convex().strengths).score)
-    return _refitted(result.method, problem, x, problem.held_out.splits(), most)
+    if method == "convex" and len(linear_positions(problem)):
+        return float(fit_ridge(LinearSystem.of(problem, x), Convex().strengths).score)
+    return _refitted(method, problem, x, problem.held_out.splits(), most)
 
 
 def _refitted(

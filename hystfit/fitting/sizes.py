@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
+from hystfit.fitting.fit_setup import FitSetup
 from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
@@ -46,6 +47,8 @@ class SizeSearch:
         # The spacing is that of samples, of which fewer are left.
         self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
         self._scores: dict[str, LeftOutErrors] = {}
+        self._whole = [*map(len, self._data)] == [*map(len, data)]
+        self._best: tuple[str, Problem] | None = None  # with its equations, where all samples count
 
     def first(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, float] | None:
         """The best of its first choice, that of its levels, and its rms error on held-out samples [y]; None without choices.
@@ -75,6 +78,13 @@ class SizeSearch:
         text = f"{model_name(best)}: the smallest cross-validation error ({error:.2g} % of the range) of {len(self._scores)} choices"
         return best, (Note(Code.CHOICE, text),)
 
+    def setup(self, model: AbstractHysteresis) -> FitSetup | None:
+        """The fit of the model that scored best, with its equations; None for others, and where some samples were left out."""
+        if self._best is None or self._best[0] != model_name(model):
+            return None
+        problem = self._best[1]
+        return FitSetup(problem, "preisach", (problem.model,))
+
     def _score(self, model: AbstractHysteresis) -> float:
         """Cross-validation error of all samples [y]; infinite for a model that cannot be solved for."""
         name = model_name(model)
@@ -82,7 +92,10 @@ class SizeSearch:
             self._progress(name)
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
-                self._scores[name] = left_out_scores(problem, problem.space.vector(problem.model), _COARSE)
+                x = problem.space.vector(problem.model)
+                self._scores[name] = found = left_out_scores(problem, x, _COARSE, keep=self._whole)
+                if self._whole and found.overall <= min(score.overall for score in self._scores.values()):
+                    self._best = name, problem
             except (HystfitError, np.linalg.LinAlgError):
                 self._scores[name] = LeftOutErrors(float("inf"), float("inf"))
         return self._scores[name].overall

@@ -14,7 +14,14 @@ from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
-from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOutErrors, SmoothFit, fit_smooth, left_out_errors
+from hystfit.models.preisach.smooth import (
+    SMOOTHNESS,
+    LeftOutErrors,
+    SmoothFit,
+    error_where_held_out,
+    fit_smooth,
+    left_out_errors,
+)
 from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -30,11 +37,17 @@ class SmoothWeights(AbstractEstimator):
     Attributes:
         smoothness: strengths of the penalty among which held-out groups choose.
         max_evaluations: of the search.
+        most: error where samples are held out [y], above which with the weakest smoothness no other is tried.
     """
 
     needs_starts: ClassVar[bool] = False
     smoothness: tuple[float, ...] = eqx.field(static=True, default=SMOOTHNESS)
     max_evaluations: int = eqx.field(static=True, default=120)
+    most: float = eqx.field(static=True, default=np.inf)
+
+    def up_to(self, most: float) -> SmoothWeights:
+        """See the base class."""
+        return dataclasses.replace(self, most=most)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
@@ -50,23 +63,31 @@ class SmoothWeights(AbstractEstimator):
         family = reversal_curves(list(problem.data)) if problem.model.from_saturation else None
         split = lambda x: Split.of(problem.space, list(problem.data), x, held=problem.held_out)
         x = np.array(problem.space.physical(starts[0]))
-        now = split(x)
+        now = vars(problem).pop("split", None) or split(x)
         others = np.flatnonzero(now.place < 0)
         evaluations, converged, message = 1, True, "solved"
         if others.size:
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
+        beaten = np.isfinite(self.most) and (
+            # No penalty leaves smaller errors than the weakest.
+            now.system.size * error_where_held_out(now.system, self.smoothness[0], now.fixed) > self.most
+        )
+        if beaten:
+            fit = fit_smooth(now.system, self.smoothness[:1], fixed=now.fixed)
+            found = self.of_fit(fit, now, x, problem.scales.y)
+            return dataclasses.replace(found, converged=False, message="not finished")
         fit = fit_smooth(now.system, self.smoothness, fixed=now.fixed)
         texts = [] if family is None else [family.words(), *family.notes]
         size = problem.scales.y
-        found = self.of_fit(fit, now, x, size, problem.held_out.count, texts)
+        found = self.of_fit(fit, now, x, size, problem.held_out.count, [*texts, *now.system.notes()])
         linearized = None if others.size else problem.linearization(found.x, now.gram(found.x, size))
         return dataclasses.replace(
             found, converged=converged, message=message, evaluations=evaluations, linearized=linearized
         )
 
     def of_fit(
-        self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int, texts: Sequence[str] = ()
+        self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int = 0, texts: Sequence[str] = ()
     ) -> Estimate:
         """The estimate that a solution gives.
 
@@ -81,7 +102,7 @@ class SmoothWeights(AbstractEstimator):
         at = split.place >= 0
         x, penalty = x.copy(), np.zeros(x.size)
         x[at], penalty[at] = fit.weights[split.place[at]], fit.penalty[split.place[at]] / size**2
-        texts = [*texts, *split.system.notes()]
+        texts = [*texts]
         if fit.error is not None:
             texts.append(
                 f"smoothness {fit.smoothness:.0e} chosen by cross-validation on {groups} groups "
@@ -117,10 +138,15 @@ class SmoothWeights(AbstractEstimator):
         return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
 
 
-def left_out_scores(problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS) -> LeftOutErrors:
+def left_out_scores(
+    problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS, *, keep: bool = False
+) -> LeftOutErrors:
     """Errors with the smoothness that the held-out groups choose, output units.
 
-    The weights in x are solved for; `smoothness` has two or more strengths.
+    The weights in x are solved for; `smoothness` has two or more strengths. With `keep` the equations stay with the problem for its fit,
+    where all free parameters are weights.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
+    if keep and (now.place >= 0).all():
+        vars(problem)["split"] = now
     return LeftOutErrors(*(now.system.size * e for e in left_out_errors(now.system, smoothness, now.fixed)))

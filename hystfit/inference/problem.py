@@ -34,7 +34,7 @@ from hystfit.models.design import COLUMNS
 from hystfit.models.starting import scales_of
 from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 from hystfit.params.space import ParameterSpace
-from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.held_out import HeldOut, held_out, inner_loops
 
 LOSSES: tuple[str, ...] = get_args(Loss)
 Side = Literal["lower", "upper"]
@@ -136,7 +136,7 @@ class Problem:
 
     def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        for cached in ("host_setting", "setting", "density", *(["held_out"] if "data" in changes else [])):
+        for cached in ("host_setting", "setting", "density", "split", *(["held_out"] if "data" in changes else [])):
             other.__dict__.pop(cached, None)
         other._predicted = None
         for name, value in changes.items():
@@ -159,14 +159,19 @@ class Problem:
     @functools.cached_property
     def held_out(self) -> HeldOut:
         """Groups of samples that are held out in turn to judge or to regularize a fit: those that suit the measured records."""
-        measured = [
+        return held_out(self._measured, self._spacing).after(map(len, self.data))
+
+    def by_inner_loops(self) -> Problem | None:
+        """The same problem with `inner_loops` held out; None where there are none."""
+        groups = inner_loops(self._measured)
+        return None if groups is None else self._changed(held_out=groups.after(map(len, self.data)))
+
+    @property
+    def _measured(self) -> list[Record]:
+        """The records without what the model put before them."""
+        return [
             record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)
         ]
-        groups = held_out(measured, self._spacing)
-        folds = (
-            np.concatenate([np.full(len(r) - f.size, -1), f]) for r, f in zip(self.data, groups.folds, strict=True)
-        )
-        return HeldOut(groups.scheme, tuple(folds))
 
     def with_loss(self, loss: Loss) -> Problem:
         """The same problem with another loss."""

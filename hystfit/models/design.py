@@ -10,6 +10,7 @@ import jax
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
+from scipy.linalg.lapack import dpotri
 
 from hystfit.models.nonnegative import submatrix
 from hystfit.params.param import ParamInfo, leaves_of
@@ -151,7 +152,13 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
     at = np.flatnonzero(free)
     own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
-    return float(np.trace(np.linalg.solve(total, own)))
+    try:
+        inverse, _ = dpotri(
+            np.linalg.cholesky(total).T
+        )  # its upper triangle, in half the time of a solve with all columns
+    except np.linalg.LinAlgError:  # positive definite but for rounding
+        return float(np.trace(np.linalg.solve(total, own)))
+    return float(2 * np.sum(np.triu(inverse, 1) * own) + np.diag(inverse) @ np.diag(own))
 
 
 def with_own_offsets(A: np.ndarray, b: np.ndarray, weights: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Scheme(enum.StrEnum):
     LEVELS = "levels"
     CYCLES = "cycles"
     SCATTERED = "scattered"
+    INNER = "scattered, inner loops"
     FUTURE = "future"
 
     @property
@@ -46,6 +47,7 @@ _WORDS = {
     Scheme.LEVELS: ("whole amplitude levels", "predicts amplitudes between those measured"),
     Scheme.CYCLES: ("contiguous fifths of the cycles", "predicts further cycles within the measured range"),
     Scheme.SCATTERED: ("scattered samples", "predicts this loop; other amplitudes are not tested by these data"),
+    Scheme.INNER: ("scattered samples and on smaller loops (geometric mean)", "predicts these loops and smaller ones"),
     Scheme.FUTURE: ("the last three fifths, one after another", "predicts what follows the measured time"),
 }
 
@@ -68,6 +70,11 @@ class HeldOut:
         """Number of groups."""
         return 1 + max(int(fold.max(initial=-1)) for fold in self.folds)
 
+    def after(self, lengths: Iterable[int]) -> HeldOut:
+        """The same of records before which something was put, so that they have these lengths; it is in no group."""
+        folds = (np.concatenate([np.full(n - f.size, -1), f]) for n, f in zip(lengths, self.folds, strict=True))
+        return HeldOut(self.scheme, tuple(folds))
+
     def splits(self) -> list[tuple[list[np.ndarray], list[np.ndarray]]]:
         """(samples to fit, samples to predict) of each group: one mask (T,) for each record."""
         return [([f != k for f in self.folds], [f == k for f in self.folds]) for k in range(self.count)]
@@ -81,7 +88,7 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
     | three or more | whole records: those inside the range of the others, or all where fewer than two are |
     | cycles of three or more amplitudes, each repeated | whole levels but the largest |
     | a cycle or more in each fifth | fifths of the record, apart from branches that leave the range of the rest |
-    | a single loop, or few | runs of `spacing` samples, every fifth run |
+    | a single loop, or few | runs of `spacing` samples, every fifth run; models are ranked by `inner_loops` too |
 
     Whatever only the held-out part determines would test an extrapolation, which prefers coarse models.
 
@@ -100,6 +107,41 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
         if all(_is_divided(fold) for fold in folds):
             return HeldOut(Scheme.CYCLES, tuple(folds))
     return HeldOut(Scheme.SCATTERED, tuple(_scattered(record, spacing) for record in records))
+
+
+def inner_loops(records: Sequence[Record]) -> HeldOut | None:
+    """Loops inside the largest one, each amplitude held out in turn; None where all are of one size, or reach outside it.
+
+    Scattered samples tell how well a model interpolates in the loops that it was fitted to. Of two loops of four magnetic materials
+    (20 pairs, six models) the model that they choose predicts a third one with 1.75 times the error of the best, 17 times at worst; the
+    inner loop alone chooses one with 1.49 and 12 times, the geometric mean of both errors 1.16 and 1.9 times. Among the levels of one model
+    inner loops choose no better than scattered samples.
+    """
+    span = max(float(np.ptp(record.u)) for record in records)
+    edges = [np.array([0, *clear_reversals(record.u), len(record)]) for record in records]
+    strokes = [
+        np.array([np.ptp(record.u[a : b + 1]) / span for a, b in itertools.pairwise(at)])
+        for record, at in zip(records, edges, strict=True)
+    ]
+    # The first and the last stroke of a record are parts of loops.
+    whole = [of[1:-1] if of.size > 2 else of.max(keepdims=True) for of in strokes]
+    sizes = np.array(distinct(np.concatenate(whole)))
+    if sizes.size == 1:
+        return None
+    nearest = lambda values, of: np.abs(values[:, None] - of).argmin(axis=1)
+    folds = []
+    for record, at, of, own in zip(records, edges, strokes, whole, strict=True):
+        level = nearest(own[nearest(of, own)], sizes)
+        groups = np.where(level == 0, -1, (level - 1) % FOLDS)
+        folds.append(np.where(record.used, np.repeat(groups, np.diff(at)), -1))
+    inputs = np.concatenate([record.u[record.used] for record in records])
+    group = np.concatenate([fold[record.used] for fold, record in zip(folds, records, strict=True)])
+    largest, slack = inputs[group < 0], SLACK * span
+    if not 0 < largest.size < inputs.size:
+        return None
+    if inputs.min() < largest.min() - slack or inputs.max() > largest.max() + slack:
+        return None
+    return HeldOut(Scheme.INNER, tuple(folds))
 
 
 def correlation_length(errors: np.ndarray) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,6 +12,8 @@ import numpy as np
 from hystfit.models.design import effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative, submatrix
 from hystfit.models.preisach.smooth_system import SmoothSystem
+from hystfit.params.host_arrays import NUMBERS
+from hystfit.runs.threads import Workers
 
 SMOOTHNESS = tuple(10.0**k for k in range(-9, 0))
 _EQUAL = 1.01  # ratio of errors on held-out groups, or of residuals, below which two strengths are equally good
@@ -57,7 +60,7 @@ def fit_smooth(
         fixed: values of weights that are not fitted, NaN for the others, output units, shape (p,).
     """
     fixed = np.full(system.roughness.shape[0], np.nan) if fixed is None else fixed
-    trials = _Trials(system, fixed)
+    trials = _Trials.of(system, fixed)
     left_out = trials.left_out(strengths, refitted=True) if len(strengths) > 1 else []
     best = trials.chosen(strengths, left_out)
     v, _, rss = trials.solved(strengths[best])
@@ -88,9 +91,15 @@ def left_out_errors(system: SmoothSystem, strengths: Sequence[float], fixed: np.
     Weights that the fit of all samples holds at zero stay there without a group too, except in the error of the strength chosen: this
     takes a third of the time, and prefers weaker penalties.
     """
-    trials = _Trials(system, fixed)
+    trials = _Trials.of(system, fixed)
     best = trials.chosen(strengths, trials.left_out(strengths, refitted=False))
     return LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
+
+
+def error_where_held_out(system: SmoothSystem, strength: float, fixed: np.ndarray) -> float:
+    """Root mean square error of the fit of all samples on those that are held out in turn; arguments as for `fit_smooth`."""
+    squares = _Trials.of(system, fixed).fitted_squares(strength, slice(0, -1))
+    return float(np.sqrt(squares / system.counts[:-1].sum()))
 
 
 class _Solved(NamedTuple):
@@ -118,6 +127,18 @@ class _Trials:
         self._errors: dict[tuple[float, bool], float] = {}
         self._positive: np.ndarray | None = None
 
+    @classmethod
+    def of(cls, system: SmoothSystem, fixed: np.ndarray) -> _Trials:
+        """Those of a system, which keeps the last ones: the choice of a size and the fit solve the same equations.
+
+        Bounded weights that the data hardly determine depend on the solution that a solve starts from: a fit of them begins anew, so that
+        it does not depend on what was solved before.
+        """
+        known = vars(system).get("_trials")
+        if known is None or system.bounded.any() or not np.array_equal(known[0], fixed, equal_nan=True):
+            known = vars(system)["_trials"] = fixed, cls(system, fixed)
+        return known[1]
+
     def left_out(self, strengths: Sequence[float], *, refitted: bool) -> list[float]:
         """The error on held-out groups with each rising strength; infinite for those that are not tried.
 
@@ -143,24 +164,38 @@ class _Trials:
 
     def overall(self, strength: float) -> float:
         """Root mean square error of all samples: see `LeftOutErrors`."""
-        r = np.append(-self.solved(strength).weights, 1.0)
         squares = self.error(strength, refitted=True) ** 2 * self._counts[:-1].sum()
-        return float(np.sqrt((squares + max(float(r @ self._grams[-1] @ r), 0.0)) / self._counts.sum()))
+        squares += self.fitted_squares(strength, slice(-1, None))
+        return float(np.sqrt(squares / self._counts.sum()))
+
+    def fitted_squares(self, strength: float, groups: slice) -> float:
+        """Sum of squared errors of the fit of all samples on some of the groups."""
+        r = np.append(-self.solved(strength).weights, 1.0)
+        return sum(max(float(r @ gram @ r), 0.0) for gram in self._grams[groups])
 
     def _error(self, strength: float, *, refitted: bool) -> float:
-        squares, positive = 0.0, self.solved(strength).positive
+        positive = self.solved(strength).positive
         bounded = self._bounded if refitted else np.zeros_like(self._bounded)
         at = np.arange(self.free.size) if refitted else np.flatnonzero(positive)
         rows = np.append(at, self.free.size)
         total, rough = submatrix(self._total, rows), submatrix(self.rough, at)
-        for gram, count in zip(self._grams[:-1], self._counts[:-1], strict=True):
-            own = submatrix(gram, rows)
-            others = total - own
-            v, _ = _solve(others, strength * (self.n - count) * rough, bounded[at], positive[at])
-            absent = self._own[at] & (np.diag(others)[:-1] == 0)
-            r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
-            squares += max(float(r @ own @ r), 0.0)
-        return float(np.sqrt(squares / self._counts[:-1].sum()))
+
+        def squares(groups: slice) -> list[float]:
+            others, penalty, found = np.empty_like(total), np.empty_like(rough), []  # memory that all groups use
+            for gram, count in zip(self._grams[:-1][groups], self._counts[:-1][groups], strict=True):
+                own = submatrix(gram, rows)
+                np.subtract(total, own, out=others)
+                absent = self._own[at] & (np.diag(others)[:-1] == 0)
+                np.multiply(rough, strength * (self.n - count), out=penalty)
+                v, _ = _solve(others, penalty, bounded[at], positive[at])
+                r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
+                found.append(max(float(r @ own @ r), 0.0))
+            return found
+
+        workers = Workers(None if total.size > NUMBERS else 1)
+        parts = workers.run([functools.partial(squares, slice(k, None, workers.count)) for k in range(workers.count)])
+        every = [parts[k % workers.count][k // workers.count] for k in range(self._counts.size - 1)]
+        return float(np.sqrt(sum(every) / self._counts[:-1].sum()))
 
     def effective(self, strength: float) -> float:
         """Number of weights that the data determine."""
@@ -181,7 +216,8 @@ class _Trials:
     def solved(self, strength: float) -> _Solved:
         """The weights that all samples give."""
         if strength not in self._solved:
-            v, self._positive = _solve(self._total, strength * self.n * self.rough, self._bounded, self._positive)
+            penalty = strength * self.n * self.rough
+            v, self._positive = _solve(self._total.copy(), penalty, self._bounded, self._positive)
             r = np.append(-v, 1.0)
             self._solved[strength] = _Solved(v, self._positive, max(float(r @ self._total @ r), 0.0))
         return self._solved[strength]
@@ -205,6 +241,8 @@ def _reduced(system: SmoothSystem, values: np.ndarray) -> tuple[np.ndarray, np.n
 def _solve(
     gram: np.ndarray, penalty: np.ndarray, bounded: np.ndarray, start: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    A = gram[:-1, :-1] + penalty
+    """Weights of normal equations, whose memory takes the penalty too, and which of them are not held at zero."""
+    A = gram[:-1, :-1]
+    A += penalty
     A[np.diag_indices(len(A))] += 1e-12 * np.trace(A) / len(A)
     return solve_nonnegative(A, gram[:-1, -1], bounded, start)

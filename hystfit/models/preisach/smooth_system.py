@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
 from hystfit.params.host_arrays import NUMBERS
 from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.runs.threads import Workers
 
 Offsets = Literal["each", "shared", "none"]
 # Part of the entries of rows that are not zero, above which their dense product takes less time: measured at 1176 and 1891 columns.
@@ -164,8 +165,7 @@ class SmoothSystem:
                 columns = design.blocks[layout.kept[k]].columns[seen]
                 dense = not isinstance(columns, Factored)
                 visited[k].append(np.stack([columns.min(axis=0), columns.max(axis=0)]) if dense else columns)
-        for part in sums:
-            part.finish()
+        Workers(None if grams[0].size > NUMBERS else 1).run([part.finish for part in sums])
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
         for block, own, start, end in zip(blocks, layout.own, starts, starts[1:], strict=False):
