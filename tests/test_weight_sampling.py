@@ -47,7 +47,7 @@ def test_exact_motion_has_the_moments_of_a_truncated_normal() -> None:
     @jax.jit
     def draws(key: jax.Array) -> jax.Array:
         move = lambda x, key: (
-            (draw_truncated(key, x, jnp.asarray(slope), jnp.asarray(precision), jnp.asarray(bounded)),) * 2
+            (draw_truncated(key, x, jnp.asarray(slope), jnp.asarray(precision), jnp.asarray(bounded))[-1],) * 2
         )
         return jax.lax.scan(move, jnp.ones(3), jax.random.split(key, 8_000))[1]
 

@@ -37,7 +37,7 @@ def prior_weights(rng: np.random.Generator) -> Response:
     at = np.flatnonzero(np.diag(rough))
     w, keys = jnp.ones(at.size), jax.random.split(jax.random.key(int(rng.integers(2**31))), 40)
     move = lambda w, key: (
-        draw_truncated(key, w, jnp.zeros(at.size), jnp.asarray(rough[np.ix_(at, at)]), jnp.full(at.size, True), 3),
+        draw_truncated(key, w, jnp.zeros(at.size), jnp.asarray(rough[np.ix_(at, at)]), jnp.full(at.size, True), 3)[-1],
         None,
     )
     w = jax.lax.scan(move, w, keys)[0]

@@ -62,7 +62,7 @@ def _ranks(equations: WeightEquations, columns: Any, rest: Any, key: Any) -> Any
     p, bounded = equations.bounded.size, equations.bounded
     scale = jnp.abs(jnp.tan(jnp.pi * (jax.random.uniform(keys[0]) - 0.5))) / equations.penalized
     precision = equations.roughness / scale**2 + jnp.diag(equations.precision)
-    move = lambda w, key: (draw_truncated(key, w, jnp.zeros(p), precision, bounded), None)
+    move = lambda w, key: (draw_truncated(key, w, jnp.zeros(p), precision, bounded)[-1], None)
     w = jax.lax.scan(move, jnp.full(p, scale), jax.random.split(keys[1], 100))[0]
     sigma = NOISE * jnp.exp(SPREAD * jax.random.normal(keys[2]))
     y = rest + columns @ w + sigma * jax.random.normal(keys[3], rest.shape)

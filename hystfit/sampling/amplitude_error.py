@@ -20,7 +20,7 @@ from hystfit.params.host_arrays import compiled
 from hystfit.quality.held_out import FOLDS, correlation_length
 from hystfit.quality.loops import APART, clear_reversals, distinct
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.truncated_normal import truncated_draws
+from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
@@ -159,5 +159,5 @@ def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, 
 def _mean(equations: WeightEquations, variance: Array, strength: Array, key: Array) -> Array:
     """Mean of the weights with one noise and one strength of the penalty, shape (p,)."""
     slope, precision = equations.conditional(0, variance, strength)
-    draws = truncated_draws(key, equations.inside, slope, precision, equations.bounded, _MOVES)
+    draws = draw_truncated(key, equations.inside, slope, precision, equations.bounded, _MOVES)
     return draws[_MOVES // 10 :].mean(axis=0)

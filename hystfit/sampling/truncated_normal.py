@@ -33,20 +33,8 @@ def draw_truncated(
     precision: Float[Array, "p p"],
     bounded: Bool[Array, " p"],
     moves: int = 1,
-) -> Float[Array, " p"]:
-    """The last of `truncated_draws`, shape (p,); arguments as there."""
-    return truncated_draws(key, x, slope, precision, bounded, moves)[-1]
-
-
-def truncated_draws(
-    key: Array,
-    x: Float[Array, " p"],
-    slope: Float[Array, " p"],
-    precision: Float[Array, "p p"],
-    bounded: Bool[Array, " p"],
-    moves: int,
 ) -> Float[Array, "moves p"]:
-    """Transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
+    """Ends of transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
 
     Args:
         key: of the random numbers.

@@ -163,7 +163,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     keys = jax.random.split(key, 5)
     n = equations.count
     slope, precision = equations.conditional(state["number"], state["variance"], state["strength"])
-    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)
+    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)[-1]
     away = w - equations.estimate
     squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
     half = 0.5 * jnp.maximum(squares, 0.0) + n * _LEAST
