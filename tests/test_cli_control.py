@@ -65,7 +65,7 @@ def test_invert_writes_an_input_that_the_model_follows(
         assert run([*command, "--limits", bad]) == 2
         assert f"got {bad!r}" in capsys.readouterr().err
     # Rows without a value of the reference are reported.
-    lines[5] = f"{t[4]!r},"
+    lines[5] = f"{t[4].item()!r},"
     (tmp_path / "reference.csv").write_text("\n".join(lines) + "\n")
     assert run([*command, "--json"]) == 0
     content = json.loads(capsys.readouterr().out)

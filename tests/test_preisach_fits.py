@@ -2,6 +2,7 @@
 
 import itertools
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.interpolate
@@ -14,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.models.nonnegative import solve_nonnegative
-from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order
+from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order, stack_inverse
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.everett import cells, second_differences
 from hystfit.models.preisach.levels import sharp_levels, steep_levels
@@ -499,6 +500,13 @@ class TestTabulatedPreisach:
         assert model.table().turned().max() < 1e-9
         y = output(model, through((0, 150, 60, 120, 0)))
         assert hf.invert(model, y).counts()["not-monotone"] == 0
+
+    @pytest.mark.parametrize(("fall", "rises"), [(0.0, True), (2**-50, True), (1e-9, False)])
+    def test_a_flat_part_of_the_output_rises_but_for_rounding(self, fall, rises):
+        """Outputs of a few units on a part without relays, which sums of cells give within some machine epsilons."""
+        y = jnp.array([3.75, 3.75, 3.75 - fall])
+        one = jnp.array(1.0)
+        assert bool(stack_inverse._quadratic(lambda u: y, one, 0 * one, one, 3.75 * one, 4 * one).rising) == rises
 
     def test_other_records_are_refused(self):
         u = through((0, 150, 60, 120, 0))

@@ -137,10 +137,16 @@ def _limits_line(result: FitResult, given: tuple[float, float] | None) -> str:
 
 
 def _target(path: str, reading: Reading, fitted: Record) -> Record:
+    import numpy as np
+
     data = load_one_sided([path], reading, "input", fitted)
     if len(data) != 1:
         raise DataError(f"{path!r} holds {len(data)} curves: choose one with --only")
-    return data[0]
+    record, missing = data[0], int(np.isnan(data[0].y).sum())
+    if not missing:
+        return record
+    text = f"rows without a value of the reference are left out: {missing} of {len(record)}"
+    return record.take(np.isfinite(record.y)).noted(Code.LEFT_OUT, text)
 
 
 def _bands(

@@ -14,6 +14,8 @@ from hystfit.models.preisach.everett import CellMemory, Place
 from hystfit.models.preisach.plane import AbstractPlane
 from hystfit.models.step_inverse import AbstractStepInverse
 
+_ROUNDING = 64.0  # machine epsilons: error of a difference of two outputs, sums of the outputs of cells, over their size, at most
+
 
 class PreisachStep(AbstractStepInverse):
     """Inverse by the dominant extrema e_0, e_1, ...: outputs where the input would close its loops are known from the stack.
@@ -109,7 +111,8 @@ class PreisachStep(AbstractStepInverse):
         along = s * self.knots
         left = jnp.maximum(near, jnp.max(jnp.where((along < far) & (miss < 0), along, -jnp.inf)))
         right = jnp.minimum(far, jnp.min(jnp.where((along > near) & (miss >= 0), along, jnp.inf)))
-        x, rising = _quadratic(output, s, left, right, target)
+        size = jnp.maximum(jnp.max(jnp.abs(height)), jnp.abs(target))
+        x, rising = _quadratic(output, s, left, right, target, size)
         if model.b.shape[0] > 2:
             ends = jnp.minimum(s * left, s * right), jnp.maximum(s * left, s * right)
             x, rising = solve_rising(lambda u: output(u) - target, s * left, *ends)
@@ -124,11 +127,16 @@ def _tables(model: AbstractPlane, knots: Array) -> tuple[CellMemory, Array, Arra
     return memory, knots, plain.single_valued(knots), memory.first(dense)
 
 
-def _quadratic(output: object, s: Array, left: Array, right: Array, target: Array) -> Root:
-    """Where a function that is a rising quadratic between s left and s right meets the target, or the nearer end."""
+def _quadratic(output: object, s: Array, left: Array, right: Array, target: Array, size: Array) -> Root:
+    """Where a function that is a rising quadratic between s left and s right meets the target, or the nearer end.
+
+    Where it is flat, the sums of terms of this size differ by rounding.
+    """
     y = output(s * (left + jnp.asarray([0.0, 0.5, 1.0]) * (right - left)))  # type: ignore[operator]
     f0, middle, f1 = s * (y - target)
     a, b = 2 * (f1 - 2 * middle + f0), 4 * middle - f1 - 3 * f0
     root = b + jnp.sqrt(jnp.maximum(b * b - 4 * a * f0, 0.0))
     t = jnp.where(f0 >= 0, 0.0, jnp.where(root > 0, -2 * f0 / jnp.where(root > 0, root, 1.0), 1.0))
-    return Root(s * (left + jnp.clip(t, 0.0, 1.0) * (right - left)), f1 >= f0)
+    return Root(
+        s * (left + jnp.clip(t, 0.0, 1.0) * (right - left)), f1 - f0 >= -_ROUNDING * jnp.finfo(y.dtype).eps * size
+    )
