@@ -157,9 +157,8 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
     names = rows[of_names]
-    if (
-        not (distinct(names) or _grouped(names)) and used < len(rows) and len(set(rows[used])) == len(names)
-    ):  # Force, Force under A, B
+    alike = not (distinct(names) or _grouped(names))  # Force, Force under A, B
+    if alike and used < len(rows) and len(set(rows[used])) == len(names):
         names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
     if units is not None and place is not None:
         units = [unit or in_case(name, cell) for unit, name, cell in zip(units, names, bare[place], strict=True)]

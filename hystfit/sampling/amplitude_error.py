@@ -24,9 +24,8 @@ from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
-_MOVES = (
-    300  # of weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation
-)
+# Moves of the weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation.
+_MOVES = 300
 
 
 @dataclasses.dataclass(frozen=True)
