@@ -17,8 +17,8 @@ from hystfit.fitting.structure_search import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.quality.baselines import play_positions
 from hystfit.quality.faults import clipped_samples, saturated_samples
+from hystfit.quality.plays import play_positions
 from hystfit.quality.summary import summarize
 
 from .conftest import examined

@@ -15,8 +15,9 @@ from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality import baselines
-from hystfit.quality.baselines import Baselines, play_positions
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import held_out
+from hystfit.quality.plays import play_positions
 from hystfit.results.accuracy import Limits, persistent_error
 from hystfit.results.report.answer import Wording, next_commands
 

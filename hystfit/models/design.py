@@ -153,9 +153,8 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
     own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
     try:
-        inverse, _ = dpotri(
-            np.linalg.cholesky(total).T
-        )  # its upper triangle, in half the time of a solve with all columns
+        # The upper triangle of the inverse, in half the time of a solve with all columns.
+        inverse, _ = dpotri(np.linalg.cholesky(total).T)
     except np.linalg.LinAlgError:  # positive definite but for rounding
         return float(np.trace(np.linalg.solve(total, own)))
     return float(2 * np.sum(np.triu(inverse, 1) * own) + np.diag(inverse) @ np.diag(own))

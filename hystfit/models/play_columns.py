@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.quality.baselines import play_positions
+from hystfit.quality.plays import play_positions
 
 Envelope = Literal["identity", "square", "mirror"]
 

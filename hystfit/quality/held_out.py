@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
-from hystfit.quality.loops import clear_reversals, distinct
+from hystfit.quality.loops import clear_reversals, distinct, extents
 
 # Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
 FOLDS = 5
@@ -119,10 +119,7 @@ def inner_loops(records: Sequence[Record]) -> HeldOut | None:
     """
     span = max(float(np.ptp(record.u)) for record in records)
     edges = [np.array([0, *clear_reversals(record.u), len(record)]) for record in records]
-    strokes = [
-        np.array([np.ptp(record.u[a : b + 1]) / span for a, b in itertools.pairwise(at)])
-        for record, at in zip(records, edges, strict=True)
-    ]
+    strokes = [extents(record.u, at) / span for record, at in zip(records, edges, strict=True)]
     # The first and the last stroke of a record are parts of loops.
     whole = [of[1:-1] if of.size > 2 else of.max(keepdims=True) for of in strokes]
     sizes = np.array(distinct(np.concatenate(whole)))
@@ -203,8 +200,8 @@ def _levels(record: Record, turns: np.ndarray) -> np.ndarray:
     if turns.size < 2 * _SEVERAL * _PER_LEVEL:
         return none
     span = float(np.ptp(record.u))
-    edges = [0, *turns.tolist(), len(record)]
-    strokes = np.array([np.ptp(record.u[a : b + 1]) / span for a, b in itertools.pairwise(edges)])
+    edges = np.array([0, *turns, len(record)])
+    strokes = extents(record.u, edges) / span
     values = distinct(strokes[1:-1])
     count = len(values)
     if count < _SEVERAL or turns.size < 2 * _PER_LEVEL * count:

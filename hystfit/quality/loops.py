@@ -83,6 +83,17 @@ def strokes(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     return change[between | (change > change[between].max(initial=0.0))]
 
 
+def extents(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Range of values over each stretch from one edge to the next, both samples included, shape (K,); 0 where all are missing.
+
+    Args:
+        values: shape (T,); NaN where one is missing.
+        edges: first sample of each stretch, and the end, shape (K + 1,).
+    """
+    parts = (values[first : last + 1] for first, last in itertools.pairwise(edges))
+    return np.array([np.nanmax(part) - np.nanmin(part) if np.isfinite(part).any() else 0.0 for part in parts])
+
+
 def distinct(values: Iterable[float], apart: float = APART) -> tuple[float, ...]:
     """Values that differ by more than `apart`, largest first."""
     kept: list[float] = []

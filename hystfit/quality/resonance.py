@@ -13,8 +13,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hystfit.quality.baselines import play_positions
 from hystfit.quality.lag import unexplained
+from hystfit.quality.plays import play_positions
 from hystfit.quality.recursions import lagged, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.baselines import play_positions
 from hystfit.quality.delay import MOST, REMAINS
 from hystfit.quality.lag import unexplained
+from hystfit.quality.plays import play_positions
 from hystfit.quality.recursions import lagged
 from hystfit.quality.resonance import FEWEST, explains
 

@@ -69,19 +69,13 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
     if table.named and many:
         unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
-        kinds.update({k: "index" for k in free if unnamed(k) and _counts(table.columns[k])})
+        kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k, groups=True)})
 
 
 def _is_whole(values: np.ndarray) -> bool:
     """Whether a column has whole numbers alone."""
     known = values[np.isfinite(values)]
     return bool((known == np.round(known)).all())
-
-
-def _counts(values: np.ndarray) -> bool:
-    """Whether a column numbers rows or groups of rows: from 0 or 1 it goes up by one or stays."""
-    steps = np.diff(values)
-    return values[0] in (0.0, 1.0) and bool(np.isin(steps, (0.0, 1.0)).all() and steps.any())
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:

@@ -95,10 +95,11 @@ class Table:
         ways = {*np.sign(np.diff(self.columns[position])).tolist()} - {0.0}
         return ways.pop() if len(ways) == 1 else 0.0
 
-    def counts(self, position: int) -> bool:
-        """Whether a column is a row number: whole numbers that go up by one from 0 or 1."""
+    def counts(self, position: int, *, groups: bool = False) -> bool:
+        """Whether a column is a row number: whole numbers that go up by one from 0 or 1; or with `groups` the number of a group of rows."""
         values = self.columns[position]
-        return values[0] in (0.0, 1.0) and bool((np.diff(values) == 1.0).all())
+        steps = np.diff(values)
+        return values[0] in (0.0, 1.0) and bool(((steps == 1.0) | (groups and steps.any() and steps == 0.0)).all())
 
     def take(self, rows: np.ndarray) -> Table:
         """The table of some rows, chosen by mask or by index."""

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import compiled
 from hystfit.quality.held_out import FOLDS, correlation_length
-from hystfit.quality.loops import APART, clear_reversals, distinct
+from hystfit.quality.loops import APART, clear_reversals, distinct, extents
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
@@ -128,8 +128,7 @@ class Strokes:
 
 def _swings(values: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, " K"]:
     """Range of values over each stroke; those that the ends of a record cut off have at least that of their neighbor."""
-    parts = [values[first : last + 1] for first, last in itertools.pairwise(edges)]
-    swings = np.array([np.nanmax(part) - np.nanmin(part) if np.isfinite(part).any() else 0.0 for part in parts])
+    swings = extents(values, edges)
     if swings.size > 1:
         swings[0], swings[-1] = swings[:2].max(), swings[-2:].max()
     return swings

@@ -17,7 +17,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array, Float
 
 from hystfit.config import verb
@@ -31,6 +30,7 @@ from hystfit.inference.weights import free_columns
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.held_out import correlation_length
+from hystfit.quality.recursions import recursion
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
 
@@ -134,9 +134,10 @@ def _error_beyond(
 def _correlated(rng: np.random.Generator, shape: tuple[int, int], length: int) -> Float[np.ndarray, "count T"]:
     """Stationary Gaussian paths of unit variance, correlated over `length` samples."""
     decay = np.exp(-1 / length)
-    start = decay * rng.normal(size=(shape[0], 1))
+    before = decay * rng.normal(size=shape[0])
     drive = np.sqrt(1 - decay**2) * rng.normal(size=shape)
-    return scipy.signal.lfilter([1.0], [1.0, -decay], drive, axis=1, zi=start)[0]
+    drive[:, 0] += before
+    return recursion((1.0, -decay), drive.T).T
 
 
 @eqx.filter_jit
