@@ -63,7 +63,7 @@ class SmoothWeights(AbstractEstimator):
         family = reversal_curves(list(problem.data)) if problem.model.from_saturation else None
         split = lambda x: Split.of(problem.space, list(problem.data), x, held=problem.held_out)
         x = np.array(problem.space.physical(starts[0]))
-        now = vars(problem).pop("split", None) or split(x)
+        now, problem.equations = problem.equations or split(x), None
         others = np.flatnonzero(now.place < 0)
         evaluations, converged, message = 1, True, "solved"
         if others.size:
@@ -148,5 +148,5 @@ def left_out_scores(
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
     if keep and (now.place >= 0).all():
-        vars(problem)["split"] = now
+        problem.equations = now
     return LeftOutErrors(*(now.system.size * e for e in left_out_errors(now.system, smoothness, now.fixed)))

@@ -58,7 +58,11 @@ class Problem:
         priors: of the parameters of model and noise.
         dependence: of the priors on each other; None where they are independent.
         settled: whether the parameters are those of one device: covariates on which they depend have been chosen, or there are none.
+        equations: of its weights, a `hystfit.inference.weights.Split` that a choice of their number left for the fit, which takes it away
+            again, as it may have hundreds of MB; None elsewhere.
     """
+
+    equations: Any = None
 
     def __init__(
         self,
@@ -136,9 +140,9 @@ class Problem:
 
     def _changed(self, **changes: Any) -> Problem:
         other = copy.copy(self)
-        for cached in ("host_setting", "setting", "density", "split", *(["held_out"] if "data" in changes else [])):
+        for cached in ("host_setting", "setting", "density", *(["held_out"] if "data" in changes else [])):
             other.__dict__.pop(cached, None)
-        other._predicted = None
+        other._predicted = other.equations = None
         for name, value in changes.items():
             setattr(other, name, value)
         return other
