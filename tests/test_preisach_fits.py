@@ -208,6 +208,16 @@ class TestWeights:
         assert result.train.nrmse_percent is not None
         assert result.train.nrmse_percent < 3
 
+    def test_the_noise_of_few_samples_is_that_which_was_added(self):
+        """A penalty holds more weights together than there are samples: counting each would leave one degree of freedom."""
+        u = -np.cos(np.linspace(0, 2 * np.pi, 160))
+        clean, sd = output(truth("negative", n=60), u), 0.004
+        clean = clean / np.ptp(clean)
+        rng = np.random.default_rng(8)
+        fits = [hf.fit("preisach:n=30", Record(u=u, y=clean + sd * rng.normal(size=u.size))) for _ in range(4)]
+        assert fits[0].model.w.size > u.size
+        np.testing.assert_allclose(np.sqrt(np.mean([fit.sigma**2 for fit in fits])), sd, rtol=0.15)
+
 
 def family(model, count=25, points=60):
     """Curves that rise from reversal points to saturation."""

@@ -174,7 +174,9 @@ def _errors(
     acts = np.array(Counter(map(tuple, acting.tolist())).most_common(1)[0][0])
     live = acts & ~on_bound
     plain = (acting == acts).all(axis=1) & live.any(axis=1)
-    variance = np.einsum("nk,nk->n", residual, residual) / np.maximum(len(columns) - live.sum(axis=1), 1)
+    counts = zip(at.tolist(), live.sum(axis=1).tolist(), strict=True)
+    freedom = np.array([weights.estimate(k).freedom(len(columns), count) for k, count in counts])
+    variance = np.einsum("nk,nk->n", residual, residual) / freedom
     roots, variances, ridges = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), ridge.copy()
     slow = np.flatnonzero(~white)
     for k, analysis in zip(slow, _analyses(record, residual[slow], columns, live[slow], relative[slow]), strict=True):

@@ -68,7 +68,7 @@ class Uncertainty:
         p, known = estimate.x.size, estimate.linearized
         residual = problem.misfit(estimate.x) if known is None else known.misfit
         nothing, never = np.full((p, p), np.nan), np.zeros(p, dtype=bool)
-        plain = float(np.sum(residual**2)) / max(int(np.count_nonzero(problem.used)) - p, 1)
+        plain = float(np.sum(residual**2)) / estimate.freedom(np.count_nonzero(problem.used), p)
         analysis = ResidualAnalysis.of_misfit(problem, residual, None)
         sigma = float(np.sqrt(plain)) * problem.scales.y
         return cls(nothing, nothing, never, never, (), (), 0, None, analysis.correlation_time, 1.0, sigma, analysis)
@@ -100,7 +100,7 @@ def uncertainty(
     live = acts & ~at_bound
     live_columns = lambda: linear.columns(live) * relative[live]
     analysis = ResidualAnalysis.of_misfit(problem, residual, live_columns if live.sum() <= FEW else None)
-    plain = float(np.sum(residual**2)) / max(int(np.count_nonzero(linear.used)) - int(live.sum()), 1)
+    plain = float(np.sum(residual**2)) / estimate.freedom(np.count_nonzero(linear.used), np.count_nonzero(live))
     refined = root is not None
     if correlated and not refined and analysis.of_errors is not None:
         root = _correlated_root(analysis.of_errors, linear, acts, y)

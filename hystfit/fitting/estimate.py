@@ -53,6 +53,17 @@ class Estimate:
         """That of a closed form, which takes one step from anywhere; `others` are further attributes."""
         return cls(x, cost, True, "solved", 1, np.array([cost]), **others)
 
+    def freedom(self, samples: int, live: int) -> float:
+        """Degrees of freedom of the residuals, at least 1: samples less the parameters that these determine.
+
+        A penalty that holds hundreds of weights together leaves far more than their number would.
+
+        Args:
+            samples: number of samples that count.
+            live: number of parameters off their bounds.
+        """
+        return max(samples - (live if self.effective is None else self.effective), 1.0)
+
     @property
     def in_best_basin(self) -> int:
         """How many starts came within 1 % of the best cost."""

@@ -115,7 +115,7 @@ class SmoothWeights(AbstractEstimator):
             penalty=penalty,
             notes=tuple(Note(Code.CHOICE, text) for text in texts),
             left_out=None if fit.error is None else fit.error * fit.size,
-            effective=fit.effective + np.count_nonzero(~at),
+            effective=None if fit.effective is None else fit.effective + np.count_nonzero(~at),
         )
 
     def _search(

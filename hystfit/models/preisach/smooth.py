@@ -31,7 +31,7 @@ class SmoothFit:
         error: the same for the strength chosen; None where there was no choice.
         rss: sum of squared residuals, output units.
         cost: the same with the penalty added.
-        effective: number of weights that the data determine, see `effective_number`.
+        effective: number of weights that the data determine, see `effective_number`; None where there was no choice.
         penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
         size: of the output, as in the system.
     """
@@ -42,7 +42,7 @@ class SmoothFit:
     error: float | None
     rss: float
     cost: float
-    effective: float
+    effective: float | None
     penalty: np.ndarray
     size: float
 
@@ -69,7 +69,7 @@ def fit_smooth(
     weights = fixed.copy()
     weights[trials.free] = (v + system.origin[trials.free]) * system.size
     penalty = strength * np.diag(system.roughness)
-    error, effective = (left_out[best], trials.effective(strengths[best])) if left_out else (None, np.nan)
+    error, effective = (left_out[best], trials.effective(strengths[best])) if left_out else (None, None)
     return SmoothFit(
         weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, effective, penalty, system.size
     )
