@@ -167,7 +167,8 @@ def errors(
     from hystfit.uncertainty.robust_errors import standard_errors
 
     result = open_fit(fitdir, output, trust)
-    found = standard_errors(result, block=block, seed=seed)
+    with progress("estimating errors") as update:
+        found = standard_errors(result, block=block, seed=seed, progress=update)
     text = as_options(found.text(parameter))
     save = lambda folder: (folder / "errors.txt").write_text(f"{text}\n", encoding="utf-8")
     return finish(text, found.to_dict(), output, save)

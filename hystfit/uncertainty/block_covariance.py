@@ -73,7 +73,8 @@ def covariance(
 
     "sandwich" corrects the residuals of each block for its leverage and counts degrees of freedom (CR2: Bell and McCaffrey 2002);
     "bootstrap" gives the corrected scores of each block random signs and sizes and studentizes every draw (wild bootstrap: Webb 2023;
-    MacKinnon, Nielsen and Webb 2023). Neither includes an error that recurs every loop.
+    MacKinnon, Nielsen and Webb 2023). Neither includes an error that recurs every loop. Where the parameters, with the penalty of the fit
+    left aside, take up all samples, "iid" is unknown: its errors are NaN.
 
     Args:
         result: a least-squares fit.
@@ -102,8 +103,9 @@ def covariance(
     rows = [(row[on], slope[on][:, live]) for row, slope, on in zip(r, J, problem.used, strict=True) if on.any()]
     span = _block(problem.data, rows) if block is None else block
     back = _orthonormal([slope for _, slope in rows])
-    freedom = max(sum(len(row) for row, _ in rows) - back.shape[1], 1)
-    plain = back @ back.T * sum(float(np.sum(row**2)) for row, _ in rows) / freedom
+    freedom = sum(len(row) for row, _ in rows) - back.shape[1]
+    variance = sum(float(np.sum(row**2)) for row, _ in rows) / freedom if freedom > 0 else np.nan
+    plain = back @ back.T * variance
     single = np.zeros(back.shape[0], dtype=bool)
     if kind != "iid":
         owner = np.array([-1 if record is None else record for *_, record in problem.space.sources])[live]
@@ -121,7 +123,7 @@ def covariance(
     elif kind == "bootstrap":
         robust, factor = blocks.bootstrap(back, _DRAWS, seed)
     else:
-        robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, freedom))
+        robust, factor = plain, np.full(len(plain), scipy.stats.t.ppf(0.975, max(freedom, 1)))
     if kind != "iid":
         single |= ~(blocks.degrees(back) >= 1)
     robust[single], robust[:, single], factor[single] = np.nan, np.nan, np.nan

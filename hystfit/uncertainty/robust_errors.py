@@ -17,6 +17,7 @@ from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
 from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
+from hystfit.sampling.base import Progress
 from hystfit.sampling.sample import sample, suited_sampler
 from hystfit.uncertainty.block_covariance import covariance
 
@@ -137,12 +138,12 @@ def _typical(ratio: np.ndarray) -> float:
     return float(np.exp(np.mean(np.log(known)))) if known.size else float("nan")
 
 
-def _of_draws(result: FitResult, seed: int) -> tuple[np.ndarray, np.ndarray, list[Note]]:
+def _of_draws(result: FitResult, seed: int, progress: Progress | None) -> tuple[np.ndarray, np.ndarray, list[Note]]:
     """Standard deviations of smooth weights over their posterior, half a 95 % interval over each, and notes.
 
     Weights without any influence on the data have none: their posterior is the smoothness prior.
     """
-    posterior = sample(result, "weights", seed=seed)
+    posterior = sample(result, "weights", seed=seed, progress=progress)
     p = len(result.free_names)
     draws = posterior.draws[:, :, :p].reshape(-1, p)
     norms = np.linalg.norm(result.problem.linearize(result.x)[1], axis=(0, 1))
@@ -156,7 +157,9 @@ def _of_draws(result: FitResult, seed: int) -> tuple[np.ndarray, np.ndarray, lis
 
 
 @verb
-def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 0) -> StandardErrors:
+def standard_errors(
+    result: FitResult, *, block: int | None = None, seed: int = 0, progress: Progress | None = None
+) -> StandardErrors:
     """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
 
     For smooth weights and nothing else, such as those of a Preisach model, also the standard deviations of their posterior.
@@ -165,6 +168,7 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         result: a least-squares fit.
         block: samples, see `covariance`.
         seed: of the bootstrap.
+        progress: called repeatedly with a line of text and the fraction that is done, while weights are sampled.
 
     Raises:
         ParameterError: a fit under a noise model; its own likelihood gives its errors.
@@ -195,7 +199,7 @@ def standard_errors(result: FitResult, *, block: int | None = None, seed: int = 
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
         notes += differences(result, by_name, f"the {kind}", reason)
     if suited_sampler(result) == "weights":
-        errors["posterior"], factors["posterior"], remarks = _of_draws(result, seed)
+        errors["posterior"], factors["posterior"], remarks = _of_draws(result, seed, progress)
         notes += remarks
     nowhere = ~np.any([np.isfinite(error) for error in errors.values()], axis=0)
     unknown = [name for name, missing in zip(result.free_names, nowhere, strict=True) if missing]
