@@ -12,7 +12,7 @@ from scipy.signal import savgol_filter
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.data.preparation import CoarseClock, integral, smooth
+from hystfit.data.preparation import CoarseClock, RoundedStamps, integral, smooth
 from hystfit.errors import DataError
 from hystfit.fitting.left_out import left_out_error
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
@@ -109,6 +109,38 @@ def test_stamps_that_repeat_are_recognized_and_true_ones_are_not(samples, step, 
     assert clock.step == pytest.approx(step)
     assert abs(clock.samples - samples) <= 1.5
     assert CoarseClock.of(np.sort(t)) is None
+
+
+@pytest.mark.parametrize(
+    ("written", "interval"),
+    [
+        ([f"{3.2 + k / 30:.2f}" for k in range(1000)], 1 / 30),
+        ([f"{1000 * k // 60}" for k in range(1000)], 1000 / 60),
+        ([f"{k / 20_000:.6g}" for k in range(300_000)], 1 / 20_000),
+    ],
+)
+def test_rounded_time_stamps_are_those_of_even_samples(tmp_path, written, interval):
+    """Fixed decimals, a counter of whole milliseconds, and six digits whatever the size, as C++ writes them."""
+    rows = zip(written, np.sin(0.01 * np.arange(len(written))), strict=True)
+    text = "t_s,u_V,y_um\n" + "".join(f"{t},{u:.4f},{2 * u:.4f}\n" for t, u in rows)
+    (tmp_path / "loop.csv").write_text(text)
+    record = hf.read(tmp_path / "loop.csv")
+    steps = np.diff(record.t)
+    np.testing.assert_allclose(steps, steps.mean(), rtol=1e-6)
+    assert steps.mean() == pytest.approx(interval, rel=1e-4)
+    resolution = np.ptp(np.diff(np.array(written, float)))
+    assert np.abs(record.t - np.array(written, float)).max() < 0.51 * resolution
+    assert not any("time step" in str(note) or "repeated" in str(note) for note in record.notes)
+
+
+def test_a_clock_that_jitters_keeps_its_stamps():
+    rng, k = np.random.default_rng(3), np.arange(1000)
+    for t in (
+        np.round(0.01 * k + rng.uniform(-1e-3, 1e-3, k.size), 3),  # late by up to a few units of the last digit
+        np.round(np.cumsum(0.0333 + 3e-4 * rng.normal(size=k.size)), 2),  # a random walk, rounded
+        np.concatenate([0.01 * k, 10 + 0.02 * k]),  # two rates
+    ):
+        assert RoundedStamps.of(t) is None
 
 
 @pytest.mark.usefixtures("findings_alone")

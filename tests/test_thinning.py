@@ -8,7 +8,7 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.data.batch import bucket
 from hystfit.fitting.polish import polish
-from hystfit.fitting.thinning import thin
+from hystfit.fitting.thinning import coarse, thin
 from hystfit.inference import blocks
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -163,3 +163,42 @@ def test_a_model_without_an_offset_is_polished() -> None:
     y = np.asarray(hf.simulate(hf.Lag(tau=0.05, rest="first"), u, float(t[1]))[0])
     found = hf.fit(hf.Lag(tau=0.02, rest="first"), hf.Record(u=u, y=y, t=t), start="model", starts=1, noise="iid")
     assert found.values["tau"] == pytest.approx(0.05, rel=1e-6)
+
+
+class TestMeans:
+    """Means of several samples stand for them where models are compared on long records."""
+
+    def test_they_are_the_means_and_carry_the_weight_of_the_samples_that_count(self):
+        record = loops(200_000)
+        y, weight = record.y.copy(), np.ones(len(record))
+        y[1000:1010], weight[:7] = np.nan, 0.0
+        (short,) = coarse(hf.Dataset.of(record.replace(y=y, weight=weight)))
+        step = len(record) // len(short)
+        assert step == 6
+        for k in (0, 1, 166, 167, 168, 5000):
+            part = slice(step * k, step * (k + 1))
+            counted = np.isfinite(y[part]) & (weight[part] > 0)
+            assert short.u[k] == pytest.approx(record.u[part].mean())
+            assert short.t[k] == pytest.approx(record.t[part].mean())
+            assert short.weight[k] == pytest.approx(counted.mean())
+            if counted.any():
+                assert short.y[k] == pytest.approx(y[part][counted].mean())
+        noise = np.std(np.diff(short.y[1000:], 3)) / np.sqrt(20)  # third differences of white noise
+        assert noise == pytest.approx(0.01 / np.sqrt(step), rel=0.05)
+
+    def test_few_samples_and_fast_signals_stay(self):
+        assert len(coarse(hf.Dataset.of(loops(50_000)))[0]) == 50_000
+        record = loops(200_000, noise=0.0)
+        ringing = 0.2 * np.sin(2 * np.pi * np.arange(len(record)) / 25)
+        assert len(coarse(hf.Dataset.of(record.replace(y=record.y + ringing)))[0]) == len(record)
+
+    def test_a_comparison_finds_the_model_on_them(self):
+        record = loops(400_000)
+        found = hf.compare(record, ["bouc-wen", "prandtl-ishlinskii"])
+        assert found.rows[0].name == "bouc-wen"
+        winner = found.winner
+        assert len(winner.data[0]) < 40_000
+        assert any("means of 13 samples" in str(note) for note in winner.data[0].notes)
+        for name, value in TRUTH.items():
+            # the step of the model's integration differs by as much as the means are apart
+            assert winner[name].value == pytest.approx(value, abs=4 * winner[name].stderr + 2e-3 * abs(value))

@@ -9,6 +9,8 @@ import numpy as np
 
 from hystfit.errors import DataError
 
+_STAMPS = 20  # from which two lengths of steps are no chance
+_EVEN = 0.01  # of a step, up to which steps are equal
 _ORDER = 2  # of the polynomials of the smoothing filter
 
 
@@ -49,6 +51,51 @@ class CoarseClock:
         if np.mean(np.abs(steps[moves] - step) <= 0.01 * step) < 0.9:
             return None
         return cls(step, float(np.median(np.diff(moves))))
+
+
+@dataclasses.dataclass(frozen=True)
+class RoundedStamps:
+    """Time stamps of evenly spaced samples, which were written with few digits.
+
+    Attributes:
+        resolution: of the stamps, a power of ten [unit of time].
+        start, interval: of the samples [unit of time].
+    """
+
+    resolution: float
+    start: float
+    interval: float
+
+    @classmethod
+    def of(cls, t: np.ndarray) -> RoundedStamps | None:
+        """The even samples whose stamps these are; None where rounding does not explain their steps, or hardly changes them.
+
+        Steps of rounded stamps differ by their resolution, and no stamp is more than half of it from its sample: a clock that really
+        jitters has steps of more than two lengths.
+
+        Args:
+            t: non-decreasing time stamps, shape (T,).
+        """
+        if t.size < _STAMPS:
+            return None
+        steps = np.diff(t)
+        resolution = float(np.ptp(steps))
+        if resolution <= _EVEN * float(np.median(steps)):
+            return None
+        power = np.log10(resolution)
+        if abs(power - np.round(power)) > _EVEN:
+            return None
+        number = np.arange(t.size) - 0.5 * (t.size - 1)
+        interval = float(number @ t / (number @ number))
+        off = t - interval * number
+        if np.ptp(off) > (1 + _EVEN) * resolution:
+            return None
+        middle = 0.5 * float(off.min() + off.max())
+        return cls(float(10.0 ** np.round(power)), middle + interval * float(number[0]), interval)
+
+    def samples(self, count: int) -> np.ndarray:
+        """Times of the samples, shape (count,)."""
+        return self.start + self.interval * np.arange(count)
 
 
 def interval_of(rate: float | None, dt: float | None) -> float | None:

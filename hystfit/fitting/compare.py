@@ -18,6 +18,7 @@ from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
 from hystfit.fitting.structure import Structure, structure_of
+from hystfit.fitting.thinning import coarse
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -126,7 +127,8 @@ def compare(
     drives the model through what is held out, but its output is not fitted; the offset of a whole record is. Test data are not used.
     Among models within one standard error of the smallest error, those rank first whose fit converged, of which the data determine fewer
     parameters, and that have an inverse; one that has not converged, or whose family has no inverse, must err clearly less. A model that
-    cannot be fitted is listed with the reason.
+    cannot be fitted is listed with the reason. Long records that are sampled far finer than their signals count by the means of several
+    samples, on which the winner is fitted too (`hystfit.fitting.thinning.coarse`).
 
     Args:
         data: one record or several, or a data frame.
@@ -160,7 +162,7 @@ def compare(
         raise ModelError("reversal curves have no order in time: use left_out='auto'")
     named = _named(models) if models and models != "auto" else {}
     chosen = Candidates(tuple(named)) if named else candidates(data)
-    data = without_faults(data)
+    data = coarse(without_faults(data))
     update = shown_progress("comparing models") if progress is None else contextlib.nullcontext(progress)
     with update as shown:
         run = ComparisonRun(

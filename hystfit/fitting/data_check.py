@@ -12,6 +12,7 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.fit_warnings import drift_note
 from hystfit.fitting.screening import Screened, best_screened, screen
+from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as
 from hystfit.models.starting import output_range
@@ -45,16 +46,17 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
     damaged = any(note.code is Code.DEGRADING for note in report.findings)
-    every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(records)
-    shown = _traits(records, every) if every else ()
+    short = coarse(without_faults(records))
+    every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(short)
+    shown = _traits(short, every) if every else ()
     screened = () if damaged or all(record.single_valued for record in report.records) else every
-    advice = _advice(records, screened) if screened else None
+    advice = _advice(short, screened) if screened else None
     explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
     if searched is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
-        drift = drift_note(searched.residuals(), without_faults(records), output_range(records).width)
+        drift = drift_note(searched.residuals(), short, output_range(short).width)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(

@@ -1,4 +1,6 @@
-"""A short form of the records on which starting points are fitted, before one of them is polished on every sample."""
+"""Short forms of the records: one on which starting points are fitted, before one of them is polished on every sample, and one for
+comparisons of models on records that are sampled far finer than their signals.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
+from hystfit.outcome import Code
 from hystfit.params.host_arrays import to_device
 from hystfit.quality.loops import clear_reversals
 
@@ -19,6 +22,10 @@ _SAMPLES = 1024  # of all records together
 _LEAST = 256  # of each record
 _A_BRANCH = 12  # samples between two reversals of the input, on average
 _PAYS = 2  # times as many samples make the short form worth its compilation
+_ENOUGH = 30_000  # samples of all records together on which models are compared: errors of 1 % are told apart, see `equal_errors`
+_TIP = 100  # samples of a branch, of which the mean of the last ones is 0.25 % of the range short of a sharp tip
+# Largest rms error of straight lines between the samples kept, over that of lines between every second sample (noise), or over the range.
+_NOISE, _CURVED = 1.02, 2e-4
 
 
 def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
@@ -72,6 +79,56 @@ def thinned(data: Dataset, samples: int = _SAMPLES) -> Dataset:
         tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
         data.name,
     )
+
+
+def coarse(data: Dataset) -> Dataset:
+    """Means of k samples at a time, for a choice between models, where straight lines over these describe the samples but for noise.
+
+    Records of few samples stay as they are, and those that such lines do not describe: a resonance, or few samples in a cycle.
+    """
+    samples = sum(map(len, data))
+    if samples < 2 * _ENOUGH:
+        return data
+    branches = sum(clear_reversals(record.u).size + 1 for record in data)
+    step = min(samples // max(_ENOUGH, _TIP * branches), min(map(len, data)) // _LEAST)
+    while step > 1 and not all(_straight(values, step) for record in data for values in (record.u, record.y)):
+        step //= 2
+    return data.map(lambda record: _means(record, step)) if step > 1 else data
+
+
+def _means(record: Record, step: int) -> Record:
+    """Means of k samples at a time; a shorter rest at the end is left out."""
+    count = len(record) // step
+    rows = lambda values: values[: count * step].reshape(count, step)
+    weight = rows(np.where(record.used, record.weight, 0.0))
+    total = weight.sum(axis=1)
+    sums = (weight * rows(np.where(record.used, record.y, 0.0))).sum(axis=1)
+    short = record.take(slice(0, count))
+    return short.replace(
+        u=rows(record.u).mean(axis=1),
+        y=np.where(total > 0, sums / np.where(total > 0, total, 1.0), np.nan),
+        t=None if record.t is None else rows(record.t).mean(axis=1),
+        weight=total / step,
+    ).noted(
+        Code.PREPARED,
+        f"means of {step} samples at a time: models were compared on these, as straight lines over them describe the {len(record)} "
+        "samples but for noise; --model NAME (model=NAME) fits one to all samples",
+    )
+
+
+def _straight(values: np.ndarray, step: int) -> bool:
+    """Whether lines between every k-th sample describe the samples halfway as well as their noise allows."""
+    error = lambda k: float(np.sqrt(np.nanmean(_halfway(values, k) ** 2)))
+    return error(step) <= max(_NOISE * error(2), _CURVED * float(np.ptp(values[np.isfinite(values)])))
+
+
+def _halfway(values: np.ndarray, step: int) -> np.ndarray:
+    """Samples halfway between every k-th sample, less the straight line."""
+    half = step // 2
+    ends, middle = values[::step], values[half::step]
+    count = min(ends.size - 1, middle.size)
+    share = half / step
+    return middle[:count] - (1 - share) * ends[:count] - share * ends[1 : count + 1]
 
 
 def _plan(data: Iterable[Record], samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:

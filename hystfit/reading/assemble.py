@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.data.preparation import CoarseClock
+from hystfit.data.preparation import CoarseClock, RoundedStamps
 from hystfit.data.record import Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
@@ -285,7 +285,7 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
         raise DataError(
             f"{table.source}: time is constant ({time[0]:g}); choose another column, time=False to read without time, or rate="
         )
-    if CoarseClock.of(time) is not None:
+    if CoarseClock.of(time) is not None or RoundedStamps.of(time) is not None:
         return
     if repeated := int((step == 0).sum()):
         text = f"repeated time stamps: {repeated}, first in line {line[1:][step == 0][0]}; kept"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.preparation import CoarseClock, interval_of
+from hystfit.data.preparation import CoarseClock, RoundedStamps, interval_of
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
@@ -72,7 +72,7 @@ class Treatment:
     def _timed(self, record: Record) -> Record:
         clock = None if record.t is None else CoarseClock.of(record.t)
         if self.interval is None:
-            return record if clock is None else _untimed(record, clock)
+            return _even(record) if clock is None else _untimed(record, clock)
         present = record.sampling_interval
         if clock is not None or present is None:
             return record.sampled(dt=self.interval)
@@ -83,6 +83,18 @@ class Treatment:
                 f"given is {1 / self.interval:.6g} Hz: leave out the rate, or read without time (time=False)"
             )
         return record
+
+
+def _even(record: Record) -> Record:
+    """The record with the times of its samples where rounded stamps are those of even ones."""
+    found = None if record.t is None else RoundedStamps.of(record.t)
+    if found is None:
+        return record
+    text = (
+        f"time stamps are rounded to {found.resolution:g} {record.t_unit}, and those of samples every {found.interval:.6g} "
+        f"{record.t_unit}, whose times are used"
+    )
+    return record.replace(t=found.samples(len(record))).noted(Code.PREPARED, text)
 
 
 def _untimed(record: Record, clock: CoarseClock) -> Record:
