@@ -20,8 +20,6 @@ from hystfit.models.slopes import Slopes
 from hystfit.models.starting import speed, speeds
 from hystfit.params.param import param
 
-_Numbers = Array | np.ndarray
-
 
 class _AbstractRate(AbstractHysteresis):
     """A force of the rate du/dt over the last sample."""
@@ -29,8 +27,8 @@ class _AbstractRate(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def force(self, rate: _Numbers) -> _Numbers:
-        """Output at rates of the input [u/s], of any shape."""
+    def force(self, rate: Any) -> Any:
+        """Output at rates of the input [u/s], of any shape, in JAX or in NumPy."""
 
     def init(self, u0: Scalar) -> State:
         """State: the last rate, kept over repeated time stamps."""
@@ -69,7 +67,7 @@ class Viscous(_AbstractRate):
 
     c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
 
-    def force(self, rate: _Numbers) -> _Numbers:
+    def force(self, rate: Any) -> Any:
         """Proportional to the rate."""
         return self.c * rate
 
@@ -92,7 +90,7 @@ class SaturatingRate(_AbstractRate):
     F: Scalar = param(0.1, unit="y", linear=True, doc="force far above v0")
     v0: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
 
-    def force(self, rate: _Numbers) -> _Numbers:
+    def force(self, rate: Any) -> Any:
         """Bends at v0."""
         return self.F * rate.__array_namespace__().tanh(rate / self.v0)
 
@@ -124,7 +122,7 @@ class Excess(_AbstractRate):
     )
     e: Scalar = param(1e-6, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="rate below which the root is rounded")
 
-    def force(self, rate: _Numbers) -> _Numbers:
+    def force(self, rate: Any) -> Any:
         """The root of the rate, without the infinite slope at zero."""
         return self.g * rate / (rate**2 + self.e**2) ** 0.25
 
