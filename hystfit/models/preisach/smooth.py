@@ -104,9 +104,10 @@ def left_out_errors(
     trials = _Trials.of(system, fixed)
     left_out = trials.left_out(strengths, refitted=False, most=most)
     if np.isinf(min(left_out)):
-        return LeftOutErrors(least := trials.fitted(strengths[0]), least)
+        return LeftOutErrors(trials.least, trials.least)
     best = trials.chosen(strengths, left_out)
-    return LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
+    found = LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
+    return found if trials.least >= min(found.held, found.overall) else LeftOutErrors(trials.least, trials.least)
 
 
 def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> bool:
@@ -143,6 +144,7 @@ class _Trials:
         self._solved: dict[float, _Solved] = {}
         self._errors: dict[tuple[float, bool], float] = {}
         self._positive: np.ndarray | None = None
+        self.least = np.inf  # lower bound of the errors with the strengths that the last choice left out
 
     @classmethod
     def of(cls, system: SmoothSystem, fixed: np.ndarray) -> _Trials:
@@ -162,9 +164,14 @@ class _Trials:
         Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
         samples hardly determine the weights, the error has several minima.
         """
-        errors = [np.inf] * len(strengths)
-        beaten = lambda k: np.isfinite(most) and self.fitted(strengths[k]) > most
-        error = lambda k: np.inf if beaten(k) else self.error(strengths[k], refitted=refitted)
+        errors, self.least = [np.inf] * len(strengths), np.inf
+
+        def error(k: int) -> float:
+            if np.isfinite(most) and (least := self.fitted(strengths[k])) > most:
+                self.least = min(self.least, least)
+                return np.inf
+            return self.error(strengths[k], refitted=refitted)
+
         for k in range(len(strengths) - 1, -1, -2):
             errors[k] = error(k)
             if errors[k] > _EQUAL * min(errors):
