@@ -151,6 +151,21 @@ def test_errors_from_the_normal_equations_are_those_from_the_samples(kind: type[
     np.testing.assert_allclose(estimate.linearized.gradient(), problem.linearization(estimate.x).gradient(), atol=1e-9)
 
 
+@pytest.mark.parametrize("rank", [0, 1, 7, 30])
+def test_the_root_of_a_normal_matrix_of_any_rank_has_the_singular_values_of_the_columns(rank: int) -> None:
+    rng = np.random.default_rng(rank)
+    columns = rng.normal(size=(60, rank)) @ rng.normal(size=(rank, 30)) * np.geomspace(1e-4, 1e4, 30)
+    columns[:, 3] = 0.0
+    root = blocks.gram_root(columns.T @ columns)
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0] = 1.0
+    np.testing.assert_allclose(
+        root.T @ root / size / size[:, None], columns.T @ columns / size / size[:, None], atol=1e-13
+    )
+    expected = np.linalg.svd(columns / size, compute_uv=False)
+    np.testing.assert_allclose(np.linalg.svd(root / size, compute_uv=False), expected, atol=1e-7)
+
+
 def test_the_spectrum_of_many_columns_is_that_of_their_singular_values() -> None:
     rows = np.random.default_rng(0).normal(size=(300, 100)) * np.geomspace(1e-3, 1e3, 100)
     rows[:, 1] = 2 * rows[:, 0]

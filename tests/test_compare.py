@@ -26,6 +26,7 @@ from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.ridge import LinearSystem
+from hystfit.fitting.screening import best_screened, looked_at_closely, screen
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import SmoothWeights, left_out_scores
 from hystfit.fitting.structure import Structure, build, structure_of
@@ -376,6 +377,57 @@ def test_smooth_weights_that_err_too_much_with_the_weakest_penalty_are_not_finis
         ended = solve_model("preisach:n=8", data, FitOptions(), worth).estimate
         assert ended.converged == finished
         np.testing.assert_allclose(ended.x, x if finished else weakest.x, atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("name", ["preisach", "preisach-signed"])
+def test_a_choice_that_is_beaten_has_a_lower_bound_instead_of_its_error(name):
+    """The bound is no smaller than the error of plain least squares, and the choice stays where some error is below what is asked."""
+    data, model = stepped_loops(), make_model(name)
+    chosen, error = SizeSearch(data).first(model)
+    _, bound = SizeSearch(data).first(model, 0.01 * error)
+    plain = []
+    for choice in model.choices(list(data))[0]:
+        problem = Problem(choice.start(list(data)), data)
+        system = LinearSystem.of(problem, problem.space.vector(problem.model))
+        for rows in (system.fold >= 0, system.fold >= -1):
+            columns, y = system.columns[rows], system.target[rows]
+            plain.append(np.sqrt(np.mean((columns @ np.linalg.lstsq(columns, y, rcond=None)[0] - y) ** 2)))
+    assert min(plain) <= bound < error
+    again, same = SizeSearch(data).first(model, 1.01 * error)
+    assert (model_name(again), same) == (model_name(chosen), error)
+
+
+def test_weights_of_one_sign_are_bounded_by_those_of_either_on_the_same_cells(monkeypatch):
+    data, solve, solved = stepped_loops(), sizes.left_out_scores, []
+
+    def watched(problem, *arguments, **options):
+        solved.append(type(problem.model).__name__)
+        return solve(problem, *arguments, **options)
+
+    monkeypatch.setattr(sizes, "left_out_scores", watched)
+    search = SizeSearch(data)
+    bounds = [search.first(make_model(name), 1e-9)[1] for name in ("preisach", "preisach-signed")]
+    assert bounds[0] == bounds[1] > 1e-9
+    assert set(solved) == {"Preisach"}
+
+
+def test_a_model_that_is_beaten_in_the_first_looks_errs_by_its_bound_or_more():
+    """Plays and an exponential creep, which the search finds and no static model describes."""
+    t = np.arange(0.0, 12.0, 0.02)
+    u = np.sin(2 * np.pi * 0.5 * t) * (0.5 + 0.5 * np.sin(2 * np.pi * t / 4) ** 2)
+    plays, slow, y = np.zeros(10), 0.0, []
+    for x in u:
+        plays = np.clip(plays, x - np.linspace(0.05, 0.8, 10), x + np.linspace(0.05, 0.8, 10))
+        slow += 0.02 * (x - slow) / 1.5
+        y.append(x + plays.mean() + 0.8 * slow)
+    data = hf.Dataset.of(hf.Record(u, np.array(y) + np.random.default_rng(0).normal(0, 2e-3, t.size), t))
+    screened = list(screen(data))
+    beaten = [one for one in screened if one.beaten]
+    closely = looked_at_closely(beaten, data)
+    assert {one.asked for one in beaten} >= {"preisach", "preisach-signed"}
+    assert all(bound.error <= one.error and not one.beaten for bound, one in zip(beaten, closely, strict=True))
+    every = [one for one in screened if not one.beaten] + closely
+    assert best_screened(every, t.size, 1.0).name == best_screened(screened, t.size, 1.0).name
 
 
 def test_a_fit_of_the_size_that_was_chosen_goes_on_from_its_equations(monkeypatch):

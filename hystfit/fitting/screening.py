@@ -30,16 +30,20 @@ class Screened:
         error: infinite for a model that cannot be solved for.
         weights: number of its weights.
         inverse: whether it has one.
+        asked: the name that it was tried by, without the settings chosen.
         found: what the search found, where it is its model.
         leaves_noise: whether it leaves nothing but noise, see `residuals_are_white`.
+        beaten: whether its error is at least this one, which is enough to tell that it is not the model to try first.
     """
 
     name: str
     error: float
     weights: int
     inverse: bool
+    asked: str = ""
     found: Found | None = None
     leaves_noise: bool = False
+    beaten: bool = False
 
 
 def screen(data: Dataset) -> Iterator[Screened]:
@@ -48,26 +52,57 @@ def screen(data: Dataset) -> Iterator[Screened]:
     The search comes first, and the only one where it leaves nothing but noise, as in `compare`.
     """
     data = without_faults(data)
-    short = thinned(data)  # not for the search, whose terms may depend on the rate
+    look, most, samples = _Look(data), float("inf"), sum(int(record.used.sum()) for record in data)
     for name in candidates(data).closed:
-        found = None
-        if name == SEARCH:
-            found = search_structure(data)
-            model, error = found.model, found.score
-        elif (first := SizeSearch(short).first(make_model(name))) is not None:
-            model, error = first
-        else:  # it has no sizes to choose
-            try:
-                problem, _ = started_problem(make_model(name), short if make_model(name).allows_thinning else data)
-                system = LinearSystem.of(problem, problem.space.vector(problem.model))
-            except HystfitError:  # these records cannot start it
-                continue
-            model, error = problem.model, float(fit_ridge(system).score)
-        weights = weights_of(model)
-        noise = found is not None and residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
-        yield Screened(model_name(model), error, weights, model.has_inverse, found, noise)
-        if noise:
+        one = _searched(data) if name == SEARCH else look.at(name, most)
+        if one is None:
+            continue
+        yield one
+        if one.leaves_noise:
             return
+        most = min(most, equal_errors(samples) * _ranked(one.error, inverse=one.inverse))
+
+
+def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
+    """Beaten models with their own errors."""
+    look = _Look(without_faults(data))
+    found = (look.at(one.asked, float("inf")) for one in beaten)
+    return [one for one in found if one is not None]
+
+
+def _ranked(error: float, *, inverse: bool) -> float:
+    """The error by which a model is ranked: without an inverse it must err clearly less."""
+    return error * (1.0 if inverse else MARGIN)
+
+
+def _searched(data: Dataset) -> Screened:
+    found = search_structure(data)
+    weights = weights_of(found.model)
+    noise = residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
+    return Screened(model_name(found.model), found.score, weights, found.model.has_inverse, SEARCH, found, noise)
+
+
+class _Look:
+    """Solves models on thinned records; not the search, whose terms may depend on the rate."""
+
+    def __init__(self, data: Dataset):
+        self._data, self._short = data, thinned(data)
+        self._sizes = SizeSearch(self._short)
+
+    def at(self, name: str, most: float) -> Screened | None:
+        """A model, and whether it is beaten because it is ranked at an error above `most`; None where these records cannot start it."""
+        model = make_model(name)
+        most /= _ranked(1.0, inverse=model.has_inverse)
+        if (first := self._sizes.first(model, most)) is not None:
+            model, error = first
+            return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=error > most)
+        try:  # it has no sizes to choose
+            problem, _ = started_problem(model, self._short if model.allows_thinning else self._data)
+            system = LinearSystem.of(problem, problem.space.vector(problem.model))
+        except HystfitError:
+            return None
+        model, error = problem.model, float(fit_ridge(system).score)
+        return Screened(model_name(model), error, weights_of(model), model.has_inverse, name)
 
 
 def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:
@@ -78,7 +113,7 @@ def best_screened(models: Iterable[Screened], samples: int, span: float) -> Scre
     Args:
         span: range of the output.
     """
-    own = lambda one: one.error * (1.0 if one.inverse else MARGIN)
+    own = lambda one: _ranked(one.error, inverse=one.inverse)
     every = list(models)
     least = min(map(own, every))
     within = equal_errors(samples) if 100 * least <= POOR * span else 1.0

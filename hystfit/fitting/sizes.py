@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -49,16 +50,17 @@ class SizeSearch:
         self._scores: dict[str, LeftOutErrors] = {}
         self._whole = [*map(len, self._data)] == [*map(len, data)]
         self._best: tuple[str, Problem] | None = None  # with its equations, where all samples count
+        self._beaten: list[tuple[AbstractHysteresis, LeftOutErrors]] = []  # with lower bounds of their errors
 
-    def first(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, float] | None:
+    def first(self, model: AbstractHysteresis, most: float = np.inf) -> tuple[AbstractHysteresis, float] | None:
         """The best of its first choice, that of its levels, and its rms error on held-out samples [y]; None without choices.
 
-        The error is infinite for a model that cannot be solved for.
+        The error is infinite for a model that cannot be solved for, and a lower bound of it where this is above `most` [y].
         """
         groups = model.choices(list(self._data))
         if not groups:
             return None
-        best = min(groups[0], key=self._score)
+        best = min(groups[0], key=functools.partial(self._score, most=most))
         return best, self._scores[model_name(best)].held
 
     def chosen(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, tuple[Note, ...]]:
@@ -70,7 +72,8 @@ class SizeSearch:
         best = first[0]
         for number in range(1, len(best.choices(records))):
             while True:
-                other = min(best.choices(records)[number], key=self._score, default=best)
+                score = functools.partial(self._score, most=GAIN * self._score(best))
+                other = min(best.choices(records)[number], key=score, default=best)
                 if not self._score(other) < GAIN * self._score(best):
                     break
                 best = other
@@ -85,17 +88,27 @@ class SizeSearch:
         problem = self._best[1]
         return FitSetup(problem, "preisach", (problem.model,))
 
-    def _score(self, model: AbstractHysteresis) -> float:
-        """Cross-validation error of all samples [y]; infinite for a model that cannot be solved for."""
+    def _score(self, model: AbstractHysteresis, most: float = np.inf) -> float:
+        """Cross-validation error of all samples [y]; infinite for a model that cannot be solved for, and see `first`."""
         name = model_name(model)
+        if name not in self._scores and (known := self._bound(model, most)) is not None:
+            self._scores[name] = known
         if name not in self._scores:
             self._progress(name)
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
                 x = problem.space.vector(problem.model)
-                self._scores[name] = found = left_out_scores(problem, x, _COARSE, keep=self._whole)
-                if self._whole and found.overall <= min(score.overall for score in self._scores.values()):
+                self._scores[name] = found = left_out_scores(problem, x, _COARSE, keep=self._whole, most=most)
+                if found.beaten:
+                    self._beaten.append((model, found))
+                if self._whole and found.overall <= min(most, *(score.overall for score in self._scores.values())):
                     self._best = name, problem
             except (HystfitError, np.linalg.LinAlgError):
                 self._scores[name] = LeftOutErrors(float("inf"), float("inf"))
         return self._scores[name].overall
+
+    def _bound(self, model: AbstractHysteresis, most: float) -> LeftOutErrors | None:
+        """The lower bound of a model with the same elements, whose bounds alone differ and which a bound does not know."""
+        alike = lambda other: isinstance(model, type(other)) and type(model) is not type(other)
+        found = (bound for other, bound in self._beaten if alike(other) and other.settings() == model.settings())
+        return next((bound for bound in found if bound.held > most), None)

@@ -18,7 +18,7 @@ from hystfit.models.preisach.smooth import (
     SMOOTHNESS,
     LeftOutErrors,
     SmoothFit,
-    error_where_held_out,
+    errs_more,
     fit_smooth,
     left_out_errors,
 )
@@ -69,11 +69,7 @@ class SmoothWeights(AbstractEstimator):
         if others.size:
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
-        beaten = np.isfinite(self.most) and (
-            # No penalty leaves smaller errors than the weakest.
-            now.system.size * error_where_held_out(now.system, self.smoothness[0], now.fixed) > self.most
-        )
-        if beaten:
+        if np.isfinite(self.most) and errs_more(now.system, self.smoothness, now.fixed, self.most / now.system.size):
             fit = fit_smooth(now.system, self.smoothness[:1], fixed=now.fixed)
             found = self.of_fit(fit, now, x, problem.scales.y)
             return dataclasses.replace(found, converged=False, message="not finished")
@@ -139,9 +135,14 @@ class SmoothWeights(AbstractEstimator):
 
 
 def left_out_scores(
-    problem: Problem, x: np.ndarray, smoothness: tuple[float, ...] = SMOOTHNESS, *, keep: bool = False
+    problem: Problem,
+    x: np.ndarray,
+    smoothness: tuple[float, ...] = SMOOTHNESS,
+    *,
+    keep: bool = False,
+    most: float = np.inf,
 ) -> LeftOutErrors:
-    """Errors with the smoothness that the held-out groups choose, output units.
+    """Errors with the smoothness that the held-out groups choose, output units; lower bounds of them where these are above `most`.
 
     The weights in x are solved for; `smoothness` has two or more strengths. With `keep` the equations stay with the problem for its fit,
     where all free parameters are weights.
@@ -149,4 +150,5 @@ def left_out_scores(
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
     if keep and (now.place >= 0).all():
         problem.equations = now
-    return LeftOutErrors(*(now.system.size * e for e in left_out_errors(now.system, smoothness, now.fixed)))
+    size, found = now.system.size, left_out_errors(now.system, smoothness, now.fixed, most / now.system.size)
+    return found._replace(held=size * found.held, overall=size * found.overall)

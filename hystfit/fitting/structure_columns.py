@@ -29,9 +29,9 @@ from hystfit.quality.slow_lag import SHORT
 _DEGREES = (1, 3, 5)
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
 _ALL = get_args(Envelope)
-# Terms besides plays and stops, and the name of their weight.
+# Terms besides plays and stops, and the field of their weight.
 _BESIDE: dict[str, tuple[type[AbstractHysteresis], str]] = {
-    "creep": (LinearCreep, "a[0]"),
+    "creep": (LinearCreep, "a"),
     "viscous": (Viscous, "c"),
     "saturating": (SaturatingRate, "F"),
 }
@@ -204,6 +204,7 @@ class Terms:
         """Creep, or a force of the rate: the output for a weight of one."""
         kind, weight = _BESIDE[name]
         data = self._lagged(drive)
-        part = kind().with_rest(drive.rest).start(list(data)).replace(**{weight: 1.0})
+        part = kind().with_rest(drive.rest).start(list(data))
+        part = dataclasses.replace(part, **{weight: np.ones_like(getattr(part, weight))})
         y = np.concatenate([output_of(part, record) for record in data])
         return _Term(self._weighted(y[:, None]), free=name != "creep")

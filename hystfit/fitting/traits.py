@@ -13,7 +13,7 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
-from hystfit.fitting.screening import Screened
+from hystfit.fitting.screening import Screened, looked_at_closely
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -49,25 +49,43 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
     if any(one.leaves_noise and _kind(make_model(one.name)) == "" for one in screened):
         return ()
     short = thinned(without_faults(data))
-    scores = [(one.error, one.name, _kind(make_model(one.name))) for one in screened]
+    scores = _of([one for one in screened if not one.beaten])
     scores.append((baselines.curve, "a single-valued curve", ""))
-    known = {one.name for one in screened}
+    known = {name for one in screened for name in (one.name, one.asked)}
     for name in dict.fromkeys((*_STATIC, *candidates(data).closed)):
         if name != SEARCH and name not in known:
             scores += _scored(name, short)
     branches = sum(clear_reversals(record.u).size + 1 for record in short)
     left_out = {None} if _paces(data) > 1 else {None, *_OF_TIME}
-    scores = [score for score in scores if score[2] not in left_out]
-    error, name, kind = min(scores)
-    other, rival, _ = min((score for score in scores if score[2] != kind), default=min(scores))
-    if kind == "" or error * equal_errors(branches) >= other:
+    (error, name, kind), (other, rival, _) = _first_two(scores, left_out)
+    equal = equal_errors(branches)
+    # A beaten model may be the best without the term, or the best of all with another.
+    most = lambda one: other if kind and error * equal < other else error if _kind(make_model(one.name)) else 0.0
+    if closely := [one for one in screened if one.beaten and one.error < most(one)]:
+        scores += _of(looked_at_closely(closely, data))
+        (error, name, kind), (other, rival, _) = _first_two(scores, left_out)
+    if kind == "" or error * equal >= other:
         return ()
     percent = lambda value: float(100 * value / baselines.span)
     found = [Trait(kind, name, percent(error), rival, percent(other))]
     for term, words, without in _counterparts(name, short) if kind == "degrading" else ():
-        if error * equal_errors(branches) < without:
+        if error * equal < without:
             found.append(Trait(term, name, percent(error), f"{name} {words}", percent(without)))
     return tuple(found)
+
+
+_Score = tuple[float, str, str | None]  # error on held-out samples, name and trait of a model
+
+
+def _of(screened: Sequence[Screened]) -> list[_Score]:
+    return [(one.error, one.name, _kind(make_model(one.name))) for one in screened]
+
+
+def _first_two(scores: Sequence[_Score], left_out: set[str | None]) -> tuple[_Score, _Score]:
+    """The best model, and the best of those with another trait; those with some traits are left out."""
+    scores = [score for score in scores if score[2] not in left_out]
+    first = min(scores)
+    return first, min((score for score in scores if score[2] != first[2]), default=first)
 
 
 def _paces(data: Dataset) -> int:
@@ -90,7 +108,7 @@ def _kind(model: AbstractHysteresis) -> str | None:
     return "degrading" if model.degrades else "" if model.rate_independent else "rate-dependent"
 
 
-def _scored(name: str, short: Dataset) -> list[tuple[float, str, str | None]]:
+def _scored(name: str, short: Dataset) -> list[_Score]:
     """Error, name and trait of a model at its starting values; nothing where it cannot be solved for."""
     try:
         model = make_model(name).start(list(short))

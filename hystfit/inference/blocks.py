@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg.lapack import dtpqrt
+from scipy.linalg.lapack import dpstrf, dtpqrt
 
 from hystfit.params.host_arrays import NUMBERS
 
@@ -84,8 +84,10 @@ def gram_root(gram: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     try:
         return np.linalg.cholesky(scaled).T * size
     except np.linalg.LinAlgError:  # singular, to rounding
-        values, vectors = np.linalg.eigh(scaled)
-        return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
+        factor, order, rank, _ = dpstrf(scaled)
+        root = np.zeros_like(factor)
+        root[:rank, order - 1] = np.triu(factor)[:rank]
+        return root * size
 
 
 def beside(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
+import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
+from hystfit.models.simulation import checked_drive
 from hystfit.params.param import param
 
 
@@ -32,6 +35,14 @@ class Linear(AbstractHysteresis):
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The line."""
         return state, self.k * u1
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """The line on the host."""
+        return float(self.k) * np.asarray(checked_drive(self, u, dt)[0])
+
+    def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
+        """The input."""
+        return DesignMatrix.of(self, {"k": np.asarray(checked_drive(self, u, dt)[0])[:, None]})
 
     def start(self, records: Sequence[Record]) -> Linear:
         """No slope; it follows from the fit."""

@@ -18,7 +18,6 @@ from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import speed, speeds
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 
 
@@ -28,8 +27,8 @@ class _AbstractRate(AbstractHysteresis):
     rate_independent: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def force(self, rate: Array) -> Array:
-        """Output at rates of the input [u/s], of any shape."""
+    def force(self, rate: Any) -> Any:
+        """Output at rates of the input [u/s], of any shape, in JAX or in NumPy."""
 
     def init(self, u0: Scalar) -> State:
         """State: the last rate, kept over repeated time stamps."""
@@ -60,7 +59,7 @@ class _AbstractRate(AbstractHysteresis):
         passes = dt > 0
         rates = np.diff(u, prepend=u[0]) / np.where(passes, dt, 1.0)
         last = np.maximum.accumulate(np.where(passes, np.arange(u.size), 0))
-        return np.asarray(_forces(self, rates[last]))
+        return jax.tree.map(np.asarray, self).force(rates[last])
 
 
 class Viscous(_AbstractRate):
@@ -68,7 +67,7 @@ class Viscous(_AbstractRate):
 
     c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
 
-    def force(self, rate: Array) -> Array:
+    def force(self, rate: Any) -> Any:
         """Proportional to the rate."""
         return self.c * rate
 
@@ -91,9 +90,9 @@ class SaturatingRate(_AbstractRate):
     F: Scalar = param(0.1, unit="y", linear=True, doc="force far above v0")
     v0: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", doc="rate at which the force bends")
 
-    def force(self, rate: Array) -> Array:
+    def force(self, rate: Any) -> Any:
         """Bends at v0."""
-        return self.F * jnp.tanh(rate / self.v0)
+        return self.F * rate.__array_namespace__().tanh(rate / self.v0)
 
     def start(self, records: Sequence[Record]) -> SaturatingRate:
         """A bend at a quarter of the typical rate."""
@@ -123,7 +122,7 @@ class Excess(_AbstractRate):
     )
     e: Scalar = param(1e-6, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="rate below which the root is rounded")
 
-    def force(self, rate: Array) -> Array:
+    def force(self, rate: Any) -> Any:
         """The root of the rate, without the infinite slope at zero."""
         return self.g * rate / (rate**2 + self.e**2) ** 0.25
 
@@ -138,12 +137,6 @@ class Excess(_AbstractRate):
     def c_part(self) -> CPart:
         """A difference quotient."""
         return CPart.of(self, "rate", force=self.g, v0=self.e, saturates=2)
-
-
-@compiled
-def _forces(model: _AbstractRate, rates: Array) -> Array:
-    """Output at rates."""
-    return model.force(rates)
 
 
 def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:

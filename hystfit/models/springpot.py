@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
@@ -16,10 +16,9 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import states_over
+from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import input_range, output_range
-from hystfit.models.viscoelastic import MODES, Viscoelastic, relaxation_times
-from hystfit.params.host_arrays import compiled
+from hystfit.models.viscoelastic import MODES, Viscoelastic, extensions, relaxation_times
 from hystfit.params.param import element_places, param
 from hystfit.quality.needs import Needs
 
@@ -72,18 +71,24 @@ class Springpot(AbstractHysteresis):
 
     def _chain(self) -> Viscoelastic:
         """The elements, with a dashpot for all faster ones and a spring for all slower ones."""
+        g, tau = self._elements()
+        return Viscoelastic(g=self.c * g, tau=tau)
+
+    def _elements(self) -> tuple[Array | np.ndarray, Array | np.ndarray]:
+        """Stiffness with c = 1 and relaxation time of each element of the chain, of parameters of NumPy in NumPy."""
+        xp = self.tau.__array_namespace__()
         first, last, order = self.tau[0], self.tau[-1], self.order
-        spacing = jnp.log(last / first) / (self.tau.size - 1)
-        dashpot = first ** (1.0 - order) / jnp.expm1((1.0 - order) * spacing)
-        spring = last**-order / jnp.expm1(order * spacing)
-        g = jnp.concatenate([(dashpot / (_FASTER * first))[None], self.tau**-order, spring[None]])
-        tau = jnp.concatenate([(_FASTER * first)[None], self.tau, (_SLOWER * last)[None]])
-        return Viscoelastic(g=self.c * spacing * jnp.sin(jnp.pi * order) / jnp.pi * g, tau=tau)
+        spacing = xp.log(last / first) / (self.tau.size - 1)
+        dashpot = first ** (1.0 - order) / xp.expm1((1.0 - order) * spacing)
+        spring = last**-order / xp.expm1(order * spacing)
+        g = xp.concatenate([(dashpot / (_FASTER * first))[None], self.tau**-order, spring[None]])
+        tau = xp.concatenate([(_FASTER * first)[None], self.tau, (_SLOWER * last)[None]])
+        return spacing * xp.sin(xp.pi * order) / xp.pi * g, tau
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The force of a springpot with c = 1."""
-        g, tau = _elements(dataclasses.replace(self, c=1.0))
-        return DesignMatrix.of(self, {"c": states_over(Viscoelastic(g=g, tau=tau), u, dt) @ np.asarray(g)[:, None]})
+        g, tau = jax.tree.map(np.asarray, self)._elements()
+        return DesignMatrix.of(self, {"c": extensions(tau, *checked_drive(self, u, dt)) @ g[:, None]})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' at frequencies.
@@ -102,10 +107,3 @@ class Springpot(AbstractHysteresis):
     def c_part(self) -> CPart:
         """The chain in C."""
         return self._chain().c_part()
-
-
-@compiled
-def _elements(springpot: Springpot) -> tuple[Array, Array]:
-    """Stiffness and relaxation time of each element of the chain."""
-    chain = springpot._chain()
-    return chain.g, chain.tau

@@ -20,7 +20,7 @@ from hystfit.models.composition import AbstractComposition, check_parts, join_c_
 from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive, simulate
+from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 
@@ -57,7 +57,7 @@ class Sum(AbstractComposition):
         started, remaining = [], list(records)
         for part in self.parts:
             if started:
-                outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in remaining]
+                outputs = [started[-1].free_run(r.u, r.dt) for r in remaining]
                 remaining = [r.replace(y=r.y - y) for r, y in zip(remaining, outputs, strict=True)]
             started.append(part.start(remaining))
         return type(self)(*started)

@@ -15,10 +15,11 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import states_over
+from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import input_range, output_range, sampling_interval
 from hystfit.params.param import element_places, element_weights
 from hystfit.quality.needs import Needs
+from hystfit.quality.recursions import recursion
 
 _BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
 MODES = 16  # two a decade over eight decades
@@ -75,7 +76,7 @@ class Viscoelastic(AbstractHysteresis):
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Extensions of all springs, which are the state."""
-        return DesignMatrix.of(self, {"g": states_over(self, u, dt)})
+        return DesignMatrix.of(self, {"g": extensions(np.asarray(self.tau), *checked_drive(self, u, dt))})
 
     def modulus(self, frequency: Any) -> Complex[np.ndarray, " F"]:
         """Complex stiffness G' + i G'' of the chain at frequencies.
@@ -91,6 +92,22 @@ class Viscoelastic(AbstractHysteresis):
         tau = relaxation_times(records, self.tau.shape[-1])
         g = np.full(tau.shape, 0.2 * output_range(records).half / input_range(records).half / tau.size)
         return dataclasses.replace(self, g=g, tau=tau)
+
+
+def extensions(tau: np.ndarray, u: Any, dt: Any) -> Float[np.ndarray, "T modes"]:
+    """Extensions of the springs of elements with these relaxation times, after each sample of a run, on the host.
+
+    Args:
+        tau: shape (modes,).
+        u: input, shape (T,).
+        dt: time since the sample before, shape (T,).
+    """
+    u, passed = np.asarray(u), np.asarray(dt)[:, None] / tau
+    left, share = np.exp(-passed), -np.expm1(-passed) / np.where(passed > 0, passed, 1.0)
+    driven = np.where(passed > 0, share, 1.0) * np.diff(u, prepend=u[0])[:, None]
+    taps = -np.append(left[1:], np.zeros((1, tau.size)), axis=0)
+    columns = (recursion((1.0, taps[:, k]), driven[:, k : k + 1]) for k in range(tau.size))
+    return np.concatenate(list(columns), axis=1)
 
 
 def relaxation_times(records: Sequence[Record], modes: int) -> Float[np.ndarray, " modes"]:

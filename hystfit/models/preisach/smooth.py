@@ -79,27 +79,45 @@ class LeftOutErrors(NamedTuple):
     """Root mean square errors on held-out groups, and on all samples: those in every fit count with the error of the fit.
 
     A choice by the first alone takes elements that describe these samples badly, such as the largest of several loops.
+    `beaten` says that both are lower bounds, which hold for weights of either sign too.
     """
 
     held: float
     overall: float
+    beaten: bool = False
 
 
-def left_out_errors(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray) -> LeftOutErrors:
+def left_out_errors(
+    system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float = np.inf
+) -> LeftOutErrors:
     """Errors of the strength that `fit_smooth` chooses in less time, for choices between systems; arguments as there.
 
     Weights that the fit of all samples holds at zero stay there without a group too, except in the error of the strength chosen: this
-    takes a third of the time, and prefers weaker penalties.
+    takes a third of the time, and prefers weaker penalties. Errors above `most` may be lower bounds, from the samples fitted: held out,
+    a group adds at least as much to the sum of squares.
     """
+    if np.isfinite(most):
+        free = dataclasses.replace(system, bounded=np.zeros_like(system.bounded))
+        least = _Trials.of(free if system.bounded.any() else system, fixed).fitted(strengths[0])
+        if least > most:
+            return LeftOutErrors(least, least, beaten=True)
     trials = _Trials.of(system, fixed)
-    best = trials.chosen(strengths, trials.left_out(strengths, refitted=False))
-    return LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
+    left_out = trials.left_out(strengths, refitted=False, most=most)
+    if np.isinf(min(left_out)):
+        return LeftOutErrors(trials.least, trials.least)
+    best = trials.chosen(strengths, left_out)
+    found = LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
+    return found if trials.least >= min(found.held, found.overall) else LeftOutErrors(trials.least, trials.least)
 
 
-def error_where_held_out(system: SmoothSystem, strength: float, fixed: np.ndarray) -> float:
-    """Root mean square error of the fit of all samples on those that are held out in turn; arguments as for `fit_smooth`."""
-    squares = _Trials.of(system, fixed).fitted_squares(strength, slice(0, -1))
-    return float(np.sqrt(squares / system.counts[:-1].sum()))
+def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> bool:
+    """Whether the fits of all samples err more than `most` on those that are held out in turn; arguments as for `fit_smooth`.
+
+    From the strongest penalty to the weakest, which leaves the smallest error: each solution starts the next.
+    """
+    trials, count = _Trials.of(system, fixed), system.counts[:-1].sum()
+    squares = (trials.fitted_squares(strength, slice(0, -1)) for strength in strengths[::-2])
+    return all(rss > most**2 * count for rss in squares)
 
 
 class _Solved(NamedTuple):
@@ -126,6 +144,7 @@ class _Trials:
         self._solved: dict[float, _Solved] = {}
         self._errors: dict[tuple[float, bool], float] = {}
         self._positive: np.ndarray | None = None
+        self.least = np.inf  # lower bound of the errors with the strengths that the last choice left out
 
     @classmethod
     def of(cls, system: SmoothSystem, fixed: np.ndarray) -> _Trials:
@@ -139,20 +158,27 @@ class _Trials:
             known = vars(system)["_trials"] = fixed, cls(system, fixed)
         return known[1]
 
-    def left_out(self, strengths: Sequence[float], *, refitted: bool) -> list[float]:
-        """The error on held-out groups with each rising strength; infinite for those that are not tried.
+    def left_out(self, strengths: Sequence[float], *, refitted: bool, most: float = np.inf) -> list[float]:
+        """The error on held-out groups with each rising strength; infinite for those that are not tried, or above `most` by `fitted`.
 
         Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
         samples hardly determine the weights, the error has several minima.
         """
-        errors = [np.inf] * len(strengths)
+        errors, self.least = [np.inf] * len(strengths), np.inf
+
+        def error(k: int) -> float:
+            if np.isfinite(most) and (least := self.fitted(strengths[k])) > most:
+                self.least = min(self.least, least)
+                return np.inf
+            return self.error(strengths[k], refitted=refitted)
+
         for k in range(len(strengths) - 1, -1, -2):
-            errors[k] = self.error(strengths[k], refitted=refitted)
+            errors[k] = error(k)
             if errors[k] > _EQUAL * min(errors):
                 break
         best = int(np.argmin(errors))
         for k in range(max(best - 1, 0), min(best + 2, len(strengths))):
-            errors[k] = self.error(strengths[k], refitted=refitted)
+            errors[k] = error(k)
         return errors
 
     def error(self, strength: float, *, refitted: bool) -> float:
@@ -167,6 +193,11 @@ class _Trials:
         squares = self.error(strength, refitted=True) ** 2 * self._counts[:-1].sum()
         squares += self.fitted_squares(strength, slice(-1, None))
         return float(np.sqrt(squares / self._counts.sum()))
+
+    def fitted(self, strength: float) -> float:
+        """Lower bound of both errors of `LeftOutErrors` by the fit of all samples."""
+        held, count = self.fitted_squares(strength, slice(0, -1)), self._counts.sum()
+        return float(np.sqrt(min(held / self._counts[:-1].sum(), self.solved(strength).rss / count)))
 
     def fitted_squares(self, strength: float, groups: slice) -> float:
         """Sum of squared errors of the fit of all samples on some of the groups."""
