@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity
+from hystfit.outcome.wrapping import listed
 
 _FEWEST = 10  # samples from which equal numbers are no coincidence
-_NAMED = 5  # copies named in a note
 
 
 def without_copies(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -33,7 +33,6 @@ def _noted(record: Record, copies: Sequence[str]) -> Record:
     """The record with a warning that names its copies."""
     if not copies:
         return record
-    named = ", ".join(copies[:_NAMED]) + (f" and {len(copies) - _NAMED} more" if len(copies) > _NAMED else "")
     verb = "repeats" if len(copies) == 1 else "repeat"
-    text = f"left out: {named} {verb} {record.name} in all numbers; a copy is not a further measurement"
+    text = f"left out: {listed(copies)} {verb} {record.name} in all numbers; a copy is not a further measurement"
     return record.noted(Code.LEFT_OUT, text, Severity.WARNING)

@@ -12,6 +12,7 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
@@ -226,9 +227,8 @@ def _of_several_rows(
     short = [(label, rows) for label, rows in groups if rows.size < 2]
     if short:
         u, y = (table.columns[position] for position in (choice.input, choice.output))
-        listed = ", ".join(f"{label} ({u[rows[0]]:g}, {y[rows[0]]:g})" for label, rows in short[:5])
-        more = f" and {len(short) - 5} more" if len(short) > 5 else ""
-        notes.append(Note(Code.LEFT_OUT, f"left out: curves of a single row, {listed}{more}"))
+        first = listed([f"{label} ({u[rows[0]]:g}, {y[rows[0]]:g})" for label, rows in short])
+        notes.append(Note(Code.LEFT_OUT, f"left out: curves of a single row, {first}"))
     kept = [(label, rows) for label, rows in groups if rows.size > 1]
     if not kept:
         raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")

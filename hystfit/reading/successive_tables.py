@@ -15,6 +15,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
+from hystfit.outcome.wrapping import listed
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
@@ -32,7 +33,6 @@ _ABOVE = 8  # lines above the numbers that may hold the header
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
 _COMMON = 0.5  # share of the names of two tables that both have, above which they are records of one kind
-_NAMED = 6  # tables named in a note
 _NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
@@ -70,9 +70,7 @@ def read_tables(text: TextFile) -> Table | None:
     if len(chosen) > 1:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
-        lines = ", ".join(f"line {piece.first + 1}" for piece in rest[:_NAMED]) + (
-            ", ..." if len(rest) > _NAMED else ""
-        )
+        lines = listed([f"line {piece.first + 1}" for piece in rest])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)

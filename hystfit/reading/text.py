@@ -18,6 +18,7 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
@@ -34,7 +35,6 @@ _MOST_COLUMNS = 5000
 _FIRST = 30  # lines that may hold names
 _WORDS = re.compile(r"\s*[^\d\s+.,;|-]")  # a line that begins with no number
 _SECTION = 2  # such lines between rows of numbers from which they begin a section; a single one is a comment
-_SHOWN = 8  # empty columns that a note lists
 
 
 def plain_text(text: TextFile, header: Header | None = None) -> Table:
@@ -134,8 +134,8 @@ def table_of_block(
     others = left_out(text, block, header)
     notes += others.notes
     if metadata:
-        listed = ", ".join(f"{key} {value}" for key, value in metadata.items())
-        notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {listed}"))
+        properties = ", ".join(f"{key} {value}" for key, value in metadata.items())
+        notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {properties}"))
     shown = [name or f"column {k}" for k, name in enumerate(names)]
     numbers, labels, stamps, more, unclear = _columns(text, block, clocks, shown, units)
     notes += more
@@ -210,7 +210,7 @@ def _columns(
         numbers.append(column)
     empty = [k for k, column in enumerate(numbers) if k not in labels and np.isnan(column).all()]
     if empty:
-        numbered = ", ".join(map(str, empty[:_SHOWN])) + f", ... ({len(empty)} columns)" * (len(empty) > _SHOWN)
+        numbered = listed([*map(str, empty)])
         notes.append(Note(Code.LEFT_OUT, f"empty columns are not used: {numbered} (numbered from 0)"))
     return numbers, labels, stamps, notes, problems
 

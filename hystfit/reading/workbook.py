@@ -15,6 +15,7 @@ import numpy as np
 from hystfit.errors import DataError, optional
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.array_files import check_members
 from hystfit.reading.branch_words import BRANCHES, words_of
@@ -28,7 +29,6 @@ from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
 
 _SAMPLE = 2000  # rows of a sheet that show its dialect
-_NAMED = 6  # other sheets named in a note
 _SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summarizes others
 
 
@@ -123,7 +123,7 @@ def _table(file: FileBytes, page: Any) -> Table | None:
 
 def _records(tables: Mapping[str, Table]) -> Table:
     """Sheets with the same columns as one table, of which each is a record with its title."""
-    listed = ", ".join(map(repr, tables))
+    sheets = ", ".join(map(repr, tables))
     base = [table.parts[0] if table.parts else Part() for table in tables.values()]
     parts = [
         dataclasses.replace(part, name=title, metadata=table.metadata)
@@ -135,21 +135,20 @@ def _records(tables: Mapping[str, Table]) -> Table:
         ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
     below = below_each_other(ordered)
     if branches:
-        text = f"{len(tables)} sheets of the same columns, each a branch: {listed} (--sheet reads one)"
+        text = f"{len(tables)} sheets of the same columns, each a branch: {sheets} (--sheet reads one)"
         return dataclasses.replace(below, curve=below.part, part=None, parts=()).noted(Note(Code.FILE_FORMAT, text))
-    text = f"{len(tables)} sheets of the same columns, each a record: {listed} (--sheet reads one)"
+    text = f"{len(tables)} sheets of the same columns, each a record: {sheets} (--sheet reads one)"
     return dataclasses.replace(below, parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:
     """The sheet that is read; unless the user chose it, a warning where others hold columns of numbers too."""
     others = [number for number, other in enumerate(titles) if not chosen and other != title and other in pairs]
-    listed = ", ".join(map(repr, titles))
+    text = f"sheet {title!r} of {', '.join(map(repr, titles))}"
     if not others:
-        return Note(Code.FILE_FORMAT, f"sheet {title!r} of {listed}")
-    named = ", ".join(f"{titles[number]!r} (sheet='{number}')" for number in others[:_NAMED])
-    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-    text = f"sheet {title!r} of {listed} is read; other sheets with numbers: {named}{more}"
+        return Note(Code.FILE_FORMAT, text)
+    named = listed([f"{titles[number]!r} (sheet='{number}')" for number in others])
+    text += f" is read; other sheets with numbers: {named}"
     return warn(Code.FILE_FORMAT, text)
 
 
