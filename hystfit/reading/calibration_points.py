@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice
+from hystfit.reading.limits import JUMP, NEAR
 from hystfit.reading.raw_table import Table
 
 CURVE_NAMES = (
@@ -17,8 +18,6 @@ CURVE_NAMES = (
 )
 _KIND = re.compile(r"cal(?:ib(?:ration)?)?(?:[ _-]?p(?:oin)?t)?|sat(?:uration)?", re.IGNORECASE)
 _FLAG = re.compile(r"(?:is_?)?cal(?:ib(?:ration)?)?", re.IGNORECASE)
-_NEAR = 0.05  # spread of the inputs at calibration points, as a fraction of the input's range
-_FAR = 5.0  # input steps to and from an isolated calibration point, as multiples of the median step
 _LONGEST = 3  # calibration points in a row
 _LEAST = 3  # isolated points from which they are recognized
 
@@ -50,7 +49,7 @@ def marked_by_place(table: Table, choice: Choice) -> np.ndarray | None:
     marked, u = _single_rows(table), table.columns[choice.input]
     if not marked.any() and table.curve[-1] == 0:
         marked = _isolated(u)
-    if not _precede_curves(marked) or not np.ptp(u[marked]) <= _NEAR * np.ptp(u[np.isfinite(u)]):
+    if not _precede_curves(marked) or not np.ptp(u[marked]) <= NEAR * np.ptp(u[np.isfinite(u)]):
         return None
     return marked
 
@@ -95,7 +94,7 @@ def _isolated(u: np.ndarray) -> np.ndarray:
         return marked
     step = np.diff(u)
     usual = np.median(np.abs(step))
-    far = (np.abs(step) > _FAR * usual) & (usual > 0)
+    far = (np.abs(step) > JUMP * usual) & (usual > 0)
     back, ahead = np.append(True, far), np.append(far, False)
     turned = np.append(True, step[:-1] * step[1:] < 0)
     marked[:-1] = back[:-1] & ahead[:-1] & turned

@@ -13,6 +13,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading.limits import LONGEST
 
 NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
 
@@ -69,7 +70,6 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
 
 
 _THREE_DIGITS = re.compile(r"([+-]?\d*[.,]\d{3,})([+-]\d{3})", re.ASCII)  # 1.234-103: Fortran leaves the E out
-_LONGEST = 1000  # characters of a number or stamp
 # Minus signs and dashes, and the digits and marks of full width of Chinese and Japanese text.
 _AS_ASCII = (
     dict.fromkeys(map(ord, "−–﹣－"), "-") | {0xFF10 + k: str(k) for k in range(10)} | {ord("．"): ".", ord("，"): ","}
@@ -103,7 +103,7 @@ def _matched(cell: str) -> re.Match[str] | None:
 
 def is_stamp(cell: str) -> bool:
     """Whether a cleaned cell is a date, a time of day or both."""
-    match = _matched(cell) if cell[:1].isdigit() and len(cell) <= _LONGEST else None
+    match = _matched(cell) if cell[:1].isdigit() and len(cell) <= LONGEST else None
     if not match:
         return False
     clock = match["min"] is not None or (match["hh"] is not None and match["ss"] is not None)
@@ -143,7 +143,7 @@ def _accounting_number(cell: str) -> str:
 
 def number(cell: str, decimal: str) -> float | None:
     """The number in a cleaned cell; None for missing values and text. Negative ones may be (1.5) or 1.5-, as in accounts."""
-    if len(cell) > _LONGEST:
+    if len(cell) > LONGEST:
         return None
     plain, grouped, spaced = patterns(decimal)
     if unsigned := _accounting_number(cell):

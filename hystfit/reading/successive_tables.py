@@ -19,6 +19,7 @@ from hystfit.outcome.wrapping import listed
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
@@ -26,7 +27,6 @@ from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
-_FEWEST = 4  # rows of a table
 _MOST = 5000  # pieces of numbers between lines of words
 _SAMPLE = 100  # lines that show how the numbers are written
 _ABOVE = 8  # lines above the numbers that may hold the header
@@ -172,7 +172,7 @@ def _quantities(header: str) -> set[str]:
 
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
     """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
-    if max((piece.rows for piece in pieces), default=0) < _FEWEST or len(pieces) < 2:
+    if max((piece.rows for piece in pieces), default=0) < FEWEST or len(pieces) < 2:
         return False
     if len({piece.header for piece in pieces}) > 1:
         return any(_quantities(piece.header[0]) for piece in pieces)  # else they are remarks

@@ -23,6 +23,7 @@ from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
 from hystfit.reading.latex_names import without_latex
+from hystfit.reading.limits import MOST_COLUMNS
 from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, heads_of_sections, left_out
@@ -31,7 +32,6 @@ from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.stated_results import stated_in
 from hystfit.reading.text_file import TextFile
 
-_MOST_COLUMNS = 5000
 _FIRST = 30  # lines that may hold names
 _WORDS = re.compile(r"\s*[^\d\s+.,;|-]")  # a line that begins with no number
 _SECTION = 2  # such lines between rows of numbers from which they begin a section; a single one is a comment
@@ -60,9 +60,9 @@ def _block_of(file: TextFile) -> tuple[Text, Block, list[Note]]:
         if delimiter is not None or not touching:
             raise
         dialect = sniff(lines, source, delimiter, decimal)
-    if dialect.width > _MOST_COLUMNS:
+    if dialect.width > MOST_COLUMNS:
         raise DataError(
-            f"{source}: {dialect.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
+            f"{source}: {dialect.width} columns, and {MOST_COLUMNS} are the most; write one sample in a line"
         )
     text = Text(lines, dialect, source, settled=decimal is not None)
     block = clean_block(text, file.content)
