@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.array_table import table_of_arrays
-from hystfit.reading.limits import FEWEST
+from hystfit.reading.limits import FEWEST, MOST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text_file import TextFile
 
@@ -24,7 +24,6 @@ _LISTED = re.compile(
 )
 _CLOSING = str.maketrans("[({", "])}")
 _LOOKED_AT = 4000  # characters in which the first array begins
-_MOST = 0.8  # share of the text that the arrays make up
 
 
 def read_assigned_arrays(text: TextFile) -> Table | None:
@@ -32,7 +31,7 @@ def read_assigned_arrays(text: TextFile) -> Table | None:
     head = text.content[:_LOOKED_AT]
     found = _assigned(text.content) if _START.search(head) else _listed(text.content) if _LISTED.search(head) else []
     arrays = {name: array for name, array, _ in found if array is not None and array.shape[0] >= FEWEST}
-    if not arrays or sum(size for _, _, size in found) < _MOST * len(text.content.strip()):
+    if not arrays or sum(size for _, _, size in found) < MOST * len(text.content.strip()):
         return None
     note = Note(Code.FILE_FORMAT, "arrays behind their names, as programs write them")
     table = table_of_arrays(arrays, text.source, text.sha256, (*text.notes, note))

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice
-from hystfit.reading.limits import JUMP, NEAR
+from hystfit.reading.limits import FEWEST, JUMP, NEAR
 from hystfit.reading.raw_table import Table
 
 CURVE_NAMES = (
@@ -19,7 +19,6 @@ CURVE_NAMES = (
 _KIND = re.compile(r"cal(?:ib(?:ration)?)?(?:[ _-]?p(?:oin)?t)?|sat(?:uration)?", re.IGNORECASE)
 _FLAG = re.compile(r"(?:is_?)?cal(?:ib(?:ration)?)?", re.IGNORECASE)
 _LONGEST = 3  # calibration points in a row
-_LEAST = 3  # isolated points from which they are recognized
 
 
 def marked_by_kind(table: Table, taken: Sequence[int]) -> tuple[np.ndarray | None, list[int]]:
@@ -90,7 +89,7 @@ def _single_rows(table: Table) -> np.ndarray:
 def _isolated(u: np.ndarray) -> np.ndarray:
     """Points far from both neighbors, each followed by a branch in one direction; none where the rows are not only that."""
     marked = np.zeros(u.size, dtype=bool)
-    if u.size < 3 * _LEAST or not np.isfinite(u).all():
+    if u.size < 3 * FEWEST or not np.isfinite(u).all():
         return marked
     step = np.diff(u)
     usual = np.median(np.abs(step))
@@ -100,7 +99,7 @@ def _isolated(u: np.ndarray) -> np.ndarray:
     marked[:-1] = back[:-1] & ahead[:-1] & turned
     branches = np.split(step, np.flatnonzero(marked)[1:])
     alike = all(np.ptp(np.sign(branch[1:-1])) < 2 for branch in branches if branch.size > 2)
-    return marked if marked[0] and marked.sum() >= _LEAST and alike else np.zeros_like(marked)
+    return marked if marked[0] and marked.sum() >= FEWEST and alike else np.zeros_like(marked)
 
 
 def calibrated_curves(

@@ -13,7 +13,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.limits import LONGEST
+from hystfit.reading.limits import JUMP, LONGEST
 
 NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
 
@@ -76,7 +76,6 @@ _AS_ASCII = (
 )
 EPOCH_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # and how many of them a second has
 _THIS_AGE = 6e8, 4e9  # s from 1970 to the years 1989 and 2096
-_LONGER = 10.0  # step from one date to the next over the longest within a date, up to which an experiment goes on
 
 
 def clean(cell: str) -> str:
@@ -310,7 +309,7 @@ def _likelier(stamps: Sequence[_Stamp], readings: Sequence[np.ndarray], where: s
     steps = [np.abs(np.diff(values[np.isfinite(values)])) for values in readings]
     within = np.array([one.date == other.date for one, other in itertools.pairwise(stamps)])
     if within.any():
-        most = _LONGER * steps[0][within].max()
+        most = JUMP * steps[0][within].max()
         fit = [values for values, step in zip(readings, steps, strict=True) if (step <= most).all()]
         if len(fit) == 1:
             return fit[0]

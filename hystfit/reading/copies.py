@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.wrapping import listed
-
-_FEWEST = 10  # samples from which equal numbers are no coincidence
+from hystfit.reading.limits import OF_RECORD
 
 
 def without_copies(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -21,7 +20,7 @@ def without_copies(records: Sequence[Record]) -> tuple[Record, ...]:
     kept = []
     for record in records:
         key = record.digest()
-        if key in first and len(record) >= _FEWEST:
+        if key in first and len(record) >= OF_RECORD:
             copies.setdefault(first[key].name, []).append(record.name)
             continue
         first.setdefault(key, record)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from hystfit.errors import DataError
 from hystfit.reading import cells
+from hystfit.reading.limits import MAJORITY
 
 _MOST = 300_000  # characters of the sample
 _SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
@@ -18,7 +19,6 @@ _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
 # Share of rows with a cell before the first filled column of the others: those of tables that hold this one.
 _NESTED = 0.05
-_MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +158,7 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
         if (
             mark is None
             and best.delimiter in _NEVER_DECIMAL
-            and best.rows > _MOST_LINES * len(filled)
+            and best.rows > MAJORITY * len(filled)
             and best.numbers > 1
         ):
             break  # blanks within its cells part words

@@ -27,7 +27,7 @@ _SETTINGS = (
         r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=]?\s*[,;\t]++|[:=](?!\s*[,;\t])|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"
     ),
 )
-_MOST_METADATA = 40
+MOST_METADATA = 40
 _LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
@@ -75,7 +75,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
             continue
         value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
         column = {key, value}.intersection(names)
-        if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
+        if not column and value.lower() not in _NO_VALUE and len(known) < MOST_METADATA:
             known.setdefault(key, value)
     return known
 

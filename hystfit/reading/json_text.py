@@ -17,18 +17,17 @@ from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.limits import DEEPEST, NEAR
+from hystfit.reading.header import MOST_METADATA
+from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text_file import TextFile
 
 _FEWEST = 2  # numbers of an array that is a column
-_MOST_METADATA = 40
 _OF_VALUES = frozenset(
     {"data", "values", "samples", "value"}
 )  # names of the numbers of a column that has a name of its own
-_LONGEST = 200  # characters of a text that is kept
 _STEPS = frozenset("cycle cycles step steps segment segments branch branches half halves".split())
 
 
@@ -257,9 +256,9 @@ def _table(file: TextFile | FileBytes, arrays: Mapping[str, np.ndarray], note: N
 
 def _part(name: str, scalars: Mapping[str, Any]) -> Part:
     """Name, properties and stated results of a record, from the scalars beside its arrays."""
-    known = {key: str(value) for key, value in scalars.items() if len(str(value)) <= _LONGEST}
+    known = {key: str(value) for key, value in scalars.items() if len(str(value)) <= LONGEST}
     stated = [result_of(key.rpartition(".")[2], value) for key, value in known.items()]
     title = next(
         (str(scalars[key]) for key in ("name", "id", "label", "title") if isinstance(scalars.get(key), str)), ""
     )
-    return Part(name or title, dict(list(known.items())[:_MOST_METADATA]), tuple(one for one in stated if one))
+    return Part(name or title, dict(list(known.items())[:MOST_METADATA]), tuple(one for one in stated if one))

@@ -7,3 +7,6 @@ JUMP = 5.0  # step to another curve over the steps around it, or of a clock from
 DEEPEST = 30  # levels of structures within each other: no instrument writes so many
 MOST_COLUMNS = 5000  # of a table; a file with more has its samples beside each other
 LONGEST = 1000  # characters of a number, a stamp, a name or a setting
+MOST = 0.8  # part of a text or of its lines that a layout explains, where the text has that layout
+MAJORITY = 0.5  # part of rows, values or names beyond which they are the rule
+ABOVE = 30  # lines above the numbers that may hold names

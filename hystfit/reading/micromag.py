@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
@@ -33,8 +34,6 @@ _SEGMENT = re.compile(r"\s*\d{7},")
 _DATA = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*,")
 _SYMBOLS = re.compile(r"\(([^)]*)\)")
 _TESLA = 20.0  # largest field of these magnets in T, with a margin: in Oe no loop is as small
-_STRAIGHT = 0.01  # of the largest difference of raw and adjusted moments, up to which these differ by a line
-_SAME = 0.01  # of the largest field, up to which a segment begins where the one before ends
 
 
 def read_micromag(text: TextFile) -> Table | None:
@@ -73,7 +72,7 @@ def _with_applied_line(table: Table, stated: tuple[Stated, ...]) -> tuple[Stated
         return stated
     slope, offset = np.polyfit(field[known], change[known], 1)
     left = np.abs(change[known] - slope * field[known] - offset).max()
-    if left > _STRAIGHT * np.abs(change[known]).max():
+    if left > SLACK * np.abs(change[known]).max():
         return stated
     line = Stated(SLOPE, float(slope)), Stated(OFFSET, float(offset))
     return (*line, *(one for one in stated if one.label != SLOPE))
@@ -136,7 +135,7 @@ def _by_segments(table: Table, lines: Sequence[str], rows: Sequence[int]) -> Tab
         return table.noted(warn(Code.CURVES, text))
     initial, final = (segments[:, k] for k in wanted)
     curve, held = np.zeros(table.rows, dtype=int), np.zeros(table.rows, dtype=bool)
-    same = _SAME * np.abs(segments[:, wanted]).max()
+    same = SLACK * np.abs(segments[:, wanted]).max()
     number, last = 0, None
     for k, (start, stop) in enumerate(zip(np.append(0, ends[:-1]), ends, strict=True)):
         if stop == start:

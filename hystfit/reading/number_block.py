@@ -14,8 +14,8 @@ from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.clean_rows import clean_columns
 from hystfit.reading.dialect import Dialect, Text, split
+from hystfit.reading.text_file import HEAD
 
-_HEAD = 200  # lines in which clean rows must begin
 _REMARKS = 2  # cells of text after the last column of a row
 _FEW = 3  # rows of numbers above a header
 # Rows of a header that hold a number for each channel: samples, scale, offset, start and step of LabVIEW.
@@ -59,7 +59,7 @@ class Block:
 def clean_block(text: Text, content: str) -> Block | None:
     """The rows of numbers where nothing but plain numbers follows the first of them, in the `content` of a file; None elsewhere."""
     lines, dialect = text.lines, text.dialect
-    rows = [split(line, dialect.delimiter) for line in lines[:_HEAD]]
+    rows = [split(line, dialect.delimiter) for line in lines[:HEAD]]
     candidates, _ = _of_width(rows, dialect)
     if not candidates:
         return None
@@ -198,7 +198,7 @@ def _settings(rows: Sequence[Sequence[str]], index: np.ndarray, dialect: Dialect
 
 def _above_mark(lines: Sequence[str], index: np.ndarray) -> int:
     """Number of rows of numbers that stand above the line that ends the header, which is followed by many more."""
-    marks = [k for k in range(int(index[0]), int(index[0]) + _HEAD) if k < len(lines) and is_mark(lines[k])]
+    marks = [k for k in range(int(index[0]), int(index[0]) + HEAD) if k < len(lines) and is_mark(lines[k])]
     above = int(np.searchsorted(index, marks[-1])) if marks else 0
     return above if above <= _SETTINGS and index.size - above > 2 * above else 0
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.reading.limits import MAJORITY
 from hystfit.reading.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
 _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
-_SHARE = 0.5  # of the values that may be a code
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
 _JUMP = 3.0  # distance of a code from the values before and after it, as a multiple of the largest step of the others
 _MOST_ZEROS = 0.05  # share of the rows in which a sensor may have failed; more zeros are rests of the input
@@ -55,7 +55,7 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
     """
     coded = np.isin(values, _CODES)
     others = values[~coded & np.isfinite(values)]
-    if not coded.any() or others.size < 2 or coded.sum() > _SHARE * values.size:
+    if not coded.any() or others.size < 2 or coded.sum() > MAJORITY * values.size:
         return values, []
     low, high = others.min(), others.max()
     outside = coded & ((values < low) | (values > high))

@@ -12,7 +12,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.limits import JUMP, OF_RECORD
+from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table
 
@@ -21,8 +21,6 @@ _OBJECTS = "specimen sample coupon material test experiment table file probe ver
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
 _PASSES = "run curve loop cycle series batch group label condition name id".split()
 _STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
-_SHARE = 0.5  # of the changes, at which a column of numbers jumps where records are told apart
-_PAUSE = 10.0  # step of a clock to the next record over its median step, up to which it goes on
 
 
 def divided(table: Table) -> Table | None:
@@ -138,7 +136,7 @@ def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
     for position in range(len(table.names)):
         if position in table.stamps or _quantity(table, position) == "time":
             steps = np.diff(table.columns[position])
-            if steps.size and (steps > 0).all() and steps[changes].max() <= _PAUSE * np.median(steps):
+            if steps.size and (steps > 0).all() and steps[changes].max() <= JUMP * np.median(steps):
                 return True
     return False
 
@@ -151,6 +149,6 @@ def _jumps(table: Table, changes: np.ndarray) -> bool:
             continue
         steps = np.abs(np.diff(table.columns[position]))
         near = steps[np.clip(changes[:, None] + around, 0, steps.size - 1)].max(axis=1)
-        if np.mean(steps[changes] > JUMP * near) > _SHARE:
+        if np.mean(steps[changes] > JUMP * near) > MAJORITY:
             return True
     return False

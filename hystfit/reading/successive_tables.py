@@ -19,7 +19,7 @@ from hystfit.outcome.wrapping import listed
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
-from hystfit.reading.limits import FEWEST
+from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
@@ -29,10 +29,8 @@ from hystfit.reading.text_file import TextFile
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
 _MOST = 5000  # pieces of numbers between lines of words
 _SAMPLE = 100  # lines that show how the numbers are written
-_ABOVE = 8  # lines above the numbers that may hold the header
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
-_COMMON = 0.5  # share of the names of two tables that both have, above which they are records of one kind
 _NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
@@ -97,7 +95,7 @@ def _alike(tables: dict[int, Table]) -> list[int]:
     for k, table in tables.items():
         groups.setdefault(frozenset(table.names), []).append(k)
     main = max(groups, key=lambda names: sum(tables[k].rows for k in groups[names]))
-    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > _COMMON * len(main | {*table.names})]
+    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > MAJORITY * len(main | {*table.names})]
     common = frozenset.intersection(*(frozenset(tables[k].names) for k in chosen))
     if len(common) < 2 or any(len(common) < len({*tables[k].names}) < len(tables[k].names) for k in chosen):
         return groups[main]
@@ -140,7 +138,7 @@ def _pieces(text: TextFile) -> list[_Piece]:
     for k, count in zip(firsts.tolist(), counts.tolist(), strict=True):
         first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
         above = found[-1].stop if found else 0
-        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first], dialect)
+        header = _header(text.lines[max(above, first - ABOVE) : first], text.lines[first], dialect)
         width = lambda line: len(split(text.lines[line].rstrip("\t ;,"), dialect.delimiter))
         if found and _is_remark(header, found[-1].header) and width(first) == width(found[-1].first):
             header = ()

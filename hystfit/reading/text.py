@@ -23,7 +23,7 @@ from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
 from hystfit.reading.latex_names import without_latex
-from hystfit.reading.limits import MOST_COLUMNS
+from hystfit.reading.limits import ABOVE, MOST_COLUMNS
 from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, heads_of_sections, left_out
@@ -32,7 +32,6 @@ from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.stated_results import stated_in
 from hystfit.reading.text_file import TextFile
 
-_FIRST = 30  # lines that may hold names
 _WORDS = re.compile(r"\s*[^\d\s+.,;|-]")  # a line that begins with no number
 _SECTION = 2  # such lines between rows of numbers from which they begin a section; a single one is a comment
 
@@ -96,12 +95,12 @@ def _with_whole_names(lines: Sequence[str]) -> Sequence[str]:
 
     Names that are written for LaTeX are plain.
     """
-    if any("\\" in line or "$" in line for line in lines[:_FIRST]):
-        lines = [*map(without_latex, lines[:_FIRST]), *lines[_FIRST:]]
-    if not any(line.count('"') % 2 for line in lines[:_FIRST]):
+    if any("\\" in line or "$" in line for line in lines[:ABOVE]):
+        lines = [*map(without_latex, lines[:ABOVE]), *lines[ABOVE:]]
+    if not any(line.count('"') % 2 for line in lines[:ABOVE]):
         return lines
     lines, start = list(lines), 0
-    while start < min(len(lines), _FIRST):
+    while start < min(len(lines), ABOVE):
         end = start
         if lines[start].count('"') % 2:
             end = next((k for k in range(start + 1, min(start + 10, len(lines))) if lines[k].count('"') % 2), start)

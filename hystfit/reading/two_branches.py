@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import OPEN
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
@@ -19,7 +20,6 @@ from hystfit.reading.limits import FEWEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
-_OPEN = 0.02  # of the range of the outputs, by which numbered branches have to differ somewhere
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
@@ -223,7 +223,7 @@ def _numbered_branches(u: np.ndarray, one: np.ndarray, other: np.ndarray, *, ove
     if both.size < FEWEST:
         return None
     size, gap = np.ptp(np.concatenate([one[both], other[both]])), (one - other)[both]
-    if max(abs(gap[0]), abs(gap[-1])) > 2 * NEAR * size or np.abs(gap).max() < _OPEN * size:
+    if max(abs(gap[0]), abs(gap[-1])) > 2 * NEAR * size or np.abs(gap).max() < OPEN * size:
         return None
     return [one, other] if (gap.mean() > 0) == over else [other, one]
 
@@ -286,7 +286,7 @@ def mirrored(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> np.n
     at = np.linspace(-reach, reach, max(piece.size for piece in pieces))
     first, second = (np.interp(at, u[piece], y[piece]) for piece in pieces)
     apart, widest = np.sqrt(np.mean((first + second[::-1]) ** 2)), np.abs(first - second).max()
-    if not (apart < 2 * NEAR * widest and widest > _OPEN * np.ptp([first, second])):
+    if not (apart < 2 * NEAR * widest and widest > OPEN * np.ptp([first, second])):
         return None
     leads = column_quantity(table.names[choice.output], table.units[choice.output]) in ("force", "stress")
     falling, rising = pieces if (np.mean(first - second) > 0) != leads else pieces[::-1]
