@@ -11,7 +11,7 @@ from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_warnings import warnings_of
-from hystfit.fitting.fitted import VISIBLE, Fitted
+from hystfit.fitting.fitted import Fitted
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
@@ -25,6 +25,7 @@ from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
     POOR,
     SHARE,
+    VISIBLE,
     accuracy_note,
     exceeded_limits,
     is_noise,

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+POINTS, CYCLES = 400, 3  # inputs of a computed loop, and cycles until it repeats itself
 _ROUNDING = 1e-6  # of the largest slope: smaller ones have no sign
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+SEVERAL = 3  # branches, cycles, records, levels or samples of a branch, from which they show a trend or a repetition
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ
 _CROWDED = 0.25  # of the samples in one bin; even steps have 0.02, and ten a decade over four decades 0.3

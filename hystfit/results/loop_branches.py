@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.models.slopes import POINTS
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import SAME_LEVEL, reversals
@@ -16,7 +17,6 @@ TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 _LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
-_GRID = 400  # inputs of that comparison
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -241,9 +241,9 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     most = _LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None
-    grid = np.linspace(-most, most, _GRID)
+    grid = np.linspace(-most, most, POINTS)
     at = lambda u, y: np.interp(grid, u[np.argsort(u, kind="stable")], y[np.argsort(u, kind="stable")])
     one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)
-    columns = np.column_stack([np.ones(_GRID), np.gradient(0.5 * (one + other), grid) * most])
+    columns = np.column_stack([np.ones(POINTS), np.gradient(0.5 * (one + other), grid) * most])
     left = one - other - columns @ np.linalg.lstsq(columns, one - other, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (_GRID - 1)
+    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (POINTS - 1)
