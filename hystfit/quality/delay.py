@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, FORWARD, Regressors, delayed
+from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
@@ -93,4 +93,4 @@ def _best(error: Callable[[float], float], longest: float) -> tuple[float, float
             at, size = near[int(np.argmin([error(delay) for delay in near]))], 0.5 * size
         candidates.append((float(at), float(error(at))))
     least = min(value for _, value in candidates)
-    return next(pair for pair in candidates if pair[1] <= FORWARD * least)
+    return next(pair for pair in candidates if pair[1] <= DECIDES * least)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice
-from hystfit.reading.limits import FEWEST, JUMP, NEAR
+from hystfit.reading.limits import FEW, FEWEST, JUMP, NEAR
 from hystfit.reading.raw_table import Table
 
 CURVE_NAMES = (
@@ -18,7 +18,6 @@ CURVE_NAMES = (
 )
 _KIND = re.compile(r"cal(?:ib(?:ration)?)?(?:[ _-]?p(?:oin)?t)?|sat(?:uration)?", re.IGNORECASE)
 _FLAG = re.compile(r"(?:is_?)?cal(?:ib(?:ration)?)?", re.IGNORECASE)
-_LONGEST = 3  # calibration points in a row
 
 
 def marked_by_kind(table: Table, taken: Sequence[int]) -> tuple[np.ndarray | None, list[int]]:
@@ -56,7 +55,7 @@ def marked_by_place(table: Table, choice: Choice) -> np.ndarray | None:
 def _precede_curves(marked: np.ndarray) -> bool:
     """Whether marked rows are few in a row, begin with the first row, and occur more than once."""
     runs = np.diff(np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)))[::2]
-    return bool(marked[0] and runs.size > 1 and runs.max() <= _LONGEST)
+    return bool(marked[0] and runs.size > 1 and runs.max() <= FEW)
 
 
 def _starts(table: Table, marked: np.ndarray) -> np.ndarray:

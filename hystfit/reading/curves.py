@@ -16,15 +16,14 @@ from hystfit.outcome.wrapping import listed
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
-from hystfit.reading.limits import FEWEST, JUMP, NEAR
+from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, MOST_LABELS, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.two_branches import mirrored
 from hystfit.reading.unseparated_curves import curves_at_conditions
 
-_MOST_CURVES = 10_000
-_MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
+_ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
@@ -79,9 +78,9 @@ def split_curves(
         if number[-1] == 0:
             _suggest(table, choice, notes)
             return [("", np.arange(table.rows))], False
-    if number[-1] > _MOST_CURVES:
+    if number[-1] > MOST_CURVES:
         raise DataError(
-            f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {_MOST_CURVES} are the "
+            f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {MOST_CURVES} are the "
             "most; remove them, or write fewer curves in a file"
         )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
@@ -320,7 +319,7 @@ def _levels(values: np.ndarray) -> list[float]:
     levels = np.unique(values)
     runs = 1 + np.count_nonzero(np.diff(values))
     few = (
-        1 < levels.size <= _MOST_LEVELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
+        1 < levels.size <= MOST_LABELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
     )
     return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 

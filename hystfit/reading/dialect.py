@@ -11,14 +11,12 @@ from collections.abc import Sequence
 
 from hystfit.errors import DataError
 from hystfit.reading import cells
-from hystfit.reading.limits import MAJORITY
+from hystfit.reading.limits import MAJORITY, ODD
 
 _MOST = 300_000  # characters of the sample
 _SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
-# Share of rows with a cell before the first filled column of the others: those of tables that hold this one.
-_NESTED = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +130,7 @@ def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: st
         for pattern in fits:
             votes[pattern[position]] += counts[pattern]
         empty = votes.pop(missing, 0)
-        if set(kinds) <= {missing} and votes.total() < _NESTED * empty:
+        if set(kinds) <= {missing} and votes.total() < ODD * empty:
             votes.clear()
         kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
     total = sum(counts[pattern] for pattern in fits)

@@ -8,11 +8,9 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.limits import OF_RECORD
+from hystfit.reading.limits import MOST_LABELS, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
-
-_MOST = 12  # sensors
 
 
 def widened(table: Table) -> Table | None:
@@ -26,7 +24,7 @@ def widened(table: Table) -> Table | None:
         for k in range(len(table.names))
         if k not in (*clocks, *table.labels) and not table.constant(k) and _kind(table, k) != "index"
     ]
-    texts = [k for k, labels in table.labels.items() if 1 < len({*labels.tolist()}) <= _MOST]
+    texts = [k for k, labels in table.labels.items() if 1 < len({*labels.tolist()}) <= MOST_LABELS]
     if len(numbers) != 1 or len(texts) != 1 or len(clocks) > 1 or table.part is not None or not table.named:
         return None
     labels = table.labels[texts[0]]

@@ -18,6 +18,7 @@ from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.header import setting_of
+from hystfit.reading.limits import FEW
 from hystfit.reading.other_lines import Header
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.stated_results import stated_in
@@ -28,7 +29,6 @@ _FIRST_LINE = re.compile(r'"?(?:MicroMag|Model) (?:2900|3900|\d+/\d+).*Data File
 _SECTIONS = frozenset(
     "INSTRUMENT SAMPLE SETTINGS MEASUREMENT PROCESSING ADJUSTMENTS CHARACTERIZATION VIEWPORT SCRIPT".split()
 )
-_FEWEST_SECTIONS = 3  # by which a file without its first line is recognized
 _SYSTEMS = {"cgs": ("Oe", "emu"), "hybrid si": ("T", "Am2"), "si": ("A/m", "Am2")}
 _SEGMENT = re.compile(r"\s*\d{7},")
 _DATA = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*,")
@@ -40,7 +40,7 @@ def read_micromag(text: TextFile) -> Table | None:
     """MicroMag and Lake Shore magnetometers: field and moment, raw unless `--adjusted`, with the results stated by the instrument."""
     old = bool(_FIRST_LINE.match(text.head[0])) and '",' in text.head[0] if text.head else False
     sections = len(_SECTIONS.intersection(line.strip() for line in text.head))
-    if not (old or sections >= _FEWEST_SECTIONS or any(_FIRST_LINE.match(line) for line in text.head[:3])):
+    if not (old or sections >= FEW or any(_FIRST_LINE.match(line) for line in text.head[:3])):
         return None
     if old:  # one quoted line with all settings; the field in Oe, the moment in counts of the instrument
         table = plain_text(text.without([0]))

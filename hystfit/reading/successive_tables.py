@@ -19,16 +19,14 @@ from hystfit.outcome.wrapping import listed
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
-from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY
+from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY, MOST_CURVES
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
-from hystfit.reading.text_file import TextFile
+from hystfit.reading.text_file import HEAD, TextFile
 
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
-_MOST = 5000  # pieces of numbers between lines of words
-_SAMPLE = 100  # lines that show how the numbers are written
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
 _NUMBERED = "table="  # name of a table without a title of its own, before its number
@@ -125,12 +123,12 @@ def _pieces(text: TextFile) -> list[_Piece]:
     numbers, words = np.flatnonzero(kinds == _NUMBERS), np.flatnonzero(kinds == _WORDS)
     runs = np.searchsorted(words, numbers)  # lines of words before each line of numbers
     firsts = np.flatnonzero(np.diff(runs, prepend=-1))
-    if not 1 < firsts.size <= _MOST:
+    if not 1 < firsts.size <= MOST_CURVES:
         return []
     counts = np.diff(np.append(firsts, numbers.size))
     longest = int(numbers[firsts[np.argmax(counts)]])
     try:
-        sample = text.lines[longest : longest + _SAMPLE]
+        sample = text.lines[longest : longest + HEAD]
         dialect = sniff(sample, text.source, text.opening.delimiter, text.opening.decimal)
     except DataError:
         return []

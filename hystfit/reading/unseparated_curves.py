@@ -7,18 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import PART
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
-from hystfit.reading.limits import JUMP, NEAR, OF_RECORD
+from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 
 _MOST = 100  # curves at temperatures of their own
-_SPAN = 0.5  # of the range of the input, which every curve covers
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
-_NOISY = 0.05  # share of the steps that noise turns against the way of the input
 _RESTS = 1e-4  # of the range of a field, up to which its steps are those of one that is held
 
 Curves = list[tuple[str, np.ndarray]]
@@ -91,7 +90,7 @@ def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
     against = np.sign(steps) * np.sign(usual) < 0
     jumps = against & (np.abs(steps) > JUMP * abs(usual))
     begins = np.flatnonzero(jumps) + 1
-    if not begins.size or (against & ~jumps).mean() > _NOISY:
+    if not begins.size or (against & ~jumps).mean() > ODD:
         return np.empty(0, dtype=int)
     if clock is not None and not (np.diff(clock)[begins - 1] > JUMP * np.median(np.diff(clock))).all():
         return np.empty(0, dtype=int)
@@ -106,7 +105,7 @@ def _begin_alike(u: np.ndarray, begins: np.ndarray) -> bool:
 
 
 def _cover(u: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    return all(piece.size >= OF_RECORD and np.ptp(u[piece]) >= _SPAN * np.ptp(u) for piece in pieces)
+    return all(piece.size >= OF_RECORD and np.ptp(u[piece]) >= PART * np.ptp(u) for piece in pieces)
 
 
 def _labeled(pieces: Sequence[np.ndarray], labels: Sequence[str]) -> Curves:

@@ -14,8 +14,8 @@ from hystfit.results.loop_branches import GAP
 from hystfit.results.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
-# Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
-# start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
+# Half sum of the outermost outputs over their range: 0.2 to 0.5 where a charge is counted from the start of a record, because the loop of a
+# poled capacitor begins at one of its remanences.
 _OFF_CENTER = 0.1
 
 

@@ -17,13 +17,13 @@ from jaxtyping import Float
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.slopes import CYCLES, POINTS
+from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
 from hystfit.quality.loops import cycles
 from hystfit.results.loop_kinds import LoopKind
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
-_NO_CREEP = 1e-6  # % a decade
 _LARGE = 0.45  # of the input's range: stroke of the cycles that count as those of the record, below a first rise from the middle
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
@@ -183,7 +183,7 @@ class Excitation:
 
 def creeps(percent: np.ndarray) -> bool:
     """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
-    return not bool((np.abs(percent) < _NO_CREEP).all())
+    return not bool((np.abs(percent) < ROUNDED).all())
 
 
 def _cycles_of_path(data: Dataset, span: float) -> int:
