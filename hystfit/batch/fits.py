@@ -29,7 +29,7 @@ from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.batch/1"
 _ERRORS = ("rmse", "error_percent", "max_error_percent")
-_OUTER = (0.05, 0.5, 0.95)
+OUTER = (0.05, 0.5, 0.95)
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -222,7 +222,7 @@ class Fits(WithStatus):
     def _summary_row(self, name: str, unit: str, loops: Sequence[Row]) -> list[Any]:
         values = self._values(loops, name)
         errors = [error for row in loops if (error := row.stderr.get(name)) is not None]
-        low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
+        low, middle, high = np.quantile(values, OUTER).tolist() if values.size else [None] * 3
         spread = float(np.std(values, ddof=1)) if values.size > 1 else None
         return [name, unit, int(values.size), middle, low, high, spread, float(np.median(errors)) if errors else None]
 

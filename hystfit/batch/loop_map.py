@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hystfit.batch.fits import OUTER
 from hystfit.batch.work import Work
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
@@ -24,7 +25,6 @@ from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.map/1"
-_OUTER = (0.05, 0.5, 0.95)
 _NUMBERS = ("rmse", "error_percent", "max_error_percent")
 _FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
 _AXES = ("x", "y", "z")
@@ -168,7 +168,7 @@ class LoopMap(WithStatus):
         rows = []
         for name, values in {**self.values, **self.quantities}.items():
             here = values[self.ok & np.isfinite(values)]
-            low, middle, high = np.quantile(here, _OUTER).tolist() if here.size else [None] * 3
+            low, middle, high = np.quantile(here, OUTER).tolist() if here.size else [None] * 3
             errors = self.stderr.get(name, np.array(np.nan))[
                 np.where(self.ok & np.isfinite(values)) if name in self.stderr else ()
             ]

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 from hystfit.errors import DataError
 from hystfit.reading import cells
-from hystfit.reading.limits import MAJORITY, ODD
+from hystfit.reading.limits import MAJORITY, ODD, SAMPLE
 
 _MOST = 300_000  # characters of the sample
-_SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
+_FIRST = 300  # lines of the sample that are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
 
@@ -200,12 +200,12 @@ def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:
 
 def _sample(lines: Sequence[str]) -> list[str]:
     """Some lines that are not blank: the first ones and others from all over the text."""
-    if len(lines) > 20 * _SAMPLE:  # enough of them are not blank
-        lines = [*lines[:_SAMPLE], *lines[_SAMPLE :: len(lines) // (10 * _SAMPLE)]]
+    if len(lines) > 20 * SAMPLE:  # enough of them are not blank
+        lines = [*lines[:SAMPLE], *lines[SAMPLE :: len(lines) // (10 * SAMPLE)]]
     filled = list(filter(str.strip, lines))
-    if len(filled) > _SAMPLE:
-        step = (len(filled) - _FIRST) / (_SAMPLE - _FIRST)
-        filled = filled[:_FIRST] + [filled[_FIRST + int(step * k)] for k in range(_SAMPLE - _FIRST)]
+    if len(filled) > SAMPLE:
+        step = (len(filled) - _FIRST) / (SAMPLE - _FIRST)
+        filled = filled[:_FIRST] + [filled[_FIRST + int(step * k)] for k in range(SAMPLE - _FIRST)]
     size = sum(map(len, filled))
     if size > _MOST:  # long lines: every n-th
         filled = filled[:3] + filled[3 :: -(-size // _MOST)]

@@ -16,3 +16,4 @@ ODD = 0.05  # part of the rows that noise, a failing sensor or another table may
 RARE = 0.01  # part of the rows that are unreadable, or settings beside the first ones (15 in 2500 of an oscilloscope)
 MOST_LABELS = 12  # sensors or levels that tell the records of a file apart
 MOST_CURVES = 10_000  # of a file
+SAMPLE = 1000  # lines or rows that show how all are written

@@ -8,13 +8,12 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.limits import MAJORITY, ODD
+from hystfit.reading.limits import JUMP, MAJORITY, ODD
 from hystfit.reading.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
 _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
-_JUMP = 3.0  # distance of a code from the values before and after it, as a multiple of the largest step of the others
 
 
 def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, float]]]:
@@ -63,7 +62,7 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
     far = np.maximum((values - high) / _FAR[0], (low - values) / _FAR[1]) > high - low
     rows = np.arange(values.size)
     between = np.interp(rows, rows[~coded & np.isfinite(values)], others)
-    missing = outside & (far | (np.abs(values - between) > _JUMP * np.abs(np.diff(others)).max()))
+    missing = outside & (far | (np.abs(values - between) > JUMP * np.abs(np.diff(others)).max()))
     missing = outside & np.isin(values, values[missing])
     first = f"values of the {role} such as {values[outside][0]:g}"
     if not missing.any():

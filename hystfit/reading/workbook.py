@@ -21,6 +21,7 @@ from hystfit.reading.array_files import check_members
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.limits import SAMPLE
 from hystfit.reading.number_block import careful_block
 from hystfit.reading.older_sheets import MOST_CELLS, sheets_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
@@ -28,7 +29,6 @@ from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
 
-_SAMPLE = 2000  # rows of a sheet that show its dialect
 _SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summarizes others
 
 
@@ -106,7 +106,7 @@ def _holds_pair(table: Table) -> bool:
 def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
     """Whether the first rows of a sheet have formulas."""
     book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True)
-    cells_of = lambda page: (cell for row in page.iter_rows(values_only=True, max_row=_SAMPLE) for cell in row)
+    cells_of = lambda page: (cell for row in page.iter_rows(values_only=True, max_row=SAMPLE) for cell in row)
     return any(isinstance(cell, str) and cell.startswith("=") for page in book.worksheets for cell in cells_of(page))
 
 
@@ -114,7 +114,7 @@ def _table(file: FileBytes, page: Any) -> Table | None:
     """The columns of a sheet; None where it has no rows of numbers."""
     rows = _cells_of(page, file.source)
     rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
-    dialect = max((dialect_of(rows[:_SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
+    dialect = max((dialect_of(rows[:SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
         return None
     text = Text(["\t".join(row) for row in rows], dialect, file.source, settled=True)
