@@ -19,12 +19,11 @@ from hystfit.data.record import Record
 from hystfit.models.slopes import CYCLES, POINTS
 from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import LARGEST, cycles
 from hystfit.results.loop_kinds import LoopKind
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
-_LARGE = 0.45  # of the input's range: stroke of the cycles that count as those of the record, below a first rise from the middle
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
 _AT_1S, _AT_10S = 21, 201
@@ -198,7 +197,9 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
     The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
     """
     for record in data:
-        found = () if record.t is None else cycles(record.u, _LARGE * float(np.ptp(record.u)))
+        found = (
+            () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
+        )  # half: a first rise from the middle
         if record.t is None or not len(found):
             continue
         points = int(np.clip(2 * round(np.median(found[:, 2] - found[:, 0]) / 2), _FEWEST, _MOST))
