@@ -1,7 +1,9 @@
 """Limits that all layouts share: how few rows are no table, what is near, and what jumps."""
 
+from hystfit.data import circulation
+
 FEWEST = 4  # rows of a table, of a branch or a block of it, numbers of an array: fewer are settings or results
-OF_RECORD = 8  # rows of each record of a file that holds several, the least that show a loop
+OF_RECORD = circulation.FEWEST  # rows of each record of a file that holds several
 NEAR = 0.05  # part of a range, within which one branch begins where another ends; calibration points spread as little
 JUMP = 5.0  # step to another curve over the steps around it, or of a clock from one run to the next
 DEEPEST = 30  # levels of structures within each other: no instrument writes so many
