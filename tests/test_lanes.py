@@ -96,7 +96,7 @@ def test_lanes_end_where_scipy_does(way: str, together: Side, monkeypatch: pytes
     """More lanes than records, in any order; on both kinds of devices."""
     if way == "many on a CPU":
         monkeypatch.setattr(lanes, "_PAYS", 1)
-        monkeypatch.setattr(lanes, "_BESIDE", 4)
+        monkeypatch.setattr(lanes, "BESIDE", 4)
         monkeypatch.setattr(lanes, "_CHUNK", (64, 6))  # the last lanes of a call are linearized twice
     side = way == "on a GPU"
     posed, stack, starts = lanes_of(5)

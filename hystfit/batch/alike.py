@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.batch.bucketed import SHORT, solve_stack
+from hystfit.batch.bucketed import solve_stack
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -23,7 +23,7 @@ from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, set_up_fit
 from hystfit.fitting.lanes import Ends, Stack
 from hystfit.fitting.multistart import spread_starts
-from hystfit.fitting.thinning import kept_samples
+from hystfit.fitting.thinning import LEAST, kept_samples
 from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.units import Scales
@@ -211,7 +211,7 @@ def _different(loops: Loops) -> list[Record]:
     """Records of a few loops unlike each other, each beside its own range; the first is a typical one."""
     chosen = np.linspace(0, len(loops) - 1, min(len(loops), _LOOKED_AT)).astype(int)
     some = loops.take(chosen)
-    samples = min(min(len(group.record) for group in some.groups), SHORT)
+    samples = min(min(len(group.record) for group in some.groups), LEAST)
 
     def shape(group: Group) -> np.ndarray:
         at = np.linspace(0, len(group.record) - 1, samples).astype(int)
@@ -252,7 +252,7 @@ def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[End
     problem, full = common.setup.problem, common.stack(loops)
     short = None
     if problem.model.allows_thinning:
-        found = kept_samples([group.record for group in loops.groups], loops.length, SHORT)
+        found = kept_samples([group.record for group in loops.groups], loops.length, LEAST)
         short = None if found is None else common.stack(loops, *found)
     starts = np.repeat(common.starts[None], len(loops), axis=0)
     levels = loops.each(lambda group: group.levels)

@@ -17,7 +17,6 @@ from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
-SHORT = 256  # samples on which starts are compared, and loops with each other
 _MORE = 60  # steps of the best start on all samples
 
 

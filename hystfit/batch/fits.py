@@ -27,13 +27,85 @@ from hystfit.results.folders import writing_file
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
-SCHEMA = "hystfit.batch/1"
-_ERRORS = ("rmse", "error_percent", "max_error_percent")
+ERRORS = ("rmse", "error_percent", "max_error_percent")
 _OUTER = (0.05, 0.5, 0.95)
 
 
+class ManyFits(WithStatus):
+    """What fits of one model to many loops have in common, as a table or as maps.
+
+    Attributes:
+        schema: of `to_dict`.
+        model: name of the model.
+        units: of the numbers.
+        work: what was done with every loop.
+    """
+
+    schema: ClassVar[str]
+    model: Any
+    units: Any
+    work: Any
+    verb: ClassVar[str] = "batch"
+
+    @property
+    def status(self) -> Status:
+        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
+        usable, every = self.counts.get(str(Status.OK), 0), sum(self.counts.values())
+        return Status.OK if usable == every else Status.PARTIAL if usable else Status.FAILED
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of loops by status, most frequent first."""
+        return dict(Counter(self._statuses()).most_common())
+
+    def _statuses(self) -> list[str]:
+        """Status of each loop."""
+        raise NotImplementedError
+
+    def summary(self) -> Table:
+        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
+        raise NotImplementedError
+
+    @staticmethod
+    def _distribution(rows: Sequence[tuple[str, str, np.ndarray, Sequence[Any]]], last: Sequence[str]) -> Table:
+        """A table of names, units, values, and what the `last` columns say of them."""
+        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median"), Column("5 %")]
+        cells = []
+        for name, unit, values, more in rows:
+            low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
+            cells.append([name, unit, int(values.size), middle, low, high, *more])
+        return Table([*columns, Column("95 %"), *map(Column, last)], cells)
+
+    def _lines(self, told: Sequence[str], usable: Sequence[str], bad: Sequence[str]) -> str:
+        """Counts, what is `told` of all loops, the lines on `usable` fits, and the first loops that are `bad`."""
+        counts, every = self.counts, sum(self.counts.values())
+        counted = ", ".join(f"{count} {status}" for status, count in counts.items())
+        lines = [f"{self.model} fitted to {every} loop{'s' if every != 1 else ''}: {counted}", *told]
+        if counts.get(str(Status.OK), 0):
+            lines += ["", "Usable fits", *usable]
+        if bad:
+            lines += ["", "Not usable", *bad]
+            rest = every - counts.get(str(Status.OK), 0) - len(bad)
+            lines += [f"  and {rest} more"] if rest else []
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`; unknown values are null."""
+        return {
+            "schema": self.schema,
+            "model": self.model,
+            "status": str(self.status),
+            "advice": self.advice,
+            "counts": self.counts,
+            "units": dict(self.units),
+            "settings": self.work.settings,
+            "summary": self.summary().to_list(),
+            "provenance": provenance((), self.work.options.seed),
+        }
+
+
 @dataclasses.dataclass(frozen=True, repr=False)
-class Fits(WithStatus):
+class Fits(ManyFits):
     """Fits of one model to many loops.
 
     Attributes:
@@ -49,7 +121,7 @@ class Fits(WithStatus):
     units: Mapping[str, str]
     work: Work
     sources: tuple[Source, ...]
-    verb: ClassVar[str] = "batch"
+    schema: ClassVar[str] = "hystfit.batch/1"
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -67,12 +139,6 @@ class Fits(WithStatus):
         return names.index(name)
 
     @property
-    def status(self) -> Status:
-        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
-        usable = sum(row.usable for row in self.rows)
-        return Status.OK if usable == len(self.rows) else Status.PARTIAL if usable else Status.FAILED
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of all free parameters."""
         return tuple(dict.fromkeys(name for row in self.rows for name in row.values))
@@ -82,10 +148,8 @@ class Fits(WithStatus):
         """Names of the quantities that follow from the parameters."""
         return tuple(dict.fromkeys(name for row in self.rows for name in row.quantities))
 
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of loops by status, most frequent first."""
-        return dict(Counter(str(row.status) for row in self.rows).most_common())
+    def _statuses(self) -> list[str]:
+        return [str(row.status) for row in self.rows]
 
     def unit(self, name: str) -> str:
         """Unit of a parameter or quantity; "" where rows differ."""
@@ -146,7 +210,7 @@ class Fits(WithStatus):
         for name in self.names:
             columns[name] = [nan(row.values.get(name)) for row in self.rows]
             columns[f"{name}_stderr"] = [nan(row.stderr.get(name)) for row in self.rows]
-        columns |= {name: [nan(getattr(row, name)) for row in self.rows] for name in _ERRORS}
+        columns |= {name: [nan(getattr(row, name)) for row in self.rows] for name in ERRORS}
         columns |= {name: [nan(row.quantities.get(name)) for row in self.rows] for name in self.quantities}
         columns["notes"] = [" ".join(row.codes) for row in self.rows]
         columns["reason"] = [row.reason for row in self.rows]
@@ -167,7 +231,7 @@ class Fits(WithStatus):
         """
         pandas = optional("pandas", "frames", "to_dataframe")
         frame = pandas.DataFrame(self.columns())
-        frame.attrs = {"schema": SCHEMA, "model": self.model, "units": self.column_units()}
+        frame.attrs = {"schema": self.schema, "model": self.model, "units": self.column_units()}
         return frame
 
     def to_xarray(self) -> Any:
@@ -183,7 +247,7 @@ class Fits(WithStatus):
             name: ("loop", np.asarray(values), {"units": units[name]} if name in units else {})
             for name, values in columns.items()
         }
-        return xarray.Dataset(data, {"loop": loops}, {"schema": SCHEMA, "model": self.model})
+        return xarray.Dataset(data, {"loop": loops}, {"schema": self.schema, "model": self.model})
 
     def save(self, path: str | Path) -> Path:
         """Write the table: .csv (units in the headings), .parquet, .nc (netCDF) or .zarr (a Zarr store).
@@ -212,19 +276,14 @@ class Fits(WithStatus):
         Args:
             names: of parameters and quantities; all of them by default.
         """
-        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median")]
-        columns += [Column("5 %"), Column("95 %"), Column("standard deviation"), Column("median stderr")]
-        rows: list[Sequence[Any]] = []
+        rows = []
         for name in names or (*self.names, *self.quantities):
-            rows += [self._summary_row(name, unit, loops) for unit, loops in self._by_unit(name).items()]
-        return Table(columns, rows)
-
-    def _summary_row(self, name: str, unit: str, loops: Sequence[Row]) -> list[Any]:
-        values = self._values(loops, name)
-        errors = [error for row in loops if (error := row.stderr.get(name)) is not None]
-        low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
-        spread = float(np.std(values, ddof=1)) if values.size > 1 else None
-        return [name, unit, int(values.size), middle, low, high, spread, float(np.median(errors)) if errors else None]
+            for unit, loops in self._by_unit(name).items():
+                values = self._values(loops, name)
+                errors = [error for row in loops if (error := row.stderr.get(name)) is not None]
+                spread = float(np.std(values, ddof=1)) if values.size > 1 else None
+                rows.append((name, unit, values, (spread, float(np.median(errors)) if errors else None)))
+        return self._distribution(rows, ("standard deviation", "median stderr"))
 
     def __str__(self) -> str:
         return self.text()
@@ -237,39 +296,15 @@ class Fits(WithStatus):
         Args:
             width: columns of the table; a wider one is shown in parts.
         """
-        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        lines = [f"{self.model} fitted to {len(self.rows)} loop{'s' if len(self.rows) != 1 else ''}: {counted}"]
-        if any(row.usable for row in self.rows):
-            arrays = Counter(name.partition("[")[0] for name in self.names)
-            few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]
-            lines += ["", "Usable fits", *self.summary((*self.quantities, *few)).lines("  ", width)]
-            many = [f"{name}[{count}]" for name, count in arrays.items() if count > MANY]
-            lines += [f"  {', '.join(many)}: in fits.csv"] if many else []
-        if worst := [row for row in self.worst(5) if not row.usable]:
-            lines += [
-                "",
-                "Not usable",
-                *(
-                    f"  {row.name}: {row.status}: {textwrap.shorten(row.reason, 240, placeholder=' ...')}"
-                    for row in worst
-                ),
-            ]
-            rest = sum(not row.usable for row in self.rows) - len(worst)
-            lines += [f"  and {rest} more"] if rest else []
-        return "\n".join(lines)
+        arrays = Counter(name.partition("[")[0] for name in self.names)
+        few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]
+        many = [f"{name}[{count}]" for name, count in arrays.items() if count > MANY]
+        usable = [*self.summary((*self.quantities, *few)).lines("  ", width)]
+        usable += [f"  {', '.join(many)}: in fits.csv"] if many else []
+        shortened = lambda text: textwrap.shorten(text, 240, placeholder=" ...")
+        worst = [row for row in self.worst(5) if not row.usable]
+        return self._lines([], usable, [f"  {row.name}: {row.status}: {shortened(row.reason)}" for row in worst])
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown values are null."""
-        return {
-            "schema": SCHEMA,
-            "model": self.model,
-            "status": str(self.status),
-            "advice": self.advice,
-            "loops": len(self.rows),
-            "counts": self.counts,
-            "units": dict(self.units),
-            "settings": self.work.settings,
-            "summary": self.summary().to_list(),
-            "rows": [row.to_dict() for row in self.rows],
-            "provenance": provenance((), self.work.options.seed),
-        }
+        return super().to_dict() | {"loops": len(self.rows), "rows": [row.to_dict() for row in self.rows]}

@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from hystfit.batch.fits import ERRORS, ManyFits
 from hystfit.batch.work import Work
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
 from hystfit.fitting.fit import fit
-from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.outcome import Status, Table
 from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.colors import MODEL, SECOND
 from hystfit.results.exchange import write_table
-from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 
-SCHEMA = "hystfit.map/1"
-_OUTER = (0.05, 0.5, 0.95)
-_NUMBERS = ("rmse", "error_percent", "max_error_percent")
 _FAR = 6.0  # median deviations from the median, beyond which a usable loop is an outlier
 _AXES = ("x", "y", "z")
 _ROWS = 2**14  # of a table that are made at once
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
-class LoopMap(WithStatus):
+class LoopMap(ManyFits):
     """Fits of one model to the loops of an array; every array has its shape, NaN where a number is unknown.
 
     Attributes:
@@ -63,7 +59,7 @@ class LoopMap(WithStatus):
     model: str
     frame: Record
     work: Work
-    verb: ClassVar[str] = "batch"
+    schema: ClassVar[str] = "hystfit.map/1"
 
     @classmethod
     def of(
@@ -102,7 +98,7 @@ class LoopMap(WithStatus):
             values={name: joined(f"value {name}") for name in names},
             stderr={name: joined(f"stderr {name}") for name in names},
             quantities={name.removeprefix("quantity "): joined(name) for name in known},
-            errors={name: joined(name) for name in _NUMBERS},
+            errors={name: joined(name) for name in ERRORS},
             statuses=joined("status"),
             codes=joined("codes"),
             reasons=reasons,
@@ -121,15 +117,8 @@ class LoopMap(WithStatus):
         """Which fits are usable."""
         return self.statuses == str(Status.OK)
 
-    @property
-    def status(self) -> Status:
-        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
-        return Status.OK if self.ok.all() else Status.PARTIAL if self.ok.any() else Status.FAILED
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of loops by status, most frequent first."""
-        return dict(Counter(self.statuses.ravel().tolist()).most_common())
+    def _statuses(self) -> list[str]:
+        return self.statuses.ravel().tolist()
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The map of a parameter, quantity or error, in the shape of the array.
@@ -163,32 +152,20 @@ class LoopMap(WithStatus):
 
     def summary(self) -> Table:
         """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
-        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median"), Column("5 %")]
-        columns += [Column("95 %"), Column("median stderr"), Column("outliers")]
         rows = []
         for name, values in {**self.values, **self.quantities}.items():
-            here = values[self.ok & np.isfinite(values)]
-            low, middle, high = np.quantile(here, _OUTER).tolist() if here.size else [None] * 3
-            errors = self.stderr.get(name, np.array(np.nan))[
-                np.where(self.ok & np.isfinite(values)) if name in self.stderr else ()
-            ]
+            known = self.ok & np.isfinite(values)
+            errors = self.stderr[name][known] if name in self.stderr else np.array(np.nan)
             error = float(np.nanmedian(errors)) if np.isfinite(errors).any() else None
             far = int(self.outliers(name).sum())
-            rows.append([name, self.units.get(name, ""), int(here.size), middle, low, high, error, far])
-        return Table(columns, rows)
+            rows.append((name, self.units.get(name, ""), values[known], (error, far)))
+        return self._distribution(rows, ("median stderr", "outliers"))
 
     def __str__(self) -> str:
-        counted = ", ".join(f"{count} {status}" for status, count in self.counts.items())
-        lines = [f"{self.model} fitted to {len(self)} loops: {counted}"]
-        lines.append(f"{int((~self.alone).sum())} were judged together, {int(self.alone.sum())} were fitted alone")
-        if self.ok.any():
-            lines += ["", "Usable fits", *self.summary().lines("  ")]
+        told = f"{int((~self.alone).sum())} were judged together, {int(self.alone.sum())} were fitted alone"
         bad = [(place, text) for place, text in self.reasons.items() if not self.ok[place]][:5]
-        if bad:
-            lines += ["", "Not usable", *(f"  {place}: {self.statuses[place]}: {text}" for place, text in bad)]
-            rest = int((~self.ok).sum()) - len(bad)
-            lines += [f"  and {rest} more"] if rest else []
-        return "\n".join(lines)
+        bad = [f"  {place}: {self.statuses[place]}: {text}" for place, text in bad]
+        return self._lines([told], self.summary().lines("  "), bad)
 
     __repr__ = __str__
 
@@ -233,20 +210,8 @@ class LoopMap(WithStatus):
             for place, text in self.reasons.items()
             if not self.ok[place]
         ]
-        return {
-            "schema": SCHEMA,
-            "model": self.model,
-            "status": str(self.status),
-            "advice": self.advice,
-            "shape": list(self.shape),
-            "counts": self.counts,
-            "fitted_alone": int(self.alone.sum()),
-            "units": dict(self.units),
-            "settings": self.work.settings,
-            "summary": self.summary().to_list(),
-            "not_usable": bad[:100],
-            "provenance": provenance((), self.work.options.seed),
-        }
+        alone = int(self.alone.sum())
+        return super().to_dict() | {"shape": list(self.shape), "fitted_alone": alone, "not_usable": bad[:100]}
 
     # -- files -----------------------------------------------------------------------------------------------------------
 
@@ -265,7 +230,7 @@ class LoopMap(WithStatus):
             data[f"{name}_stderr"] = (names, values, {"units": self.units.get(name, "")})
         data |= {name: (names, values) for name, values in self.errors.items()}
         data |= {"status": (names, self.statuses), "notes": (names, self.codes)}
-        return xarray.Dataset(data, attrs={"schema": SCHEMA, "model": self.model})
+        return xarray.Dataset(data, attrs={"schema": self.schema, "model": self.model})
 
     def save(self, path: str | Path) -> Path:
         """Write the maps: .nc (netCDF) and .zarr (a Zarr store) over the axes of the array, .parquet with one row a loop.

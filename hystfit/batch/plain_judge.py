@@ -19,7 +19,6 @@ from hystfit.batch.row_accuracy import MARGIN, accuracy
 from hystfit.batch.slow_rows import slow_information
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.assessment import notes_of_model, notes_on_time
-from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.lanes import Ends, Stack
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity
@@ -27,6 +26,7 @@ from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import largest_step
+from hystfit.results.accuracy import VISIBLE
 
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _AT_BOUND = 2e-4  # relative distance to a bound

@@ -18,7 +18,6 @@ from hystfit.batch.alike import Group, Loops
 from hystfit.batch.simulated_rows import chunks, shared_and_own, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
 from hystfit.fitting.fit_warnings import BEGINS, SHORT
-from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.lanes import Stack, device_for, placed
 from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
@@ -27,7 +26,7 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.quality.baselines import DEGREE, USABLE
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
-from hystfit.results.accuracy import NOISY, persistent_error
+from hystfit.results.accuracy import NOISY, VISIBLE, persistent_error
 
 _ON_CURVE = 2**11  # samples on which a curve is fitted: its error is known to 2 %
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four

@@ -10,14 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.lanes import Stack, device_for, placed, room
+from hystfit.fitting.lanes import BESIDE, Stack, device_for, placed, room
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 
 _NUMBERS = 2**24  # of outputs computed in one call
-# Rows side by side on a CPU where one scan of the model's step computes a row. 16 rows took 0.16 (Bouc-Wen), 0.4 (Duhem), 0.2 (LuGre,
-# Voce-Chaboche) and 0.6 (Jiles-Atherton) of the time of one after another; where a model computes all samples of a row at once, 1.3 to 1.7.
-_BESIDE = 16
 
 
 def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
@@ -60,5 +57,7 @@ def simulate_rows(
     if together:
         return jax.vmap(of_row)(*rows)
     model = coordinates.treedef.unflatten(coordinates.leaves)
-    beside = _BESIDE if model.causal and model.one_scan else None
+    # Rows side by side took 0.16 (Bouc-Wen) to 0.6 (Jiles-Atherton) of the time of one after another; where a model computes all
+    # samples of a row at once, 1.3 to 1.7.
+    beside = BESIDE if model.causal and model.one_scan else None
     return jax.lax.map(lambda row: of_row(*row), rows, batch_size=beside)

@@ -16,9 +16,7 @@ from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
 from hystfit.inference.objective import flat
 from hystfit.inference.residuals import ResidualAnalysis, curves
-from hystfit.params.host_arrays import compiled
-
-_NUMBERS = 2**22  # derivatives computed in one call
+from hystfit.params.host_arrays import NUMBERS, compiled
 
 
 def slow_information(
@@ -86,7 +84,7 @@ def _linearized(
 ) -> tuple[Float[np.ndarray, "N T"], Float[np.ndarray, "N T p"]]:
     """Residuals and their derivatives with respect to the physical parameters."""
     width = stack.samples * (z.shape[1] + 1)
-    size, pieces = min(room(len(z)), 1 << (max(_NUMBERS // width, 1).bit_length() - 1)), []
+    size, pieces = min(room(len(z)), 1 << (max(NUMBERS // width, 1).bit_length() - 1)), []
     for begin in range(0, len(z), size):
         at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
         part = stack.take(at)

@@ -23,7 +23,6 @@ from hystfit.fitting.assessment import Unknown, notes_of_errors
 from hystfit.fitting.convex import Convex
 from hystfit.fitting.covariance import determine, ridge_shares
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.fitted import VISIBLE
 from hystfit.fitting.near_bounds import Information, NearBounds, centered
 from hystfit.fitting.ridge import LinearSystem, fit_ridges
 from hystfit.fitting.smooth_weights import SmoothWeights
@@ -37,6 +36,7 @@ from hystfit.inference.weights import Split, free_columns, weighted_columns
 from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.outcome import Code, Note
 from hystfit.params.relative_size import relative_size
+from hystfit.results.accuracy import VISIBLE
 
 
 class Weights(NamedTuple):

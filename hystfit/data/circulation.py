@@ -7,9 +7,9 @@ import numpy as np
 OPEN = 0.02  # area over that of the box around it, from which a loop has a direction
 FEWEST = 8  # samples of a loop or of a period
 SLACK = 0.01  # of a range, which noise and rounding may make up
+PART = 0.5  # of the input's range, which the part of a record that returns covers, and each curve of a family
 GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 
-_PART = 0.5  # of the input's range, which the part of a record that returns covers
 _FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lines between samples of a curve enclose as much
 
 
@@ -27,7 +27,7 @@ def circulation(u: np.ndarray, y: np.ndarray) -> float:
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0
     part, whole = _returning(u), _area(u, y)
-    if np.ptp(u[part]) < _PART * np.ptp(u) or not np.ptp(y[part]) > 0:
+    if np.ptp(u[part]) < PART * np.ptp(u) or not np.ptp(y[part]) > 0:
         return whole
     returned = _area(u[part], y[part])
     return returned if abs(returned) >= _FLAT else whole

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.data.circulation import FEWEST, GAP, SLACK
+from hystfit.data.circulation import FEWEST, GAP, OPEN, SLACK
 from hystfit.data.record import Record
 
 _INSIDE = 0.1  # of the input's range: least distance of the first input from the turning points, where the state is known anyway
@@ -13,7 +13,6 @@ _LOCAL = 0.05  # of the input's range, over which the slope at the first sample 
 # Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
 _CLOSED, _LOOSE = 0.1, 0.25
 _STANDS_OUT = 8.0  # times the noise: least local width
-_OPEN = 0.02  # of the output's range: least local width
 
 
 def steady_period(record: Record) -> int | None:
@@ -50,7 +49,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
     noise = np.std(np.diff(part, 2), axis=1) / np.sqrt(6.0)  # second differences have sqrt(6) times white noise
     closes = np.abs(end - begin) <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
-    stands_out = width > np.maximum(_OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
+    stands_out = width > np.maximum(OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
     return last + (last == u.size - 1), finite & closes & stands_out
 
 

@@ -20,10 +20,9 @@ from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import FEW, ResidualAnalysis
 from hystfit.params.coordinates import BOTH
-from hystfit.params.relative_size import OPEN, relative_size
+from hystfit.params.relative_size import OPEN, REACH, relative_size
 from hystfit.params.space import ParameterSpace
 
-_REACH = 1.96  # standard errors within which a bound makes a symmetric error bar meaningless
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar;
 _MOVED = 0.5  # where two bounds limit the direction: standard error that it adds, over the parameter's size, above which it has none
 _PART = 0.25  # components of a direction that its description includes
@@ -222,7 +221,7 @@ def determine(
     touched = _touched(open_axes, spreads, (space.kinds == BOTH)[live])
     # Linear weights may well be zero.
     room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(space, x)))
-    reaching = ~touched & (_REACH * np.sqrt(np.diag(full)) > room[live])
+    reaching = ~touched & (REACH * np.sqrt(np.diag(full)) > room[live])
     touched |= reaching
     nonlinear = ~space.linear[live]
     # Where most nonlinear parameters are unknown, their other values may change the rest too, far from the estimate.

@@ -36,13 +36,12 @@ from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.varying import Varying
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import Baselines
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
 from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
-
-_ROUNDING = 1e-8  # residuals below this fraction of the output's size are rounding errors
 
 
 @verb
@@ -171,7 +170,7 @@ def _with_noise(
 
 def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: Problem) -> list[Note]:
     """Findings about the residuals that errors of this kind do not allow for."""
-    if errors.sigma < _ROUNDING * problem.scales.y:
+    if errors.sigma < ROUNDED * problem.scales.y:
         return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
     diagnosis = diagnose(errors.residuals)
     if noise == "auto":

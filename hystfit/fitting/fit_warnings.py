@@ -9,21 +9,21 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.fitted import VISIBLE, Fitted
+from hystfit.fitting.fitted import Fitted
+from hystfit.inference.residuals import TURNS
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK
 from hystfit.quality.damage import fails_at
-from hystfit.quality.faults import MOST, clipped_samples, saturated_samples
+from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
 from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, place_of
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.summary import delay_of, outliers_of
-from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
+from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _EXPLAINED = 0.5  # least share of a squared error that a drift explains
-_TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -128,7 +128,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         span: range of the output [y].
     """
     for row, record in zip(rows, data, strict=True):
-        if record.t is None or clear_reversals(record.u).size < _TURNS:
+        if record.t is None or clear_reversals(record.u).size < TURNS:
             continue
         passed, missed = record.t[record.used] - record.t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))
@@ -189,7 +189,6 @@ def _place(record: Record, sample: int) -> tuple[str, str]:
 ROBUST_LOSS = ("loss", "huber")  # option of a fit in which few large errors count less
 
 SHORT = 0.03  # of the samples of a record
-_LARGER = 5.0  # times the rms error of the other samples
 # Residuals belong to the stretch that are this many times that rms error, with at most so many samples between two of them.
 _OUTSIDE, _GAP = 4.0, 4
 
@@ -210,7 +209,7 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
             continue
         others = float(np.sqrt(np.mean(np.delete(row, slice(first, last + 1)) ** 2)))
         ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)
-        if ratio < _LARGER:
+        if ratio < CLEAR:
             continue
         far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)

@@ -18,8 +18,6 @@ from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.summary import may_change, summarize
 from hystfit.results.metrics import Metrics
 
-VISIBLE = 1.0  # percent of range, below which drift or damage does not matter
-
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:

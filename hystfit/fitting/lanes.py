@@ -27,7 +27,7 @@ from hystfit.params.host_arrays import compiled
 MANY = 1024  # lanes from which a GPU is worth its programs and copies
 # Lanes that take their steps on the host at once, few or many: interrupts come through between steps, and arrays stay small.
 _CHUNK = 64, 256
-_BESIDE = 16  # lanes side by side on a CPU: 0.5 of the time of one after another (Bouc-Wen), 0.4 (Duhem), 0.9 (LuGre)
+BESIDE = 16  # lanes side by side on a CPU: 0.5 of the time of one after another (Bouc-Wen), 0.4 (Duhem), 0.9 (LuGre)
 _BLOCK = 256  # samples of lanes side by side that are in the cache together: 0.92 of the time of 10 000 (Bouc-Wen)
 _PAYS = 2**18  # samples of all lanes from which the program that linearizes some side by side pays
 _FEW = 64  # part of the lanes on a GPU that the CPU takes over: the next smaller program would take longer to compile
@@ -154,7 +154,7 @@ def device_for(lanes: int) -> Any:
 def _chunk(samples: int, many: bool) -> int:
     """Lanes that take their steps on the host at once, of many a multiple of those that go side by side."""
     most = max(1, min(_CHUNK[many], _SAMPLES // samples))
-    return most - most % _BESIDE if many and most > _BESIDE else most
+    return most - most % BESIDE if many and most > BESIDE else most
 
 
 def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
@@ -217,7 +217,7 @@ def _linearized_beside(stack: Stack, records: Array, z: Float[Array, "L p"], cou
     if not suits_lanes(stack.at(0)):
         return _linearized(stack, records, z, count)
     lanes, p = z.shape
-    width = min(_BESIDE, lanes)
+    width = min(BESIDE, lanes)
 
     def some(k: Array, rows: Normal) -> Normal:
         begin = jnp.minimum(k * width, lanes - width)

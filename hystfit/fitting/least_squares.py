@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
-from hystfit.fitting.polish import EXACT, polish
+from hystfit.fitting.polish import EXACT, STEPS, polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
 from hystfit.inference.objective import Objective
@@ -28,7 +28,6 @@ ROUND, ROUNDS = 30, 4
 # Error after the first round over the most that can win, above which a first look ends: of 69 first looks at 11 measured files further
 # rounds left 0.65 of the error in one, and 0.95 to 1 in the others.
 _FAR = 2.0
-_STEPS = 200  # at most, of the polish of a fit of few samples
 
 
 class LeastSquares(AbstractEstimator):
@@ -77,7 +76,7 @@ class LeastSquares(AbstractEstimator):
             cost *= total / thinned
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
-            exact, most = () if short is not None else (_STEPS, EXACT), self.most if success else np.inf
+            exact, most = () if short is not None else (STEPS, EXACT), self.most if success else np.inf
             z, cost, success, more, linearized, beaten = polish(problem, z, *exact, most=most)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost

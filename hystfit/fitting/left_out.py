@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from hystfit.errors import ParameterError
 from hystfit.fitting.convex import Convex
-from hystfit.fitting.polish import polish
+from hystfit.fitting.polish import STEPS, polish
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
 from hystfit.fitting.smooth_weights import left_out_scores
@@ -22,9 +22,6 @@ from hystfit.results.result import FitResult
 # Part of the effect of a parameter on all samples, below which the others do not determine it, such as an initial state that they have
 # forgotten: its standard error would be a hundred times as large.
 _LOST = 0.01
-# Linearizations of a refit at most. Refits of `steel-02` to five parts of a coupon took 120 to 207; stopped at 40, near the values that the
-# held-out samples had helped to find, they erred 2.5 % instead of 3.1 %.
-_STEPS = 250
 LeftOut = Literal["auto", "future"]
 CHOICES: tuple[str, ...] = get_args(LeftOut)
 
@@ -100,7 +97,7 @@ def _refitted(
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         if descends:
             lost = _effects(training, x) < _LOST * effects
-            fitted = training.space.physical(polish(training, z, _STEPS, held=lost).z)
+            fitted = training.space.physical(polish(training, z, STEPS, held=lost).z)
         else:
             fitted = ESTIMATORS.make(method).estimate(training, z[None]).x
         predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))

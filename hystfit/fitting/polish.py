@@ -16,6 +16,9 @@ from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
 NEAR, EXACT = 1e-3, 3e-7  # standard errors from the minimum, in the linear model, at which a fit has converged
+# Linearizations of a fit at most. Refits of `steel-02` to five parts of a coupon took 120 to 207; stopped at 40, near the values that the
+# held-out samples had helped to find, they erred 2.5 % instead of 3.1 %.
+STEPS = 250
 _BLUR = 0.01  # rounding error of an output over ROUNDING
 
 

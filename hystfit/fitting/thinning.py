@@ -19,7 +19,7 @@ from hystfit.params.host_arrays import to_device
 from hystfit.quality.loops import clear_reversals
 
 _SAMPLES = 1024  # of all records together
-_LEAST = 256  # of each record
+LEAST = 256  # of each record; those on which starts, and loops, are compared
 _A_BRANCH = 12  # samples between two reversals of the input, on average
 _PAYS = 2  # times as many samples make the short form worth its compilation
 _ENOUGH = 30_000  # samples of all records together on which models are compared: errors of 1 % are told apart, see `equal_errors`
@@ -135,7 +135,7 @@ def _plan(data: Iterable[Record], samples: int = _SAMPLES) -> tuple[list[np.ndar
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)
-    return turns, bucket(max(samples // len(turns), _LEAST, _A_BRANCH * most))
+    return turns, bucket(max(samples // len(turns), LEAST, _A_BRANCH * most))
 
 
 def _kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:

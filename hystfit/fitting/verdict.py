@@ -11,20 +11,23 @@ from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_warnings import warnings_of
-from hystfit.fitting.fitted import VISIBLE, Fitted
+from hystfit.fitting.fitted import Fitted
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import USABLE, Baselines, curve_scatter
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
+from hystfit.quality.faults import FEWEST_SAMPLES
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
     POOR,
     SHARE,
+    VISIBLE,
     accuracy_note,
     exceeded_limits,
     is_noise,
@@ -34,10 +37,8 @@ from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
 _LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
-_EXACT = 1e-6  # of the range: a single-valued curve that leaves less is exact
 _ENOUGH = 30  # residuals of a record needed to call them white
 _CYCLED = 4  # reversals: the half cycles after the first one that show whether the model describes the loop
-_FEWEST = 10  # samples, below which no fit is usable
 
 
 def turns_back(data: Iterable[Record]) -> bool:
@@ -98,7 +99,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     parameters = fitted.estimate.x.size
     # Smooth weights may outnumber the samples: their penalty was chosen on left-out data, which test them.
     smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None
-    if train.n < _FEWEST or (train.n <= parameters and not smooth):
+    if train.n < FEWEST_SAMPLES or (train.n <= parameters and not smooth):
         text = f"{train.n} samples for {parameters} parameters: too few samples to test the fit"
         return Status.UNDETERMINED, _error(Code.NOT_DETERMINED, text)
     shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
@@ -162,7 +163,7 @@ def _records_apart(fitted: Fitted) -> Note | None:
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
-    exact = baselines.curve <= _EXACT * baselines.span
+    exact = baselines.curve <= ROUNDED * baselines.span
     return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
 
 

@@ -36,11 +36,11 @@ from hystfit.models.simulation import simulate
 from hystfit.models.starting import first_output, input_range, output_range
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
+from hystfit.params.relative_size import ROUNDED
 
 STARTS = ("zero", "model", "data")
 BASES = ("legendre", "powers")
 _LEAST_RATE = 1e-6  # scaled alpha (per half range of the input) below which f = (alpha f) / alpha is meaningless
-_RANK = 1e-9  # of the largest singular value of the columns at unit length
 
 
 class Rows(NamedTuple):
@@ -358,7 +358,7 @@ def rank_of(phi: np.ndarray) -> int:
     """Numerical rank of columns of any scale, shape (K, p)."""
     size = np.linalg.norm(phi, axis=0)
     values = np.linalg.svd(phi / np.where(size > 0, size, 1.0), compute_uv=False)
-    return int(np.sum(values > _RANK * values[0]))
+    return int(np.sum(values > ROUNDED * values[0]))
 
 
 def with_first_output(model: Duhem, record: Record) -> Duhem:

@@ -21,7 +21,7 @@ from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
-_EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
+EDGE = 8.0  # |z| beyond which a parameter counts as lying on its bound: within 3e-4 of the scale or the interval
 _END = 16.0  # |z| beyond which no step leads towards a bound
 _INSIDE = 3.0  # |z| from which a search is started again where a parameter lies on its bound
 _DAMPING = 1e-9, 1e6  # least and largest
@@ -86,11 +86,11 @@ class BoundedNewton:
         return np.where(self.linear, linear_low, low), np.where(self.linear, linear_high, high)
 
     def coordinates(self, x: np.ndarray) -> np.ndarray:
-        """v of physical parameters; nonlinear parameters on a bound are moved to `_EDGE`."""
+        """v of physical parameters; nonlinear parameters on a bound are moved to `EDGE`."""
         with np.errstate(all="ignore"):
             z = self._space.coordinates.unconstrained(x, 1e-9, np)
-        z = np.where(self._one_sided, np.maximum(z, -_EDGE), z)
-        z = np.where(self._two_sided, np.clip(z, -_EDGE, _EDGE), z)
+        z = np.where(self._one_sided, np.maximum(z, -EDGE), z)
+        z = np.where(self._two_sided, np.clip(z, -EDGE, EDGE), z)
         return np.where(self.linear, x / self._space.scale, z)
 
     def physical(self, v: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from hystfit.params.space import ParameterSpace
 
 WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natural size
 # Standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way.
-_LOG_WIDE = 3.0
+LOG_WIDE = 3.0
 _INSIDE = 0.01  # of the natural size, by which a value on its bound is moved off it
 SEEN = 2000  # draws of a prior, to see where it lies
 _NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
@@ -256,7 +256,7 @@ def default_priors(space: ParameterSpace, x: np.ndarray | None = None) -> dict[s
         else:
             edge, side = (lower[k], 1.0) if kind == LOWER else (upper[k], -1.0)
             weight = HalfNormal(WIDE * scale[k] / effect[k], edge, side)
-            priors[name] = weight if info.linear else LogNormal(scale[k], _LOG_WIDE, edge, side)
+            priors[name] = weight if info.linear else LogNormal(scale[k], LOG_WIDE, edge, side)
     return priors
 
 

@@ -20,7 +20,7 @@ from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import checked_drive
-from hystfit.models.starting import LARGE, input_range, output_range, sampling_interval, speed
+from hystfit.models.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
 
@@ -32,7 +32,6 @@ _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
 _DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
-_LONGEST = 2**13  # samples of a record by which strain and time constant of the start are chosen
 
 
 class Damper(AbstractHysteresis):
@@ -158,7 +157,7 @@ class Damper(AbstractHysteresis):
         place, out, interval = input_range(records), output_range(records), sampling_interval(records)
         ranges = {"center": place.center, "half": place.half, "speed": speed(records, LARGE)}
         model = dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
-        heads = [record.segment(0, min(len(record), _LONGEST)) for record in records]
+        heads = [record.segment(0, min(len(record), SAMPLES)) for record in records]
         starts = itertools.product(_STRAINS, interval * np.array(_DELAYS))
         tried = [dataclasses.replace(model, strain=strain, tau=tau) for strain, tau in starts]
         return min(tried, key=lambda one: one._misfit(heads))

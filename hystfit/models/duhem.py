@@ -18,7 +18,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.slopes import Slopes
+from hystfit.models.slopes import CYCLES, POINTS, Slopes
 from hystfit.models.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
@@ -29,7 +29,6 @@ Scheme = Literal["midpoint", "explicit", "exact"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
-_SWEPT, _CYCLES = 400, 3  # inputs and cycles of the loop over which slopes are swept
 _UNSTABLE = 2.0  # alpha |dv| from which an explicit step enlarges a deviation
 _ALTERNATES = {"explicit": 1.0, "midpoint": 2.0}  # alpha |dv| above which a step reverses a deviation
 
@@ -218,11 +217,11 @@ class Duhem(AbstractHysteresis):
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
         """Those on both sides of each branch of the loop over the whole range, between which all others run."""
-        v = np.linspace(low, high, _SWEPT)
+        v = np.linspace(low, high, POINTS)
         f, g = (np.asarray(curve) for curve in self.curves(jnp.asarray(v)))
         alpha, w, found = float(self.alpha), float(f[0]), []
         drive = alpha * (v[1] - v[0])
-        for cycle in range(_CYCLES):
+        for cycle in range(CYCLES):
             for order in (1, -1):
                 rates, curve = order * g[::order] * (v[1] - v[0]), f[::order]
                 branch = np.empty(v.size)
@@ -232,7 +231,7 @@ class Duhem(AbstractHysteresis):
                     pull, push = 0.5 * (curve[k] + curve[k + 1]), 0.5 * (rates[k] + rates[k + 1])
                     w = ((1 - 0.5 * drive) * w + drive * pull + push) / (1 + 0.5 * drive)
                     branch[k + 1] = w
-                if cycle == _CYCLES - 1:
+                if cycle == CYCLES - 1:
                     found += [side * alpha * (curve - branch) + g[::order] for side in (1, -1)]
         return Slopes.of(*found)
 

@@ -19,9 +19,9 @@ from hystfit.models.c_code import CPart
 from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve, search_in_c
 from hystfit.models.shapes import Scalar, State
 from hystfit.params.param import param
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.needs import Needs
 
-_STEEPEST = 1e-9  # slope dB/dHe over its largest one, from which the derivative of the field counts as that of a jump
 _SHARED = ("Ms", "a", "coupling", "k", "c", "q", "slope")  # fields of the law in both forms
 
 
@@ -94,7 +94,7 @@ class JilesAthertonField(AbstractHysteresis):
         width = jnp.abs(rest) / jnp.maximum(self.slope, jnp.finfo(u1.dtype).tiny)
         low, high = jnp.minimum(u1 / self.slope - width, state[0]), jnp.maximum(u1 / self.slope + width, state[0])
         search = lambda function, start: solve_rising(function, start, low, high).x
-        divided = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), _STEEPEST)
+        divided = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), ROUNDED)
         moved = law.at_field(state, s, jax.lax.custom_root(miss, state[0], search, divided))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 

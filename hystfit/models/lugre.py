@@ -13,14 +13,13 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import TYPICAL, fit_linear, input_range, offset_columns, output_range, speed
+from hystfit.models.starting import SAMPLES, TYPICAL, fit_linear, input_range, offset_columns, output_range, speed
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _BEND = tuple(np.geomspace(3e-3, 0.5, 8))  # presliding displacements of the grid, over half the range of the input
 _EXCESS = (0.0, 0.3, 1.0)  # of static over Coulomb friction
 _BENDS_AT = (0.03, 0.2)  # Stribeck velocities, over the typical one
-_SAMPLES = 3000  # of each record from which starting values are read
 
 
 class LuGre(AbstractHysteresis):
@@ -87,7 +86,7 @@ class LuGre(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> LuGre:
         """A grid over the presliding displacement, the excess of static friction and vs; forces by linear least squares."""
         half, out = input_range(records).half, output_range(records)
-        short = [record.segment(0, min(len(record), _SAMPLES)) for record in records]
+        short = [record.segment(0, min(len(record), SAMPLES)) for record in records]
         short = [one for one, record in zip(short, records, strict=True) if one.used.any()] or list(records)
         steps = [(np.diff(one.u, prepend=one.u[0]), one.dt) for one in short]
         rates = [du / np.where(dt > 0, dt, 1.0) * (dt > 0) for du, dt in steps]

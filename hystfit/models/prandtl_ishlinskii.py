@@ -23,14 +23,13 @@ from hystfit.models.play_columns import Envelope, element_columns, envelope, env
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import Slopes
+from hystfit.models.slopes import POINTS, Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 Operator = Literal["play", "stop"]
-_SWEPT = 201  # inputs at which slopes are swept
 _LANES = 8  # sums side by side, as wide as a vector of the processor: a step of 30 plays takes 31 ns for 45
 
 
@@ -285,7 +284,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
         if self.hardening.size:
             return None
         place, span = float(self.low), float(self.high) - float(self.low)
-        x = np.linspace((low - place) / span, (high - place) / span, _SWEPT)
+        x = np.linspace((low - place) / span, (high - place) / span, POINTS)
         order = np.argsort(np.asarray(self.r))
         single = 2.0 * legval(2.0 * x - 1.0, legder(np.append(0.0, np.asarray(self.b)))) + rising_slope(
             np.asarray(self.rise), x

@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-_ROUNDING = 1e-6  # of the largest slope: smaller ones have no sign
+from hystfit.params.relative_size import ROUNDED
+
+POINTS, CYCLES = 400, 3  # inputs of a computed loop, and cycles until it repeats itself
 
 
 class Slopes(NamedTuple):
@@ -24,7 +26,7 @@ class Slopes(NamedTuple):
     @property
     def mixed(self) -> bool:
         """Whether the output rises on some branches and falls on others."""
-        size = _ROUNDING * max(abs(self.least), abs(self.most))
+        size = ROUNDED * max(abs(self.least), abs(self.most))
         return self.least < -size and self.most > size
 
     def __add__(self, other: object) -> Slopes:

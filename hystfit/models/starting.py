@@ -19,6 +19,7 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.units import Scales
 from hystfit.quality.loops import clear_reversals
 
+SAMPLES = 2**13  # of each record from which starting values are read, at most
 LARGE, TYPICAL = 0.99, 0.9  # quantiles of the speeds of the input that count as the largest and as a typical one
 
 

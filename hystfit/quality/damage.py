@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.quality.loops import clear_reversals, cycles
+from hystfit.quality.loops import SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import WHOLE, RecordQuality
 from hystfit.quality.summary import summarize
 
 FAILED = 0.8  # of the largest force, to which that of later peaks has fallen at failure (ASTM E2126)
-_FEWEST = 3  # cycles worth a fit
 
 
 def whole_until(record: Record, quality: RecordQuality) -> float | None:
@@ -31,7 +30,7 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
         return None
     ends = (cycles(record.u, quality.motion.threshold)[:, -1] + 1).tolist()
     sound = lambda end: _is_whole(summarize(record.segment(0, end)))
-    low, high = _FEWEST, len(ends)
+    low, high = SEVERAL, len(ends)
     if high <= low or not sound(ends[low - 1]):
         return None
     while high - low > 1:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import FEWEST, Regressors, delayed
+from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
@@ -20,8 +20,6 @@ _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 _VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y: one of 12 samples at 100 a branch leaves 0.004
 REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
-# Ratio of errors below which the shorter of two delays is taken: half a period and a change of sign look alike.
-_EQUAL = 1.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,4 +93,4 @@ def _best(error: Callable[[float], float], longest: float) -> tuple[float, float
             at, size = near[int(np.argmin([error(delay) for delay in near]))], 0.5 * size
         candidates.append((float(at), float(error(at))))
     least = min(value for _, value in candidates)
-    return next(pair for pair in candidates if pair[1] <= _EQUAL * least)
+    return next(pair for pair in candidates if pair[1] <= DECIDES * least)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, Severity
 from hystfit.quality.faults import FEWEST_SAMPLES
-from hystfit.quality.loops import distinct
+from hystfit.quality.loops import SEVERAL, distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import LONG_HOLD, SPEEDS_APART, RecordQuality
 
@@ -16,7 +16,7 @@ ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
 _SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
 _FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
-_FEWEST_PER_BRANCH, _FEW_PER_BRANCH = 3, 6  # samples below which branches have no shape, or a coarse one
+_FEW_PER_BRANCH = 6  # samples below which branches have a coarse shape; below `SEVERAL` they have none
 
 
 class Verdict(enum.StrEnum):
@@ -81,7 +81,7 @@ class _Facts:
     @property
     def too_few(self) -> bool:
         """Whether there are too few samples for any model."""
-        return self.samples < FEWEST_SAMPLES or self.per_branch < _FEWEST_PER_BRANCH
+        return self.samples < FEWEST_SAMPLES or self.per_branch < SEVERAL
 
 
 def few_samples(records: Sequence[RecordQuality]) -> Note | None:

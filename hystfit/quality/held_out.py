@@ -11,12 +11,11 @@ import numpy as np
 
 from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
-from hystfit.quality.loops import clear_reversals, distinct, extents
+from hystfit.quality.loops import SEVERAL, clear_reversals, distinct, extents
 
 # Groups that are held out in turn: more refits hardly change the error (Breiman and Spector 1992).
 FOLDS = 5
 GAIN = 0.98  # another term or size is taken only if it lowers the error on held-out data by at least 2 %
-_SEVERAL = 3  # records or amplitude levels from which whole ones are held out: two would leave a single one to fit
 _PER_LEVEL = 2  # cycles of each level
 _RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
 
@@ -96,7 +95,7 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
         records: measured.
         spacing: samples over which errors are correlated; scattered runs have this length where the record is long enough.
     """
-    if sum(bool(record.used.any()) for record in records) >= _SEVERAL:
+    if sum(bool(record.used.any()) for record in records) >= SEVERAL:
         return HeldOut(Scheme.RECORDS, _whole_records(records))
     turns = [clear_reversals(record.u) for record in records]
     levels = [_levels(record, turn) for record, turn in zip(records, turns, strict=True)]
@@ -197,14 +196,14 @@ def _whole_records(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
 def _levels(record: Record, turns: np.ndarray) -> np.ndarray:
     """Groups by amplitude, the largest in none; no groups where there are too few levels, or these are not repeated."""
     none = np.full(len(record), -1)
-    if turns.size < 2 * _SEVERAL * _PER_LEVEL:
+    if turns.size < 2 * SEVERAL * _PER_LEVEL:
         return none
     span = float(np.ptp(record.u))
     edges = np.array([0, *turns, len(record)])
     strokes = extents(record.u, edges) / span
     values = distinct(strokes[1:-1])
     count = len(values)
-    if count < _SEVERAL or turns.size < 2 * _PER_LEVEL * count:
+    if count < SEVERAL or turns.size < 2 * _PER_LEVEL * count:
         return none
     level = np.abs(strokes[:, None] - np.array(values)).argmin(axis=1)
     group = np.where(level == 0, -1, (level - 1) % min(count - 1, FOLDS))

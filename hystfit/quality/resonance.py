@@ -30,9 +30,10 @@ _RINGING = 0.1  # damping ratio below which a resonance above the excited freque
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis without dynamics follows a loop
-# Least ratio of the errors of a filter that runs backward in time and of one that runs forward: 1.3 and 1.7 on two stages that ring, at
-# most 1.02 on steep transitions without a resonance.
-_FORWARD = 1.1
+# Least ratio of two errors by which the smaller one decides: of a filter that runs backward in time and of one that runs forward, 1.3 and
+# 1.7 on two stages that ring, at most 1.02 on steep transitions without a resonance; and of two delays (half a period and a change of
+# sign look alike), of which the shorter is taken otherwise.
+DECIDES = 1.1
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
 
 
@@ -171,7 +172,7 @@ def _described(x: bytes, y: bytes, used: bytes, *response: bytes) -> tuple[float
     # Like is compared with like: the richer description is filtered too. Filtered backward in time it is as flexible, but rings before
     # the turns of the input.
     behind, ahead = (columns.error_corrected(_filtered(static[::way], frequency, damping)[::way]) for way in (1, -1))
-    return without, min(error, behind) if ahead > _FORWARD * behind else error, frequency, damping
+    return without, min(error, behind) if ahead > DECIDES * behind else error, frequency, damping
 
 
 def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.circulation import SLACK
+from hystfit.data.circulation import FEWEST, SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
@@ -124,7 +124,6 @@ def at_inputs(record: Record, u: np.ndarray) -> np.ndarray:
 
 _FIT = 5  # points after a point from which a parabola is continued to it
 _MOST = 3  # first points that are left out of each curve at most
-_FEWEST = 8  # calibration points, or curves, from which a correction is estimated
 _WIDTHS = (3, 5, 9, 17, 33)  # calibration points in the running mean of the drift, chosen by points left out
 
 
@@ -146,7 +145,7 @@ def _without_drift(data: Dataset) -> tuple[Dataset, list[Note]]:
     """Outputs times mean over local calibration output, where calibration outputs of neighbors are more alike than of others."""
     calibrated = [not r.used[0] and bool(np.isfinite(r.y[0])) for r in data]
     levels = np.array([r.y[0] for r, has_one in zip(data, calibrated, strict=True) if has_one])
-    if levels.size < _FEWEST or not all(calibrated) or drift_probability(levels) > SIGNIFICANCE:
+    if levels.size < FEWEST or not all(calibrated) or drift_probability(levels) > SIGNIFICANCE:
         return data, []
     slow = _running_mean(levels)
     factors = levels.mean() / slow
@@ -191,7 +190,7 @@ def _without_unsettled_points(data: Dataset) -> tuple[Dataset, list[Note]]:
     while count < _MOST:
         first, second = (np.array([_distance(r, count + k) for r in data]) for k in range(2))
         both = np.isfinite(first) & np.isfinite(second) & (first != second)
-        if both.sum() < _FEWEST:
+        if both.sum() < FEWEST:
             break
         if wilcoxon(first[both] - second[both], alternative="greater").pvalue > SIGNIFICANCE:
             break

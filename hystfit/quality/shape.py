@@ -10,13 +10,11 @@ import numpy as np
 
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
-from hystfit.quality.loops import APART, SAME_LEVEL, Loop, closed_loops, loop_area, loop_branches
+from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops, loop_area, loop_branches
 
 # Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
 # substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
-_LINEAR = 1e-3  # least part of the output that is not the straight line: less may be rounding
-_FEWEST = 3  # samples of each branch of a loop; one sample before a reversal curve is its calibration point
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
@@ -93,7 +91,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
     crossing = bool(abs(area) < _CROSSING * between and between > lobes)
-    least = NARROWEST * max(bent, _LINEAR * stroke)
+    least = NARROWEST * max(bent, NARROWEST * stroke)
     # By area, and by the samples: with a last point far in saturation the box around the loop is nearly empty.
     by_chance = 2 * noise / np.sqrt(sum(b - a for a, b in chosen))
     is_open = abs(area) > max(CLEAR * chance, least * largest) or apart > max(CLEAR * by_chance, least)
@@ -130,7 +128,7 @@ def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[t
 def _is_loop(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> bool:
     """Whether a stretch has samples enough on both branches, all of them measured."""
     u, y = u[start : stop + 1], y[start : stop + 1]
-    return bool(np.isfinite(y).all()) and _FEWEST <= _turn(u) < u.size - _FEWEST
+    return bool(np.isfinite(y).all()) and SEVERAL <= _turn(u) < u.size - SEVERAL
 
 
 def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list[tuple[int, int, float]]) -> float:
@@ -162,7 +160,7 @@ def _turn(u: np.ndarray) -> int:
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
     lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= SAME_LEVEL * np.ptp(u)
-    if not _FEWEST <= lowest < u.size - _FEWEST or not closes or not abs(y[-1] - y[0]) <= SAME_LEVEL * np.ptp(y):
+    if not SEVERAL <= lowest < u.size - SEVERAL or not closes or not abs(y[-1] - y[0]) <= SAME_LEVEL * np.ptp(y):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)
@@ -312,7 +310,7 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
     slopes = []
     for a, b in itertools.compress(branches, growing):
         near = slice(a, a + int(np.argmax(np.abs(u[a : b + 1] - u[a]) > reach)) + 1)
-        if near.stop - a < _FEWEST + 1:
+        if near.stop - a < SEVERAL + 1:
             return None
         slopes.append(float(np.polyfit(u[near], y[near], 1)[0]))
     first = float(np.median(slopes[:2]))

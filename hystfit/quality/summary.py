@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from hystfit.data.preparation import CoarseClock
-from hystfit.data.record import Record
+from hystfit.data.record import EVEN, Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
@@ -43,7 +43,6 @@ from hystfit.quality.shape import loop_shape, rate_effect, stiffness_left, stren
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
 
-_UNEVEN = 0.01  # largest deviation of even time steps from their interval, as a fraction of it
 _WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 
@@ -118,7 +117,7 @@ def slow_lag_of(record: Record) -> float | None:
 def _even_interval(record: Record) -> float | None:
     """Time between samples; None without time or where it is uneven."""
     interval = record.sampling_interval
-    if interval is None or record.t is None or np.max(np.abs(np.diff(record.t) - interval)) > _UNEVEN * interval:
+    if interval is None or record.t is None or np.max(np.abs(np.diff(record.t) - interval)) > EVEN * interval:
         return None
     return interval
 
@@ -202,7 +201,7 @@ def _sampling(record: Record) -> Sampling:
     repeated, duration = int((steps == 0).sum()), float(record.t[-1] - record.t[0])
     if interval is None:
         return Sampling(*counts, duration, None, None, repeated, 0)
-    uniform = bool(np.max(np.abs(steps - interval)) <= _UNEVEN * interval)
+    uniform = bool(np.max(np.abs(steps - interval)) <= EVEN * interval)
     return Sampling(*counts, duration, 1 / interval, uniform, repeated, int((steps > 1.5 * interval).sum()))
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from hystfit.errors import DataError
+from hystfit.outcome.wrapping import listed
 
 MAGIC = b"PK\x03\x04"
 # Members by which an archive is a document of its own: Excel, NumPy, and those that are no measurement.
@@ -20,7 +21,6 @@ _DOCUMENTS = {
 }
 _BESIDE = frozenset({".md", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".tif", ".tiff", ".svg", ".docx", ".pptx"})
 _NOTES = ("readme", "license", "licence")  # what names of texts about the data begin with
-_SHOWN = 6  # names in a message
 
 
 def member_of(raw: bytes, source: str, most: int, name: str = "") -> tuple[str, bytes] | None:
@@ -97,6 +97,5 @@ def _is_document(archive: zipfile.ZipFile, source: str) -> bool:
 def _only(data: Sequence[str], source: str) -> str:
     if len(data) == 1:
         return data[0]
-    listed = ", ".join(map(repr, data[:_SHOWN])) + (", ..." if len(data) > _SHOWN else "")
-    found = f"{len(data)} files ({listed})" if data else "no file that may hold a measurement"
+    found = f"{len(data)} files ({listed([*map(repr, data)])})" if data else "no file that may hold a measurement"
     raise DataError(f"{source} is a zip archive with {found}; unpack it and name the files to read")

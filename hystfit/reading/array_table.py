@@ -13,11 +13,11 @@ from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.limits import MOST_COLUMNS
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text_file import Opening
 
-_MOST_COLUMNS = 5000
 _PATH = re.compile(
     r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
 )  # of an array in groups: run1/H [A/m], test.S1.disp
@@ -87,9 +87,9 @@ def table_of_arrays(
     pairs = [size for size, count in sizes.items() if count > 1]
     rows = max(pairs or sizes, key=lambda size: size)
     names = [name for name, array in columns.items() if array.size == rows]
-    if len(names) > _MOST_COLUMNS:
+    if len(names) > MOST_COLUMNS:
         raise DataError(
-            f"{source}: {len(names)} columns of {rows} rows; {_MOST_COLUMNS} columns are the most: save fewer"
+            f"{source}: {len(names)} columns of {rows} rows; {MOST_COLUMNS} columns are the most: save fewer"
         )
     notes = [*notes, Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
     clocks = [name for name in names if name in stamps]

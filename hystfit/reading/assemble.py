@@ -22,14 +22,14 @@ from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.conditions import changed_conditions, without_turns
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
+from hystfit.reading.limits import MAJORITY, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
 from hystfit.reading.sentinels import failed_inputs, replaced_notes, without_codes, without_infinite
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int
-_UNREAD, _UNREAD_SHARE = 2, 0.01  # rows that may be left out, and their share of the rows
-_RARE = 0.5  # share of the rows with text below which a column of text holds comments
+_UNREAD = 2  # rows that may be left out of any file
 
 
 def assemble(
@@ -140,7 +140,7 @@ def _unread_time(table: Table, choice: Choice, time: Column | bool | None) -> li
 
 def _check_unread(table: Table, gaps: str) -> None:
     """Refuse a table from which many rows of numbers are left out, as they would make jumps in the record."""
-    if gaps == "error" and not table.sectioned and table.unread > max(_UNREAD, _UNREAD_SHARE * table.rows):
+    if gaps == "error" and not table.sectioned and table.unread > max(_UNREAD, RARE * table.rows):
         raise DataError(
             f"{table.source}: {table.unread} rows of numbers cannot be read, and {table.rows} can "
             f"({', '.join(f'{count} x {reason}' for reason, count in table.left_out.items())}); correct them, or leave them out "
@@ -174,7 +174,7 @@ def _without_comments(table: Table, choice: Choice, notes: list[Note]) -> Table:
     empty = np.isnan(table.columns[choice.input]) & np.isnan(table.columns[choice.output])
     if not table.sectioned:
         filled = [labels != "" for labels in table.labels.values()]
-        comments = [cells for cells in filled if cells.mean() < _RARE]  # not a column of states, which every row has
+        comments = [cells for cells in filled if cells.mean() < MAJORITY]  # not a column of states, which every row has
         empty &= np.any(comments, axis=0) if comments else False
     if not empty.any():
         return table

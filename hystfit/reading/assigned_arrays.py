@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.array_table import table_of_arrays
+from hystfit.reading.limits import FEWEST, MOST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text_file import TextFile
 
@@ -22,17 +23,15 @@ _LISTED = re.compile(
     rf"^[ \t]*([A-Za-z_]\w*)[ \t]*:[ \t]*\n((?:[ \t]*-[ \t]+{_NUMBER}[ \t]*(?:\n|$))+)", re.MULTILINE | re.IGNORECASE
 )
 _CLOSING = str.maketrans("[({", "])}")
-_FEWEST = 4  # numbers of an array
 _LOOKED_AT = 4000  # characters in which the first array begins
-_MOST = 0.8  # share of the text that the arrays make up
 
 
 def read_assigned_arrays(text: TextFile) -> Table | None:
     """Arrays in the text of a program (V = [1, 2, ...] of MATLAB, Python, C or R), and lists of YAML, each a column under its name."""
     head = text.content[:_LOOKED_AT]
     found = _assigned(text.content) if _START.search(head) else _listed(text.content) if _LISTED.search(head) else []
-    arrays = {name: array for name, array, _ in found if array is not None and array.shape[0] >= _FEWEST}
-    if not arrays or sum(size for _, _, size in found) < _MOST * len(text.content.strip()):
+    arrays = {name: array for name, array, _ in found if array is not None and array.shape[0] >= FEWEST}
+    if not arrays or sum(size for _, _, size in found) < MOST * len(text.content.strip()):
         return None
     note = Note(Code.FILE_FORMAT, "arrays behind their names, as programs write them")
     table = table_of_arrays(arrays, text.source, text.sha256, (*text.notes, note))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -12,7 +13,6 @@ from hystfit.reading.text_file import TextFile
 _ROWS = re.compile(r"\s*[\[({]\s*[\[({]?[\[\](){}\d\s,;.eE+*^-]*")
 _BETWEEN = re.compile(r"[\])}]\s*[,;]?\s*[\[({]")
 _POWER = re.compile(r"\*\^\s*")  # 1.5*^-9 of Mathematica
-_FEWEST = 4  # rows
 
 
 def read_bracketed(text: TextFile) -> Table | None:
@@ -25,5 +25,5 @@ def read_bracketed(text: TextFile) -> Table | None:
         rows = _BETWEEN.sub("\n", _POWER.sub("e", text.content).strip())
         lines = [re.sub(r"\s+", " ", line).strip() for line in re.sub(r"[\[\](){}]", " ", rows).split("\n")]
         lines = [line for line in lines if line]
-        return plain_text(text.of("\n".join(lines))) if len(lines) >= _FEWEST else None
+        return plain_text(text.of("\n".join(lines))) if len(lines) >= FEWEST else None
     return None

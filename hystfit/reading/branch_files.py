@@ -9,8 +9,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code
-
-_NEAR = 0.1  # of the ranges, within which a branch begins where the one before ends: that of branches side by side
+from hystfit.reading.limits import NEAR
 
 
 def go_on(records: Sequence[Record]) -> bool:
@@ -26,7 +25,7 @@ def go_on(records: Sequence[Record]) -> bool:
         return False
     for column in ("u", "y"):
         parts = [np.asarray(getattr(record, column)) for record in records]
-        near = _NEAR * np.ptp(np.concatenate(parts))
+        near = 2 * NEAR * np.ptp(np.concatenate(parts))
         for one, other in itertools.pairwise(parts):
             step = max(abs(one[-1] - one[-2]), abs(other[1] - other[0]))
             if not abs(other[0] - one[-1]) <= near + step:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.columns import Choice
+from hystfit.reading.limits import FEW, FEWEST, JUMP, NEAR
 from hystfit.reading.raw_table import Table
 
 CURVE_NAMES = (
@@ -17,10 +18,6 @@ CURVE_NAMES = (
 )
 _KIND = re.compile(r"cal(?:ib(?:ration)?)?(?:[ _-]?p(?:oin)?t)?|sat(?:uration)?", re.IGNORECASE)
 _FLAG = re.compile(r"(?:is_?)?cal(?:ib(?:ration)?)?", re.IGNORECASE)
-_NEAR = 0.05  # spread of the inputs at calibration points, as a fraction of the input's range
-_FAR = 5.0  # input steps to and from an isolated calibration point, as multiples of the median step
-_LONGEST = 3  # calibration points in a row
-_LEAST = 3  # isolated points from which they are recognized
 
 
 def marked_by_kind(table: Table, taken: Sequence[int]) -> tuple[np.ndarray | None, list[int]]:
@@ -50,7 +47,7 @@ def marked_by_place(table: Table, choice: Choice) -> np.ndarray | None:
     marked, u = _single_rows(table), table.columns[choice.input]
     if not marked.any() and table.curve[-1] == 0:
         marked = _isolated(u)
-    if not _precede_curves(marked) or not np.ptp(u[marked]) <= _NEAR * np.ptp(u[np.isfinite(u)]):
+    if not _precede_curves(marked) or not np.ptp(u[marked]) <= NEAR * np.ptp(u[np.isfinite(u)]):
         return None
     return marked
 
@@ -58,7 +55,7 @@ def marked_by_place(table: Table, choice: Choice) -> np.ndarray | None:
 def _precede_curves(marked: np.ndarray) -> bool:
     """Whether marked rows are few in a row, begin with the first row, and occur more than once."""
     runs = np.diff(np.flatnonzero(np.diff(marked.astype(int), prepend=0, append=0)))[::2]
-    return bool(marked[0] and runs.size > 1 and runs.max() <= _LONGEST)
+    return bool(marked[0] and runs.size > 1 and runs.max() <= FEW)
 
 
 def _starts(table: Table, marked: np.ndarray) -> np.ndarray:
@@ -91,17 +88,17 @@ def _single_rows(table: Table) -> np.ndarray:
 def _isolated(u: np.ndarray) -> np.ndarray:
     """Points far from both neighbors, each followed by a branch in one direction; none where the rows are not only that."""
     marked = np.zeros(u.size, dtype=bool)
-    if u.size < 3 * _LEAST or not np.isfinite(u).all():
+    if u.size < 3 * FEWEST or not np.isfinite(u).all():
         return marked
     step = np.diff(u)
     usual = np.median(np.abs(step))
-    far = (np.abs(step) > _FAR * usual) & (usual > 0)
+    far = (np.abs(step) > JUMP * usual) & (usual > 0)
     back, ahead = np.append(True, far), np.append(far, False)
     turned = np.append(True, step[:-1] * step[1:] < 0)
     marked[:-1] = back[:-1] & ahead[:-1] & turned
     branches = np.split(step, np.flatnonzero(marked)[1:])
     alike = all(np.ptp(np.sign(branch[1:-1])) < 2 for branch in branches if branch.size > 2)
-    return marked if marked[0] and marked.sum() >= _LEAST and alike else np.zeros_like(marked)
+    return marked if marked[0] and marked.sum() >= FEWEST and alike else np.zeros_like(marked)
 
 
 def calibrated_curves(

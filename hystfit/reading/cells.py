@@ -13,6 +13,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading.limits import JUMP, LONGEST
 
 NUMBER, MISSING, STAMP, TEXT = "N", "M", "D", "T"
 
@@ -69,14 +70,12 @@ def patterns(decimal: str) -> tuple[re.Pattern[str], re.Pattern[str], re.Pattern
 
 
 _THREE_DIGITS = re.compile(r"([+-]?\d*[.,]\d{3,})([+-]\d{3})", re.ASCII)  # 1.234-103: Fortran leaves the E out
-_LONGEST = 1000  # characters of a number or stamp
 # Minus signs and dashes, and the digits and marks of full width of Chinese and Japanese text.
 _AS_ASCII = (
     dict.fromkeys(map(ord, "−–﹣－"), "-") | {0xFF10 + k: str(k) for k in range(10)} | {ord("．"): ".", ord("，"): ","}
 )
 EPOCH_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # and how many of them a second has
 _THIS_AGE = 6e8, 4e9  # s from 1970 to the years 1989 and 2096
-_LONGER = 10.0  # step from one date to the next over the longest within a date, up to which an experiment goes on
 
 
 def clean(cell: str) -> str:
@@ -103,7 +102,7 @@ def _matched(cell: str) -> re.Match[str] | None:
 
 def is_stamp(cell: str) -> bool:
     """Whether a cleaned cell is a date, a time of day or both."""
-    match = _matched(cell) if cell[:1].isdigit() and len(cell) <= _LONGEST else None
+    match = _matched(cell) if cell[:1].isdigit() and len(cell) <= LONGEST else None
     if not match:
         return False
     clock = match["min"] is not None or (match["hh"] is not None and match["ss"] is not None)
@@ -143,7 +142,7 @@ def _accounting_number(cell: str) -> str:
 
 def number(cell: str, decimal: str) -> float | None:
     """The number in a cleaned cell; None for missing values and text. Negative ones may be (1.5) or 1.5-, as in accounts."""
-    if len(cell) > _LONGEST:
+    if len(cell) > LONGEST:
         return None
     plain, grouped, spaced = patterns(decimal)
     if unsigned := _accounting_number(cell):
@@ -310,7 +309,7 @@ def _likelier(stamps: Sequence[_Stamp], readings: Sequence[np.ndarray], where: s
     steps = [np.abs(np.diff(values[np.isfinite(values)])) for values in readings]
     within = np.array([one.date == other.date for one, other in itertools.pairwise(stamps)])
     if within.any():
-        most = _LONGER * steps[0][within].max()
+        most = JUMP * steps[0][within].max()
         fit = [values for values, step in zip(readings, steps, strict=True) if (step <= most).all()]
         if len(fit) == 1:
             return fit[0]

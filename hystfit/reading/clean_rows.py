@@ -11,9 +11,9 @@ import numpy as np
 
 from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect
+from hystfit.reading.limits import SAMPLE
 
 _LARGEST_WHOLE = 2.0**53  # larger whole numbers are read digit by digit
-_EXAMINED = 1000  # rows in which the decimal mark must show what it is
 _TAIL = 1 << 16  # characters at the end that are searched for blanks at a time
 
 
@@ -64,7 +64,7 @@ def _shows_its_mark(lines: Sequence[str], first: int, body: str, dialect: Dialec
         return True
     return any(
         dialect.decimal in cell and not cells.may_be_thousands(cells.clean(cell), dialect.decimal)
-        for line in lines[first : first + _EXAMINED]
+        for line in lines[first : first + SAMPLE]
         for cell in line.split(dialect.delimiter)
     )
 

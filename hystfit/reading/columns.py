@@ -17,6 +17,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.column_names import column_quantity, column_role
+from hystfit.reading.limits import RARE
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.quantities_by_others import tell_by_others
@@ -26,9 +27,6 @@ from hystfit.reading.signal_evidence import computed, proportional, same_loop
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
 )
-# Part of the rows of the fullest column in which one that has numbers is no signal: those beside the first rows are settings of an
-# oscilloscope, 15 in 2500 rows.
-_SETTINGS = 0.01
 _MOST_RESULTS = 200  # rows of a table of results, beyond which a name for each is rather a stamp or an identity
 
 
@@ -111,7 +109,7 @@ def choose(
     used = {*taken, *given.values()}
     free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
     filled = {k: np.isfinite(table.columns[k]).mean() for k in free}
-    free = [k for k in free if filled[k] > _SETTINGS * max(filled.values())]
+    free = [k for k in free if filled[k] > RARE * max(filled.values())]
     known = lambda k: table.named or table.units[k]  # columns without names may have units
     kinds = {k: column_quantity(table.names[k], table.units[k]) if known(k) else "" for k in range(len(table.names))}
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)

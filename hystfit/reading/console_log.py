@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import re
 
+from hystfit.reading.limits import MOST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _STAMPED = re.compile(r"\s*(\d\d:\d\d:\d\d(?:[.,]\d+)?)\s*->\s*(.*)")
 _MARKS = (";", "\t", ",", " ")  # between the numbers, the first one of which there are several
-_MOST = 0.8  # share of the lines
 
 
 def read_console_log(text: TextFile) -> Table | None:
     """Lines of a serial console with the time of day and an arrow before each, as a column of time; None for other text."""
     found = [_STAMPED.fullmatch(line) for line in text.head if line.strip()]
-    if not found or sum(match is not None for match in found) < _MOST * len(found):
+    if not found or sum(match is not None for match in found) < MOST * len(found):
         return None
     last = next(match for match in reversed(found) if match)
     mark = next((mark for mark in _MARKS if mark in last[2].strip()), ",")

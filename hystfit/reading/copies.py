@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity
-
-_FEWEST = 10  # samples from which equal numbers are no coincidence
-_NAMED = 5  # copies named in a note
+from hystfit.outcome.wrapping import listed
+from hystfit.reading.limits import OF_RECORD
 
 
 def without_copies(records: Sequence[Record]) -> tuple[Record, ...]:
@@ -21,7 +20,7 @@ def without_copies(records: Sequence[Record]) -> tuple[Record, ...]:
     kept = []
     for record in records:
         key = record.digest()
-        if key in first and len(record) >= _FEWEST:
+        if key in first and len(record) >= OF_RECORD:
             copies.setdefault(first[key].name, []).append(record.name)
             continue
         first.setdefault(key, record)
@@ -33,7 +32,6 @@ def _noted(record: Record, copies: Sequence[str]) -> Record:
     """The record with a warning that names its copies."""
     if not copies:
         return record
-    named = ", ".join(copies[:_NAMED]) + (f" and {len(copies) - _NAMED} more" if len(copies) > _NAMED else "")
     verb = "repeats" if len(copies) == 1 else "repeat"
-    text = f"left out: {named} {verb} {record.name} in all numbers; a copy is not a further measurement"
+    text = f"left out: {listed(copies)} {verb} {record.name} in all numbers; a copy is not a further measurement"
     return record.noted(Code.LEFT_OUT, text, Severity.WARNING)

@@ -12,23 +12,21 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
+from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, MOST_LABELS, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.two_branches import mirrored
 from hystfit.reading.unseparated_curves import curves_at_conditions
 
-_MOST_CURVES = 10_000
-_FEWEST_ROWS = 4  # of a curve, on average
-_JUMP = 5.0  # step to the next curve over the steps around it
-_MOST_LEVELS, _ROWS_OF_LEVEL = 12, 50  # of a column that is set to levels in turn: their number, and rows of each
+_ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
-_NEAR = 0.05  # part of the range within which a block of one loop begins where the one before ends
 
 
 def text_of(value: object) -> str:
@@ -80,9 +78,9 @@ def split_curves(
         if number[-1] == 0:
             _suggest(table, choice, notes)
             return [("", np.arange(table.rows))], False
-    if number[-1] > _MOST_CURVES:
+    if number[-1] > MOST_CURVES:
         raise DataError(
-            f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {_MOST_CURVES} are the "
+            f"{table.source}: blank lines or repeated headers separate {number[-1] + 1} curves, and {MOST_CURVES} are the "
             "most; remove them, or write fewer curves in a file"
         )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
@@ -119,7 +117,7 @@ def split_curves(
 
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Whether the input runs up and down in turn from block to block, and each block begins near the end of the one before."""
-    near, way = _NEAR * np.ptp(u[np.isfinite(u)]), 0.0
+    near, way = NEAR * np.ptp(u[np.isfinite(u)]), 0.0
     for before, piece in itertools.pairwise([pieces[0], *pieces]):
         ends = u[piece[0]], u[piece[-1]]
         stroke = float(ends[1] - ends[0])
@@ -128,7 +126,7 @@ def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray
         if not inside or abs(stroke) <= near or stroke * way > 0:
             return False
         apart = [abs(x[piece[0]] - x[before[-1]]) for x in (u, y)]
-        if way and not (apart[0] <= near and apart[1] <= _NEAR * np.ptp(y[np.isfinite(y)])):
+        if way and not (apart[0] <= near and apart[1] <= NEAR * np.ptp(y[np.isfinite(y)])):
             return False
         way = stroke
     return True
@@ -195,13 +193,13 @@ def _restarts(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
     steps = np.diff(clock)
     back = steps < 0
     nowhere = np.zeros(steps.size, dtype=bool)
-    if not back.any() or not (steps > 0).any() or (back.size - back.sum() < _FEWEST_ROWS * (back.sum() + 1)):
+    if not back.any() or not (steps > 0).any() or (back.size - back.sum() < FEWEST * (back.sum() + 1)):
         return nowhere
     again = np.abs(clock[1:][back] - clock[0]) <= np.median(steps[steps > 0])
     starts = np.append(0, np.flatnonzero(back) + 1)
     # Each part begins where the one before began, or far from where that ended.
     alike = np.all(
-        [np.abs(v[starts[1:]] - v[starts[:-1]]) <= 2 * _NEAR * np.ptp(v[np.isfinite(v)]) for v in loop], axis=0
+        [np.abs(v[starts[1:]] - v[starts[:-1]]) <= 2 * NEAR * np.ptp(v[np.isfinite(v)]) for v in loop], axis=0
     )
     jumps = np.any([_jumps(v, np.flatnonzero(back)) for v in loop], axis=0)
     if not again.all() or not (alike | jumps).all():
@@ -226,9 +224,8 @@ def _of_several_rows(
     short = [(label, rows) for label, rows in groups if rows.size < 2]
     if short:
         u, y = (table.columns[position] for position in (choice.input, choice.output))
-        listed = ", ".join(f"{label} ({u[rows[0]]:g}, {y[rows[0]]:g})" for label, rows in short[:5])
-        more = f" and {len(short) - 5} more" if len(short) > 5 else ""
-        notes.append(Note(Code.LEFT_OUT, f"left out: curves of a single row, {listed}{more}"))
+        first = listed([f"{label} ({u[rows[0]]:g}, {y[rows[0]]:g})" for label, rows in short])
+        notes.append(Note(Code.LEFT_OUT, f"left out: curves of a single row, {first}"))
     kept = [(label, rows) for label, rows in groups if rows.size > 1]
     if not kept:
         raise DataError(f"{table.source}: every curve that by= makes has a single row; choose another column")
@@ -250,11 +247,7 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
             continue
         named = _plain(name) in CURVE_NAMES
         changes = np.flatnonzero(np.diff(numbers))
-        if (
-            not changes.size
-            or np.unique(numbers).size <= changes.size
-            or table.rows < _FEWEST_ROWS * (changes.size + 1)
-        ):
+        if not changes.size or np.unique(numbers).size <= changes.size or table.rows < FEWEST * (changes.size + 1):
             continue
         apart = _jumps(u, changes) | _jumps(y, changes)
         if choice.time is not None:
@@ -274,16 +267,16 @@ def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     steps = np.abs(np.diff(values))
     padded = np.pad(np.nan_to_num(steps), 3)
     around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
-    return (steps[at] > _JUMP * around) & (steps[at] > _NEAR * np.ptp(values[np.isfinite(values)]))
+    return (steps[at] > JUMP * around) & (steps[at] > NEAR * np.ptp(values[np.isfinite(values)]))
 
 
 def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
     """Whether each block of rows up to these is a closed loop, of another stroke than the one before."""
     blocks = [[np.nan_to_num(part) for part in np.split(values, changes + 1)] for values in (u, y)]
-    if any(abs(part[-1] - part[0]) > _NEAR * np.ptp(part) for side in blocks for part in side):
+    if any(abs(part[-1] - part[0]) > NEAR * np.ptp(part) for side in blocks for part in side):
         return False
     strokes = np.array([np.ptp(part) for part in blocks[0]])
-    return bool((np.abs(np.diff(strokes)) > _NEAR * strokes.max()).all())
+    return bool((np.abs(np.diff(strokes)) > NEAR * strokes.max()).all())
 
 
 def _plain(name: str) -> str:
@@ -326,7 +319,7 @@ def _levels(values: np.ndarray) -> list[float]:
     levels = np.unique(values)
     runs = 1 + np.count_nonzero(np.diff(values))
     few = (
-        1 < levels.size <= _MOST_LEVELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
+        1 < levels.size <= MOST_LABELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
     )
     return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 

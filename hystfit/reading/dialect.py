@@ -11,14 +11,12 @@ from collections.abc import Sequence
 
 from hystfit.errors import DataError
 from hystfit.reading import cells
+from hystfit.reading.limits import MAJORITY, ODD, SAMPLE
 
 _MOST = 300_000  # characters of the sample
-_SAMPLE, _FIRST = 900, 300  # lines of the sample, and how many of these are the first ones
+_FIRST = 300  # lines of the sample that are the first ones
 _NEVER_DECIMAL = (";", "\t", "|")
 _HEAD = 0.02  # share of the lines, or three of them, that a header may be where all others are plain rows
-# Share of rows with a cell before the first filled column of the others: those of tables that hold this one.
-_NESTED = 0.05
-_MOST_LINES = 0.5  # share of the lines that are rows between such marks, above which white space is no delimiter
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,7 +130,7 @@ def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: st
         for pattern in fits:
             votes[pattern[position]] += counts[pattern]
         empty = votes.pop(missing, 0)
-        if set(kinds) <= {missing} and votes.total() < _NESTED * empty:
+        if set(kinds) <= {missing} and votes.total() < ODD * empty:
             votes.clear()
         kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
     total = sum(counts[pattern] for pattern in fits)
@@ -158,7 +156,7 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
         if (
             mark is None
             and best.delimiter in _NEVER_DECIMAL
-            and best.rows > _MOST_LINES * len(filled)
+            and best.rows > MAJORITY * len(filled)
             and best.numbers > 1
         ):
             break  # blanks within its cells part words
@@ -202,12 +200,12 @@ def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:
 
 def _sample(lines: Sequence[str]) -> list[str]:
     """Some lines that are not blank: the first ones and others from all over the text."""
-    if len(lines) > 20 * _SAMPLE:  # enough of them are not blank
-        lines = [*lines[:_SAMPLE], *lines[_SAMPLE :: len(lines) // (10 * _SAMPLE)]]
+    if len(lines) > 20 * SAMPLE:  # enough of them are not blank
+        lines = [*lines[:SAMPLE], *lines[SAMPLE :: len(lines) // (10 * SAMPLE)]]
     filled = list(filter(str.strip, lines))
-    if len(filled) > _SAMPLE:
-        step = (len(filled) - _FIRST) / (_SAMPLE - _FIRST)
-        filled = filled[:_FIRST] + [filled[_FIRST + int(step * k)] for k in range(_SAMPLE - _FIRST)]
+    if len(filled) > SAMPLE:
+        step = (len(filled) - _FIRST) / (SAMPLE - _FIRST)
+        filled = filled[:_FIRST] + [filled[_FIRST + int(step * k)] for k in range(SAMPLE - _FIRST)]
     size = sum(map(len, filled))
     if size > _MOST:  # long lines: every n-th
         filled = filled[:3] + filled[3 :: -(-size // _MOST)]

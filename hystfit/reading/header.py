@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.limits import LONGEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
 
@@ -26,9 +27,8 @@ _SETTINGS = (
         r"(?P<key>[^:=,;\t]{2,40}?)\s*(?:[:=]?\s*[,;\t]++|[:=](?!\s*[,;\t])|\s{3,})\s*(?P<value>.{1,100}?)[,;\s]*"
     ),
 )
-_MOST_METADATA = 40
+MOST_METADATA = 40
 _LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
-_LONGEST_SETTING = 1000  # characters of a line
 
 # "@attribute voltage numeric": a column of an ARFF file, below the one before.
 _ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
@@ -59,7 +59,7 @@ _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the firs
 
 def setting_of(line: str) -> tuple[str, str] | None:
     """Name and value in a line of a header; None where it has none."""
-    if len(line) > _LONGEST_SETTING:
+    if len(line) > LONGEST:
         return None
     text = re.sub(rf"^\s*{_COMMENT}\s*", "", line).strip()
     match = next((m for pattern in _SETTINGS if (m := pattern.fullmatch(text))), None)
@@ -75,7 +75,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
             continue
         value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
         column = {key, value}.intersection(names)
-        if not column and value.lower() not in _NO_VALUE and len(known) < _MOST_METADATA:
+        if not column and value.lower() not in _NO_VALUE and len(known) < MOST_METADATA:
             known.setdefault(key, value)
     return known
 

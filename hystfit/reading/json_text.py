@@ -17,20 +17,18 @@ from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.header import MOST_METADATA
+from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text_file import TextFile
 
 _FEWEST = 2  # numbers of an array that is a column
-_MOST_METADATA = 40
 _OF_VALUES = frozenset(
     {"data", "values", "samples", "value"}
 )  # names of the numbers of a column that has a name of its own
-_LONGEST = 200  # characters of a text that is kept
-_DEEPEST = 30
 _STEPS = frozenset("cycle cycles step steps segment segments branch branches half halves".split())
-_NEAR = 0.05  # part of the range within which a cycle begins where the one before ended
 
 
 def read_json(text: TextFile) -> Table | None:
@@ -78,8 +76,8 @@ def _parsed(content: str) -> Any:
 
 def _columnar(value: Any, depth: int = 0) -> Any:
     """The value with records and rows turned into named columns, at every level."""
-    if depth > _DEEPEST:
-        raise DataError(f"the JSON is nested more than {_DEEPEST} times; write each column as a list under its name")
+    if depth > DEEPEST:
+        raise DataError(f"the JSON is nested more than {DEEPEST} times; write each column as a list under its name")
     if isinstance(value, Mapping):
         if isinstance(value.get("columns"), list) and isinstance(value.get("data"), list):
             return dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
@@ -155,7 +153,7 @@ def _joined(parts: list[_Record], title: str) -> list[_Record]:
     for name in names:
         steps = max(float(np.abs(np.diff(arrays[name])).max()) for arrays, _, _ in parts)
         gaps = [abs(after[name][0] - before[name][-1]) for (before, *_), (after, *_) in itertools.pairwise(parts)]
-        if not max(gaps) <= max(_NEAR * float(np.ptp(whole[name])), 2 * steps):
+        if not max(gaps) <= max(NEAR * float(np.ptp(whole[name])), 2 * steps):
             return parts
     return [(whole, "", {})]
 
@@ -258,9 +256,9 @@ def _table(file: TextFile | FileBytes, arrays: Mapping[str, np.ndarray], note: N
 
 def _part(name: str, scalars: Mapping[str, Any]) -> Part:
     """Name, properties and stated results of a record, from the scalars beside its arrays."""
-    known = {key: str(value) for key, value in scalars.items() if len(str(value)) <= _LONGEST}
+    known = {key: str(value) for key, value in scalars.items() if len(str(value)) <= LONGEST}
     stated = [result_of(key.rpartition(".")[2], value) for key, value in known.items()]
     title = next(
         (str(scalars[key]) for key in ("name", "id", "label", "title") if isinstance(scalars.get(key), str)), ""
     )
-    return Part(name or title, dict(list(known.items())[:_MOST_METADATA]), tuple(one for one in stated if one))
+    return Part(name or title, dict(list(known.items())[:MOST_METADATA]), tuple(one for one in stated if one))

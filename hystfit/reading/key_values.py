@@ -8,6 +8,7 @@ import re
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.reading.limits import MOST, OF_RECORD
 from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
@@ -17,22 +18,20 @@ _NUMBER = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|NaN|inf)"
 _AFTER = r"\s?[A-Za-zµμ°%Ω][\w/²°µμ%]*(?![\w/]*\"?\s*[=:])"  # a word that is not the name of the next number
 _PAIR = re.compile(rf"([A-Za-zµμ_][\w.()\[\]/%µμ-]*)\"?\s*[=:]\s*\"?({_NUMBER})(?![\d.:])({_AFTER})?")
 _STAMP = re.compile(r"\W*((?:\d{4}-\d\d-\d\d[ T])?\d\d:\d\d:\d\d(?:[.,]\d+)?)")
-_FEWEST = 8  # rows
-_MOST_LINES = 0.8  # share of the lines that name the same numbers
 
 
 def read_key_values(text: TextFile) -> Table | None:
     """Logs in which each number stands behind its name (t=0.1 V=3.5 x: 1.2 um), in one line a sample or one line a number."""
     head = [line for line in text.head if line.strip()]
-    if len(head) < _FEWEST:
+    if len(head) < OF_RECORD:
         return None
     pairs = [_PAIR.findall(line) for line in head]
     least = min(2, max(map(len, pairs)))
-    if least == 0 or sum(len(found) >= least for found in pairs) < _MOST_LINES * len(head):
+    if least == 0 or sum(len(found) >= least for found in pairs) < MOST * len(head):
         return None
     lines = [(line, _PAIR.findall(line)) for line in text.lines if line.strip()]
     rows = _rows_of_lines(lines) if least > 1 else _rows_of_blocks([found for _, found in lines])
-    if rows is None or len(rows) < _FEWEST:
+    if rows is None or len(rows) < OF_RECORD:
         return None
     stamped = [match[1].replace(",", ".") for line, _ in lines if (match := _STAMP.match(line))] if least > 1 else []
     stamps = stamped if len(stamped) == len(rows) == len(lines) else []
@@ -59,7 +58,7 @@ def _rows_of_lines(lines: list[tuple[str, _Pairs]]) -> list[_Pairs] | None:
     """The numbers of the lines that have the names which most lines have; None where these are too few."""
     names = collections.Counter(tuple(name for name, _, _ in found) for _, found in lines)
     usual, count = names.most_common(1)[0]
-    if len(usual) < 2 or len({*usual}) < len(usual) or count < _MOST_LINES * len(lines):
+    if len(usual) < 2 or len({*usual}) < len(usual) or count < MOST * len(lines):
         return None
     return [found for _, found in lines if tuple(name for name, _, _ in found) == usual]
 

@@ -18,6 +18,7 @@ from hystfit.reading.clean_rows import clean_columns
 from hystfit.reading.dialect import Dialect
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.header import read_header
+from hystfit.reading.limits import ABOVE
 from hystfit.reading.lines import check_lengths, lines_of
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text_file import HEAD, Opening, TextFile
@@ -28,7 +29,6 @@ _OF_NUMBERS, _ENDS, _DELIMITERS = b"0123456789+-.eE", b"\r\n", b",;\t|"
 _PRINTED = bytes([*range(32, 256)]) + b"\t" + _ENDS
 _DECIMALS = re.compile(rb"[.eE]")
 _LOOKED_AT = 1000  # bytes of rows among which a number shows that the comma is no decimal mark
-_ABOVE = 12  # lines above the first row among which names are looked for
 _NONE = np.zeros(0, int)
 _SHORT = HEAD // 4  # lines above the numbers that are few beside any number of rows from `HEAD` on
 
@@ -75,7 +75,7 @@ class KnownLayout:
         if header.translate(None, _PRINTED) or header.count(b"\r") != header.count(b"\r\n"):
             return None
         delimiter = chr(others.pop())
-        if width < 2 or not read_header(above[-_ABOVE:], width, delimiter, ".", {})[2]:
+        if width < 2 or not read_header(above[-ABOVE:], width, delimiter, ".", {})[2]:
             return None
         of_rows = (
             table.labels or table.stamps or table.problems or table.part is not None or table.calibration is not None

@@ -8,11 +8,9 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.limits import MOST_LABELS, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
-
-_MOST = 12  # sensors
-_FEWEST = 8  # values of each, and of the one that has most where a row is written only where a value changes
 
 
 def widened(table: Table) -> Table | None:
@@ -26,7 +24,7 @@ def widened(table: Table) -> Table | None:
         for k in range(len(table.names))
         if k not in (*clocks, *table.labels) and not table.constant(k) and _kind(table, k) != "index"
     ]
-    texts = [k for k, labels in table.labels.items() if 1 < len({*labels.tolist()}) <= _MOST]
+    texts = [k for k, labels in table.labels.items() if 1 < len({*labels.tolist()}) <= MOST_LABELS]
     if len(numbers) != 1 or len(texts) != 1 or len(clocks) > 1 or table.part is not None or not table.named:
         return None
     labels = table.labels[texts[0]]
@@ -59,9 +57,9 @@ def _beside(
     """
     values, times = table.columns[value], [table.columns[clocks[0]][chosen] for chosen in rows] if clocks else []
     sizes = {chosen.size for chosen in rows}
-    if len(sizes) == 1 and min(sizes) >= _FEWEST and all(np.array_equal(times[0], time) for time in times):
+    if len(sizes) == 1 and min(sizes) >= OF_RECORD and all(np.array_equal(times[0], time) for time in times):
         return table.take(rows[0]), [values[chosen] for chosen in rows], "a row for each value"
-    if not times or max(sizes) < _FEWEST or min(sizes) < 2 or any((np.diff(time) < 0).any() for time in times):
+    if not times or max(sizes) < OF_RECORD or min(sizes) < 2 or any((np.diff(time) < 0).any() for time in times):
         return None
     known = [chosen[np.isfinite(values[chosen])] for chosen in rows]
     if not all(chosen.size for chosen in known):

@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _HTML = re.compile(r"<!doctype html|<html|<t(?:able|r|body)\b", re.IGNORECASE)
-_FEWEST = 4  # elements that are rows, and numbers in the text of an element that is a column
 # Answers of a node in a recorder of OpenSees: D1 is its displacement along the first axis.
 _ANSWERS = re.compile(r"([DVAR])([1-6])")
 _OF_NODES = {"D": "displacement", "V": "velocity", "A": "acceleration", "R": "reaction force"}
@@ -89,12 +89,12 @@ def _xml_lines(text: TextFile) -> list[str]:
         return ["\t".join(columns), *("\t".join(row) for row in zip(*columns.values(), strict=True))]
     counts = collections.Counter((id(parent), child.tag) for parent in root.iter() for child in parent)
     (_, tag), count = counts.most_common(1)[0] if counts else ((0, ""), 0)
-    if count < _FEWEST:
+    if count < FEWEST:
         return []
     lines: list[str] = []
     for parent in root.iter():
         rows = [child for child in parent if child.tag == tag]
-        if len(rows) >= _FEWEST:
+        if len(rows) >= FEWEST:
             lines += [*([""] if lines else []), *_rows(rows)]
     return lines
 
@@ -108,7 +108,7 @@ def _columns(root: ElementTree.Element) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for element in root.iter():
         parts = re.split(r"[\s,;]+", (element.text or "").strip())
-        if len(parts) >= _FEWEST and re.fullmatch(r"[\d.eE+\s,;-]+", element.text or ""):
+        if len(parts) >= FEWEST and re.fullmatch(r"[\d.eE+\s,;-]+", element.text or ""):
             name = next(
                 (element.attrib[key] for key in ("name", "id", "label") if key in element.attrib), _local(element.tag)
             )
@@ -125,7 +125,7 @@ def _matrix(root: ElementTree.Element) -> list[str]:
     named: dict[str, list[str]] = collections.defaultdict(list)
     for element in root.iter():
         rows = [line.split() for line in (element.text or "").splitlines() if line.strip()]
-        width = len(rows[0]) if len(rows) >= _FEWEST and re.fullmatch(r"[\d.eE+\s-]+", element.text or "") else 0
+        width = len(rows[0]) if len(rows) >= FEWEST and re.fullmatch(r"[\d.eE+\s-]+", element.text or "") else 0
         names = next((names for names in named.values() if len(names) == width), [])
         if width > 1 and names and all(len(row) == width for row in rows):
             twice = collections.Counter(name.partition(" of ")[0] for name in names)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 from hystfit.errors import DataError
 from hystfit.reading.file_bytes import allowed
+from hystfit.reading.limits import DEEPEST
 
 _MATRIX, _COMPRESSED = 14, 15
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes of a number, by element type
@@ -16,7 +17,6 @@ _TEXT_TYPES = frozenset({1, 2, 3, 4, 16, 17, 18})
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
-_DEEPEST = 30
 
 
 def check_structure(raw: bytes) -> None:
@@ -74,8 +74,8 @@ def _check_matrix(data: bytes, order: str, depth: int) -> None:
     """Refuse a variable whose parts do not agree with its class and shape."""
     if not data:
         return  # an empty cell
-    if depth > _DEEPEST:
-        raise DataError(f"variables are nested more than {_DEEPEST} times: save arrays of numbers")
+    if depth > DEEPEST:
+        raise DataError(f"variables are nested more than {DEEPEST} times: save arrays of numbers")
     parts = list(_elements(data, order))
     if not parts or parts[0][0] != 6 or len(parts[0][1]) != 8:
         raise _damaged("flags")

@@ -13,10 +13,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import SLACK
 from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.header import setting_of
+from hystfit.reading.limits import FEW
 from hystfit.reading.other_lines import Header
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.stated_results import stated_in
@@ -27,21 +29,18 @@ _FIRST_LINE = re.compile(r'"?(?:MicroMag|Model) (?:2900|3900|\d+/\d+).*Data File
 _SECTIONS = frozenset(
     "INSTRUMENT SAMPLE SETTINGS MEASUREMENT PROCESSING ADJUSTMENTS CHARACTERIZATION VIEWPORT SCRIPT".split()
 )
-_FEWEST_SECTIONS = 3  # by which a file without its first line is recognized
 _SYSTEMS = {"cgs": ("Oe", "emu"), "hybrid si": ("T", "Am2"), "si": ("A/m", "Am2")}
 _SEGMENT = re.compile(r"\s*\d{7},")
 _DATA = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*,")
 _SYMBOLS = re.compile(r"\(([^)]*)\)")
 _TESLA = 20.0  # largest field of these magnets in T, with a margin: in Oe no loop is as small
-_STRAIGHT = 0.01  # of the largest difference of raw and adjusted moments, up to which these differ by a line
-_SAME = 0.01  # of the largest field, up to which a segment begins where the one before ends
 
 
 def read_micromag(text: TextFile) -> Table | None:
     """MicroMag and Lake Shore magnetometers: field and moment, raw unless `--adjusted`, with the results stated by the instrument."""
     old = bool(_FIRST_LINE.match(text.head[0])) and '",' in text.head[0] if text.head else False
     sections = len(_SECTIONS.intersection(line.strip() for line in text.head))
-    if not (old or sections >= _FEWEST_SECTIONS or any(_FIRST_LINE.match(line) for line in text.head[:3])):
+    if not (old or sections >= FEW or any(_FIRST_LINE.match(line) for line in text.head[:3])):
         return None
     if old:  # one quoted line with all settings; the field in Oe, the moment in counts of the instrument
         table = plain_text(text.without([0]))
@@ -73,7 +72,7 @@ def _with_applied_line(table: Table, stated: tuple[Stated, ...]) -> tuple[Stated
         return stated
     slope, offset = np.polyfit(field[known], change[known], 1)
     left = np.abs(change[known] - slope * field[known] - offset).max()
-    if left > _STRAIGHT * np.abs(change[known]).max():
+    if left > SLACK * np.abs(change[known]).max():
         return stated
     line = Stated(SLOPE, float(slope)), Stated(OFFSET, float(offset))
     return (*line, *(one for one in stated if one.label != SLOPE))
@@ -136,7 +135,7 @@ def _by_segments(table: Table, lines: Sequence[str], rows: Sequence[int]) -> Tab
         return table.noted(warn(Code.CURVES, text))
     initial, final = (segments[:, k] for k in wanted)
     curve, held = np.zeros(table.rows, dtype=int), np.zeros(table.rows, dtype=bool)
-    same = _SAME * np.abs(segments[:, wanted]).max()
+    same = SLACK * np.abs(segments[:, wanted]).max()
     number, last = 0, None
     for k, (start, stop) in enumerate(zip(np.append(0, ends[:-1]), ends, strict=True)):
         if stop == start:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from hystfit.params.units import parse_unit, quantity
+from hystfit.reading.limits import LONGEST
 from hystfit.reading.scaled_units import factor_of
 from hystfit.reading.unit_case import in_case, split_in_case
 
@@ -62,7 +63,6 @@ _OF_CIRCUITS = re.compile(
 )  # voltage of a node, V(out), and current of an element, I(L1), Ic(Q1), in tables of SPICE
 RATIO = re.compile(r"([A-Za-z])/\1_?\w+")  # of a quantity to its own saturation or start: M/M_s, B/Bs, R/R0
 _WORD = 4  # letters from which a unit is written as a word
-_LONGEST_NAME = 200  # characters
 
 
 def is_unit(text: str) -> bool:
@@ -80,7 +80,7 @@ def is_unit(text: str) -> bool:
 def split_unit(name: str, siblings: Sequence[str] = ()) -> tuple[str, str]:
     """Name and unit of a column header such as "t_s", "H_A_per_m", "P_uC_cm2", "v_m/s", "Force [kN]", "Force (kN)", "Force / kN"."""
     name = name.strip().translate(_WIDE)
-    if len(name) > _LONGEST_NAME:
+    if len(name) > LONGEST:
         return name, ""
     return _split(name, siblings) if siblings else _split_alone(name)
 

@@ -14,10 +14,9 @@ from hystfit.outcome.note import warn
 from hystfit.reading import cells
 from hystfit.reading.clean_rows import clean_columns
 from hystfit.reading.dialect import Dialect, Text, split
+from hystfit.reading.limits import BESIDE, FEW
+from hystfit.reading.text_file import HEAD
 
-_HEAD = 200  # lines in which clean rows must begin
-_REMARKS = 2  # cells of text after the last column of a row
-_FEW = 3  # rows of numbers above a header
 # Rows of a header that hold a number for each channel: samples, scale, offset, start and step of LabVIEW.
 _SETTINGS = 12
 # A line that parts the header from the numbers: ***End_of_Header***, # END_HEADER, @@Data, [Data], ***DATA***.
@@ -59,7 +58,7 @@ class Block:
 def clean_block(text: Text, content: str) -> Block | None:
     """The rows of numbers where nothing but plain numbers follows the first of them, in the `content` of a file; None elsewhere."""
     lines, dialect = text.lines, text.dialect
-    rows = [split(line, dialect.delimiter) for line in lines[:_HEAD]]
+    rows = [split(line, dialect.delimiter) for line in lines[:HEAD]]
     candidates, _ = _of_width(rows, dialect)
     if not candidates:
         return None
@@ -126,7 +125,7 @@ def _of_width(rows: list[list[str]], dialect: Dialect) -> tuple[list[int], list[
 def _with_remark(row: list[str], dialect: Dialect) -> bool:
     """Whether a row of numbers is followed by a text, such as the event at that sample."""
     width = dialect.width
-    if not width < len(row) <= width + _REMARKS:
+    if not width < len(row) <= width + BESIDE:
         return False
     kinds = [cells.kind(cell, dialect.decimal) for cell in row]
     return (
@@ -178,7 +177,7 @@ def _above_header(rows: Sequence[Sequence[str]], lines: Sequence[str], index: np
     if index[0] and lines[index[0] - 1].strip():
         return 0
     top = int(np.argmax(np.diff(index) > 1)) + 1 if (np.diff(index) > 1).any() else index.size
-    if top > _FEW or index.size - top <= 2 * top:
+    if top > FEW or index.size - top <= 2 * top:
         return 0
     between = range(index[top - 1] + 1, index[top])
     if not all(lines[k].strip() for k in between):
@@ -198,7 +197,7 @@ def _settings(rows: Sequence[Sequence[str]], index: np.ndarray, dialect: Dialect
 
 def _above_mark(lines: Sequence[str], index: np.ndarray) -> int:
     """Number of rows of numbers that stand above the line that ends the header, which is followed by many more."""
-    marks = [k for k in range(int(index[0]), int(index[0]) + _HEAD) if k < len(lines) and is_mark(lines[k])]
+    marks = [k for k in range(int(index[0]), int(index[0]) + HEAD) if k < len(lines) and is_mark(lines[k])]
     above = int(np.searchsorted(index, marks[-1])) if marks else 0
     return above if above <= _SETTINGS and index.size - above > 2 * above else 0
 

@@ -15,13 +15,11 @@ from hystfit.reading import cells
 from hystfit.reading.coded_names import with_meanings
 from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
+from hystfit.reading.limits import BESIDE, FEW
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
-_BETWEEN = 3  # lines between the names and the numbers
-_SYMBOLS = 3  # brackets behind names, all different and no known units, from which they are symbols of the columns
-_WIDER = 2  # names without a column at the end of a header
 _NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
 _WORDS = {
     "header": "repeated header",
@@ -107,7 +105,7 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     if not any(units):
         units = stated_units(text.lines[:first], names, dialect.delimiter)
     unknown = [unit for unit in units if unit and not is_unit(unit)]
-    if len(unknown) >= _SYMBOLS and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
+    if len(unknown) >= FEW and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
         units = ["" if unit in unknown else unit for unit in units]
     over = () if not used or place else _over(text, block, first - used - 1)
     if used > 2 and not over and not place:
@@ -152,7 +150,7 @@ def _apart(text: Text, block: Block) -> int:
     above = text.lines[first - 1] if first > 1 else ""
     if is_mark(above) or above in heads_of_sections(text.lines, block.index):
         return first - 1
-    for place in range(first - 1, max(0, first - 1 - _BETWEEN), -1):
+    for place in range(first - 1, max(0, first - 1 - FEW), -1):
         between = block.rows[place]
         mostly, kinds = _mostly_numbers(between, text)
         label = is_comment(text.lines[place]) or (kinds[:1] == [cells.TEXT] and cells.NUMBER in kinds)  # "Cycle 1"
@@ -164,7 +162,7 @@ def _apart(text: Text, block: Block) -> int:
         wide = len(row) - dialect.width  # rows that a first one with more cells follows lack the cells at its end
         if (
             dialect.delimiter is None
-            or not 0 <= wide <= _WIDER * other
+            or not 0 <= wide <= BESIDE * other
             or not named
             or any("=" in cell for cell in row)
         ):
@@ -191,7 +189,7 @@ def _uneven(text: Text, block: Block, place: int) -> tuple[list[str], int]:
         return ["", *row], 1
     if len(row) == width + 1 and re.fullmatch(r"[#%!]+\w*", row[0]):  # a word of the program before the names
         return row[1:], 1
-    if dialect.delimiter is not None and width < len(row) <= width + _WIDER and not all(map(is_unit, row[1:])):
+    if dialect.delimiter is not None and width < len(row) <= width + BESIDE and not all(map(is_unit, row[1:])):
         return row[:width], 1
     return [""] * width, 0
 
@@ -206,7 +204,7 @@ def _labeled_units(text: Text, block: Block) -> tuple[list[str], list[str], int]
         units = ["", *(unit if is_unit(unit) else "" for unit in units)]
     if len(units) != width or not all(map(is_unit, filter(None, units))):
         return [""] * width, [""] * width, 0
-    for place in range(first - 2, max(-1, first - 2 - _BETWEEN), -1):
+    for place in range(first - 2, max(-1, first - 2 - FEW), -1):
         names = [cells.clean(cell) for cell in block.rows[place]]
         names = names[1:] if len(names) == width + 1 and all(units) else names
         if len(names) == width and all(cells.kind(name, dialect.decimal) == cells.TEXT for name in names):

@@ -10,13 +10,11 @@ import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.outcome import Code, Note
-from hystfit.reading.array_files import check_size
+from hystfit.reading.array_files import DOUBLE, check_size
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.text_file import Opening
-
-_DOUBLE = 8  # bytes that every number takes in the end
 
 
 def read_parquet(file: FileBytes, opening: Opening) -> Table:
@@ -32,7 +30,7 @@ def read_parquet(file: FileBytes, opening: Opening) -> Table:
         opened = parquet.ParquetFile(io.BytesIO(raw))
         groups = [opened.metadata.row_group(k) for k in range(opened.num_row_groups)]
         numbers = sum(group.column(k).num_values for group in groups for k in range(group.num_columns))
-        check_size(_DOUBLE * numbers, raw)
+        check_size(DOUBLE * numbers, raw)
         table = opened.read()
         lists = [field.name for field in table.schema if str(field.type).startswith(("list", "large_list"))]
         if not lists:

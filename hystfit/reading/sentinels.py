@@ -8,14 +8,12 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.reading.limits import JUMP, MAJORITY, ODD
 from hystfit.reading.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
 _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
-_SHARE = 0.5  # of the values that may be a code
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
-_JUMP = 3.0  # distance of a code from the values before and after it, as a multiple of the largest step of the others
-_MOST_ZEROS = 0.05  # share of the rows in which a sensor may have failed; more zeros are rests of the input
 
 
 def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, float]]]:
@@ -55,7 +53,7 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
     """
     coded = np.isin(values, _CODES)
     others = values[~coded & np.isfinite(values)]
-    if not coded.any() or others.size < 2 or coded.sum() > _SHARE * values.size:
+    if not coded.any() or others.size < 2 or coded.sum() > MAJORITY * values.size:
         return values, []
     low, high = others.min(), others.max()
     outside = coded & ((values < low) | (values > high))
@@ -64,7 +62,7 @@ def without_codes(values: np.ndarray, role: str) -> tuple[np.ndarray, list[Note]
     far = np.maximum((values - high) / _FAR[0], (low - values) / _FAR[1]) > high - low
     rows = np.arange(values.size)
     between = np.interp(rows, rows[~coded & np.isfinite(values)], others)
-    missing = outside & (far | (np.abs(values - between) > _JUMP * np.abs(np.diff(others)).max()))
+    missing = outside & (far | (np.abs(values - between) > JUMP * np.abs(np.diff(others)).max()))
     missing = outside & np.isin(values, values[missing])
     first = f"values of the {role} such as {values[outside][0]:g}"
     if not missing.any():
@@ -85,7 +83,7 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     zero, others = u == 0.0, u[(u != 0.0) & np.isfinite(u)]
     rows = np.arange(u.size)
     inner = zero[1:-1] & ~zero[:-2] & ~zero[2:]
-    if not inner.any() or zero.sum() > max(_MOST_ZEROS * u.size, 1) or others.size < 2:
+    if not inner.any() or zero.sum() > max(ODD * u.size, 1) or others.size < 2:
         return rows[:0]
     around = np.interp(rows, rows[(u != 0.0) & np.isfinite(u)], others)
     goes_on = (y[1:-1] - y[:-2]) * (y[2:] - y[1:-1]) > 0

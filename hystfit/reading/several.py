@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
+from hystfit.data.record import EVEN, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
@@ -25,7 +25,6 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.side_by_side import stacked_files
 
 PAIR = "+"
-_EVEN = 0.01  # part of a sampling interval by which the rounding of a clock varies it
 
 
 def files_of(path: str | Path | Sequence[str | Path]) -> list[str | Path]:
@@ -106,7 +105,7 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
 def _share_a_clock(one: Record, other: Record) -> bool:
     """Whether two records without a time have the same input, which rises in even steps."""
     steps = np.diff(one.u)
-    even = steps.size > 1 and steps.min() > 0 and bool(np.ptp(steps) <= _EVEN * np.median(steps))
+    even = steps.size > 1 and steps.min() > 0 and bool(np.ptp(steps) <= EVEN * np.median(steps))
     return even and one.t is None and other.t is None and not one.u_unit and np.array_equal(one.u, other.u)
 
 

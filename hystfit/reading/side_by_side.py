@@ -13,6 +13,7 @@ from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity, is_terminal
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.raw_table import Part, Table
 
@@ -22,7 +23,6 @@ _WORD = re.compile(r"\d+\.\d+[^\W_]*|[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")
 _CONDITION = re.compile(
     r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
 )  # a value and its unit behind a name
-_FEWEST_ROWS = 4
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
@@ -164,7 +164,7 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
     if any(np.array_equal(table.columns[a], table.columns[b], equal_nan=True) for a, b in itertools.pairwise(first)):
         return None  # two channels, each with its time
     kept = [np.flatnonzero(np.all([np.isfinite(table.columns[k]) for k in group], axis=0)) for group in groups]
-    if min(rows.size for rows in kept) < _FEWEST_ROWS:
+    if min(rows.size for rows in kept) < FEWEST:
         return None
     below = lambda side: np.concatenate(
         [table.columns[group[side]][rows] for group, rows in zip(groups, kept, strict=True)]

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -18,7 +19,6 @@ _CAPTION = re.compile(r"[ \t]*(?P<kind>[a-z][a-z ]*) \((?P<words>[\w ,.]+)\).*\b
 _ITEMS = ("elem", "integ.pnt.")
 _BEGIN = re.compile(rf"^[ \t]*\*?[ \t]*data[ \t]*=|^{_CAPTION.pattern}$", re.IGNORECASE | re.MULTILINE)
 _ROW = re.compile(r"\s*\d+(?:[\s,;]+[+-]?[\d.][\d.eE+-]*)+\s*")
-_FEWEST = 4  # blocks
 # What the letters of finite-element programs stand for beside each other: displacements and reactions along the axes.
 _MEANINGS = {"u": "displacement", "R": "reaction force"}
 
@@ -32,7 +32,7 @@ def read_snapshots(text: TextFile) -> Table | None:
         values[name][time] = value
     times = [*dict.fromkeys(time for column in values.values() for time in column)]
     whole = [name for name, column in values.items() if len(column) == len(times)]
-    if len(times) < _FEWEST or not whole:
+    if len(times) < FEWEST or not whole:
         return None
     count = collections.Counter(map(_title_of, whole))
     titles = [name if count[_title_of(name)] > 1 else _title_of(name) for name in whole]

@@ -12,18 +12,15 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table
 
-_FEWEST = 8  # rows of a record, on average
 # Words in the names of columns that tell records apart, the best one first.
 _OBJECTS = "specimen sample coupon material test experiment table file probe versuch échantillon essai".split()
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
 _PASSES = "run curve loop cycle series batch group label condition name id".split()
 _STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
-_JUMP = 5.0  # step to the next record over the largest step of the three rows before and after
-_SHARE = 0.5  # of the changes, at which a column of numbers jumps where records are told apart
-_PAUSE = 10.0  # step of a clock to the next record over its median step, up to which it goes on
 
 
 def divided(table: Table) -> Table | None:
@@ -49,7 +46,7 @@ def divided(table: Table) -> Table | None:
         changes = np.flatnonzero(labels[1:] != labels[:-1])
         if not changes.size or len(set(labels.tolist())) != changes.size + 1 or "" in labels:
             continue
-        if table.rows < _FEWEST * (changes.size + 1) or not _tells_records_apart(table, position, changes):
+        if table.rows < OF_RECORD * (changes.size + 1) or not _tells_records_apart(table, position, changes):
             continue
         key = (changes.size, -_rank(table.names[position]))
         if best is None or key > best[0]:
@@ -66,7 +63,7 @@ def _turns(table: Table, clock: int) -> tuple[int, int] | None:
     """
     for position, labels in table.labels.items():
         count = np.unique(labels).size
-        if count < 2 or table.rows % count or table.rows < _FEWEST * count:
+        if count < 2 or table.rows % count or table.rows < OF_RECORD * count:
             continue
         turns, times = labels.reshape(-1, count), table.columns[clock].reshape(-1, count)
         if (turns == turns[0]).all() and np.unique(turns[0]).size == count and (times == times[:, :1]).all():
@@ -90,7 +87,7 @@ def _parted(table: Table, position: int, changes: np.ndarray) -> Table:
 def _own_names(table: Table) -> int | None:
     """Position of a column of text that names a specimen or test of its own in every row; None without one."""
     named = [k for k in table.labels if _rank(table.names[k]) < len(_OBJECTS)]
-    return next((k for k in named if table.rows == np.unique(table.labels[k]).size >= _FEWEST), None)
+    return next((k for k in named if table.rows == np.unique(table.labels[k]).size >= OF_RECORD), None)
 
 
 def _labels(table: Table, position: int) -> np.ndarray | None:
@@ -139,7 +136,7 @@ def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
     for position in range(len(table.names)):
         if position in table.stamps or _quantity(table, position) == "time":
             steps = np.diff(table.columns[position])
-            if steps.size and (steps > 0).all() and steps[changes].max() <= _PAUSE * np.median(steps):
+            if steps.size and (steps > 0).all() and steps[changes].max() <= JUMP * np.median(steps):
                 return True
     return False
 
@@ -152,6 +149,6 @@ def _jumps(table: Table, changes: np.ndarray) -> bool:
             continue
         steps = np.abs(np.diff(table.columns[position]))
         near = steps[np.clip(changes[:, None] + around, 0, steps.size - 1)].max(axis=1)
-        if np.mean(steps[changes] > _JUMP * near) > _SHARE:
+        if np.mean(steps[changes] > JUMP * near) > MAJORITY:
             return True
     return False

@@ -15,24 +15,20 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
+from hystfit.outcome.wrapping import listed
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
+from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY, MOST_CURVES
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
-from hystfit.reading.text_file import TextFile
+from hystfit.reading.text_file import HEAD, TextFile
 
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
-_FEWEST = 4  # rows of a table
-_MOST = 5000  # pieces of numbers between lines of words
-_SAMPLE = 100  # lines that show how the numbers are written
-_ABOVE = 8  # lines above the numbers that may hold the header
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
-_COMMON = 0.5  # share of the names of two tables that both have, above which they are records of one kind
-_NAMED = 6  # tables named in a note
 _NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
@@ -70,9 +66,7 @@ def read_tables(text: TextFile) -> Table | None:
     if len(chosen) > 1:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
-        lines = ", ".join(f"line {piece.first + 1}" for piece in rest[:_NAMED]) + (
-            ", ..." if len(rest) > _NAMED else ""
-        )
+        lines = listed([f"line {piece.first + 1}" for piece in rest])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
@@ -99,7 +93,7 @@ def _alike(tables: dict[int, Table]) -> list[int]:
     for k, table in tables.items():
         groups.setdefault(frozenset(table.names), []).append(k)
     main = max(groups, key=lambda names: sum(tables[k].rows for k in groups[names]))
-    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > _COMMON * len(main | {*table.names})]
+    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > MAJORITY * len(main | {*table.names})]
     common = frozenset.intersection(*(frozenset(tables[k].names) for k in chosen))
     if len(common) < 2 or any(len(common) < len({*tables[k].names}) < len(tables[k].names) for k in chosen):
         return groups[main]
@@ -129,12 +123,12 @@ def _pieces(text: TextFile) -> list[_Piece]:
     numbers, words = np.flatnonzero(kinds == _NUMBERS), np.flatnonzero(kinds == _WORDS)
     runs = np.searchsorted(words, numbers)  # lines of words before each line of numbers
     firsts = np.flatnonzero(np.diff(runs, prepend=-1))
-    if not 1 < firsts.size <= _MOST:
+    if not 1 < firsts.size <= MOST_CURVES:
         return []
     counts = np.diff(np.append(firsts, numbers.size))
     longest = int(numbers[firsts[np.argmax(counts)]])
     try:
-        sample = text.lines[longest : longest + _SAMPLE]
+        sample = text.lines[longest : longest + HEAD]
         dialect = sniff(sample, text.source, text.opening.delimiter, text.opening.decimal)
     except DataError:
         return []
@@ -142,7 +136,7 @@ def _pieces(text: TextFile) -> list[_Piece]:
     for k, count in zip(firsts.tolist(), counts.tolist(), strict=True):
         first, stop = int(numbers[k]), int(numbers[k + count - 1]) + 1
         above = found[-1].stop if found else 0
-        header = _header(text.lines[max(above, first - _ABOVE) : first], text.lines[first], dialect)
+        header = _header(text.lines[max(above, first - ABOVE) : first], text.lines[first], dialect)
         width = lambda line: len(split(text.lines[line].rstrip("\t ;,"), dialect.delimiter))
         if found and _is_remark(header, found[-1].header) and width(first) == width(found[-1].first):
             header = ()
@@ -174,7 +168,7 @@ def _quantities(header: str) -> set[str]:
 
 def _are_tables(text: TextFile, pieces: Sequence[_Piece]) -> bool:
     """Whether the pieces are tables of their own, and not one whose header is repeated on every page while its first column goes on."""
-    if max((piece.rows for piece in pieces), default=0) < _FEWEST or len(pieces) < 2:
+    if max((piece.rows for piece in pieces), default=0) < FEWEST or len(pieces) < 2:
         return False
     if len({piece.header for piece in pieces}) > 1:
         return any(_quantities(piece.header[0]) for piece in pieces)  # else they are remarks

@@ -18,10 +18,12 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.dialect import Dialect, Text, apart, sniff, split
 from hystfit.reading.header import sample_properties
 from hystfit.reading.latex_names import without_latex
+from hystfit.reading.limits import ABOVE, MOST_COLUMNS
 from hystfit.reading.lines import check_lengths
 from hystfit.reading.number_block import Block, careful_block, clean_block
 from hystfit.reading.other_lines import Header, header_of, heads_of_sections, left_out
@@ -30,11 +32,8 @@ from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.stated_results import stated_in
 from hystfit.reading.text_file import TextFile
 
-_MOST_COLUMNS = 5000
-_FIRST = 30  # lines that may hold names
 _WORDS = re.compile(r"\s*[^\d\s+.,;|-]")  # a line that begins with no number
 _SECTION = 2  # such lines between rows of numbers from which they begin a section; a single one is a comment
-_SHOWN = 8  # empty columns that a note lists
 
 
 def plain_text(text: TextFile, header: Header | None = None) -> Table:
@@ -60,9 +59,9 @@ def _block_of(file: TextFile) -> tuple[Text, Block, list[Note]]:
         if delimiter is not None or not touching:
             raise
         dialect = sniff(lines, source, delimiter, decimal)
-    if dialect.width > _MOST_COLUMNS:
+    if dialect.width > MOST_COLUMNS:
         raise DataError(
-            f"{source}: {dialect.width} columns, and {_MOST_COLUMNS} are the most; write one sample in a line"
+            f"{source}: {dialect.width} columns, and {MOST_COLUMNS} are the most; write one sample in a line"
         )
     text = Text(lines, dialect, source, settled=decimal is not None)
     block = clean_block(text, file.content)
@@ -96,12 +95,12 @@ def _with_whole_names(lines: Sequence[str]) -> Sequence[str]:
 
     Names that are written for LaTeX are plain.
     """
-    if any("\\" in line or "$" in line for line in lines[:_FIRST]):
-        lines = [*map(without_latex, lines[:_FIRST]), *lines[_FIRST:]]
-    if not any(line.count('"') % 2 for line in lines[:_FIRST]):
+    if any("\\" in line or "$" in line for line in lines[:ABOVE]):
+        lines = [*map(without_latex, lines[:ABOVE]), *lines[ABOVE:]]
+    if not any(line.count('"') % 2 for line in lines[:ABOVE]):
         return lines
     lines, start = list(lines), 0
-    while start < min(len(lines), _FIRST):
+    while start < min(len(lines), ABOVE):
         end = start
         if lines[start].count('"') % 2:
             end = next((k for k in range(start + 1, min(start + 10, len(lines))) if lines[k].count('"') % 2), start)
@@ -134,8 +133,8 @@ def table_of_block(
     others = left_out(text, block, header)
     notes += others.notes
     if metadata:
-        listed = ", ".join(f"{key} {value}" for key, value in metadata.items())
-        notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {listed}"))
+        properties = ", ".join(f"{key} {value}" for key, value in metadata.items())
+        notes.append(Note(Code.FILE_FORMAT, f"properties of the sample in the header: {properties}"))
     shown = [name or f"column {k}" for k, name in enumerate(names)]
     numbers, labels, stamps, more, unclear = _columns(text, block, clocks, shown, units)
     notes += more
@@ -210,7 +209,7 @@ def _columns(
         numbers.append(column)
     empty = [k for k, column in enumerate(numbers) if k not in labels and np.isnan(column).all()]
     if empty:
-        numbered = ", ".join(map(str, empty[:_SHOWN])) + f", ... ({len(empty)} columns)" * (len(empty) > _SHOWN)
+        numbered = listed([*map(str, empty)])
         notes.append(Note(Code.LEFT_OUT, f"empty columns are not used: {numbered} (numbered from 0)"))
     return numbers, labels, stamps, notes, problems
 

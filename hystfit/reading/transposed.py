@@ -5,13 +5,13 @@ from collections.abc import Sequence
 
 from hystfit.reading.cells import is_missing
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
 _MOST_LINES = 50  # lines that name a quantity; the samples stand beside each other
 _FEWEST_SAMPLES = 20  # numbers after the name, as many as a loop needs
-_FEWEST_KNOWN = 5  # the same after the name of a physical quantity
 _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -44,5 +44,5 @@ def _is_quantity(row: list[str]) -> bool:
     name, *cells = row
     numbers = sum(_NUMBER.fullmatch(cell) is not None for cell in cells)
     complete = all(is_missing(cell) or _NUMBER.fullmatch(cell) for cell in cells)
-    fewest = _FEWEST_KNOWN if column_quantity(name) else _FEWEST_SAMPLES
+    fewest = FEWEST if column_quantity(name) else _FEWEST_SAMPLES
     return not is_missing(name) and not _NUMBER.fullmatch(name) and numbers >= fewest and complete

@@ -8,12 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.preparation import CoarseClock, RoundedStamps, interval_of
-from hystfit.data.record import Record
+from hystfit.data.record import EVEN, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.params.units import conversion, parse_unit
-
-_AGREE = 0.01  # relative difference of two sampling intervals that agree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Treatment:
         if clock is not None or present is None:
             return record.sampled(dt=self.interval)
         present *= conversion(record.t_unit, "s") or 1.0
-        if abs(present - self.interval) > _AGREE * self.interval:
+        if abs(present - self.interval) > EVEN * self.interval:
             raise DataError(
                 f"record {record.name!r}: the time column has {1 / present:.6g} samples per second, and the sampling rate "
                 f"given is {1 / self.interval:.6g} Hz: leave out the rate, or read without time (time=False)"

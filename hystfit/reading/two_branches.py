@@ -10,17 +10,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import OPEN
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import FALLING, RISING
 from hystfit.reading.column_names import column_quantity, is_channel
 from hystfit.reading.columns import Choice
+from hystfit.reading.limits import FEWEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
-_FEWEST = 4  # rows of a branch
-_NEAR = 0.1  # of the ranges, within which the branches of a loop meet at both ends
-_OPEN = 0.02  # of the range of the outputs, by which numbered branches have to differ somewhere
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
@@ -141,14 +140,14 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
         np.flatnonzero(np.isfinite(table.columns[i]) & np.isfinite(table.columns[o]))
         for i, o in zip(pairs[0].columns, pairs[1].columns, strict=True)
     ]
-    if min(map(len, rows)) < _FEWEST:
+    if min(map(len, rows)) < FEWEST:
         return None
     values = lambda branch, kept: np.column_stack([table.columns[pair.columns[branch]][kept] for pair in pairs])
     first, second = (values(branch, kept) for branch, kept in enumerate(rows))
     if pairs[0].word not in _NEUTRAL and pairs[0].directed and first[0, 0] > first[-1, 0]:
         first, rows[0] = first[::-1], rows[0][::-1]
     apart = [_apart(first, second, order) for order in (1, -1)]
-    if not pairs[0].directed and (min(apart) > _NEAR or not (_is_branch(first[:, 0]) and _is_branch(second[:, 0]))):
+    if not pairs[0].directed and (min(apart) > 2 * NEAR or not (_is_branch(first[:, 0]) and _is_branch(second[:, 0]))):
         return None
     order = 1 if apart[0] <= apart[1] else -1
     loop = np.concatenate([first, second[::order]])
@@ -194,7 +193,7 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
     order = np.argsort(u, kind="stable")
     ways = itertools.cycle([order, order[::-1]])
     rows = [way[np.isfinite(u + y)[way]] for way, y in zip(ways, outputs, strict=False)]
-    if min(map(len, rows)) < _FEWEST:
+    if min(map(len, rows)) < FEWEST:
         return None
     beside = [[table.columns[k] for k in pair.columns] for pair in others]
     loop = [
@@ -221,10 +220,10 @@ def _numbered_branches(u: np.ndarray, one: np.ndarray, other: np.ndarray, *, ove
         over: whether the rising branch lies above the other.
     """
     both = np.flatnonzero(np.isfinite(u + one + other))
-    if both.size < _FEWEST:
+    if both.size < FEWEST:
         return None
     size, gap = np.ptp(np.concatenate([one[both], other[both]])), (one - other)[both]
-    if max(abs(gap[0]), abs(gap[-1])) > _NEAR * size or np.abs(gap).max() < _OPEN * size:
+    if max(abs(gap[0]), abs(gap[-1])) > 2 * NEAR * size or np.abs(gap).max() < OPEN * size:
         return None
     return [one, other] if (gap.mean() > 0) == over else [other, one]
 
@@ -236,7 +235,7 @@ def _runs_once(table: Table, position: int) -> bool:
     if column_quantity(table.names[position], table.units[position]) in ("index", "time"):
         return False
     steps = np.diff(table.columns[position][np.isfinite(table.columns[position])])
-    return steps.size >= _FEWEST - 1 and bool((steps > 0).all() or (steps < 0).all())
+    return steps.size >= FEWEST - 1 and bool((steps > 0).all() or (steps < 0).all())
 
 
 def _table(
@@ -287,7 +286,7 @@ def mirrored(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> np.n
     at = np.linspace(-reach, reach, max(piece.size for piece in pieces))
     first, second = (np.interp(at, u[piece], y[piece]) for piece in pieces)
     apart, widest = np.sqrt(np.mean((first + second[::-1]) ** 2)), np.abs(first - second).max()
-    if not (apart < _NEAR * widest and widest > _OPEN * np.ptp([first, second])):
+    if not (apart < 2 * NEAR * widest and widest > OPEN * np.ptp([first, second])):
         return None
     leads = column_quantity(table.names[choice.output], table.units[choice.output]) in ("force", "stress")
     falling, rising = pieces if (np.mean(first - second) > 0) != leads else pieces[::-1]

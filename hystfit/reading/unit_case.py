@@ -45,7 +45,6 @@ _VOLTAGE = frozenset({"bias", "drive", "potential", "ocv", "emf", "signal"})
 _SURE = frozenset("kpa mpa gpa hpa oe koe khz ka/m kv/cm kv/mm uc/cm2 knm".split())  # whatever the name
 # Units that no loop is measured in, of columns whose names are in capitals or whose unit has a capital as a sentence has.
 _HUGE = frozenset({"MA", "MV", "MT"})
-_LETTER = 1  # of a symbol that is also an index: of the phases i_a, i_b and of the normal force f_n
 
 
 @functools.lru_cache(maxsize=4096)
@@ -67,8 +66,8 @@ def in_case(name: str, unit: str) -> str:
 
 
 def is_symbol(text: str) -> bool:
-    """Whether a text of two letters or more is a unit, whatever its case."""
-    return len(text) > _LETTER and text.lower() in _SYMBOLS
+    """Whether a text is a unit, whatever its case; a single letter is also an index: of the phases i_a, i_b, of the normal force f_n."""
+    return len(text) > 1 and text.lower() in _SYMBOLS
 
 
 def split_in_case(name: str) -> tuple[str, str] | None:
@@ -78,7 +77,7 @@ def split_in_case(name: str) -> tuple[str, str] | None:
         base, unit = "_".join(parts[:-count]), parts[-count:]
         if not base or (count == 3 and unit[1].lower() != "per"):
             continue
-        if count == _LETTER == len(unit[0]) and len(base) == 1 and base.lower() not in _SYMBOLS_OF:
+        if count == 1 == len(unit[0]) and len(base) == 1 and base.lower() not in _SYMBOLS_OF:
             continue
         text = unit[0] if count == 1 else f"{unit[0]}/{unit[-1]}"
         if count == 2 and text.lower() in _MOMENTS and not _TORQUE.isdisjoint(_words(base)):

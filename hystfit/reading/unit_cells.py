@@ -10,6 +10,7 @@ from hystfit.errors import DataError
 from hystfit.params.units import conversion
 from hystfit.reading.cells import clean
 from hystfit.reading.dialect import split
+from hystfit.reading.limits import FEWEST
 from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
@@ -21,14 +22,13 @@ _PREFIXED = re.compile(rf"([+-]?(?:\d+[.,]?\d*|[.,]\d+))\s?([{''.join(_POWERS)}]
 _MARKED = re.compile(r"\d\s?[Mkuµμnp](?!\w)")  # a prefix that is no unit
 _ROW = re.compile(r"[\s\"']*[+-]?[.,]?\d")
 _MARKS = (";", "\t", "|", ",", None)  # between cells, the first one of which there are several
-_FEWEST = 4  # rows
 _MISSING = "nan"
 
 
 def read_unit_cells(text: TextFile) -> Table | None:
     """A table with a unit in every row of some columns; None for others. A cell in another unit of the quantity is converted."""
     rows = [k for k, line in enumerate(text.head) if _ROW.match(line)]
-    if len(rows) < _FEWEST:
+    if len(rows) < FEWEST:
         return None
     sample = text.head[rows[-1]]
     mark = text.opening.delimiter or next(mark for mark in _MARKS if mark is None or mark in sample)
@@ -37,7 +37,7 @@ def read_unit_cells(text: TextFile) -> Table | None:
         return None if text is written else plain_text(text)
     first = next((k for k in rows if _units(split(text.head[k], mark))), 0)
     units = _units(split(text.head[first], mark))
-    if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(_FEWEST, len(rows) // 2):
+    if sum(len(_units(split(text.head[k], mark))) == len(units) > 0 for k in rows) < max(FEWEST, len(rows) // 2):
         return None if text is written else plain_text(text)
     while first - 1 in rows and len(split(text.head[first - 1], mark)) == len(
         units

@@ -7,20 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import PART
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.columns import Choice
+from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.raw_table import Table
 
-_FEWEST = 8  # rows of a curve
 _MOST = 100  # curves at temperatures of their own
-_SPAN = 0.5  # of the range of the input, which every curve covers
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
-_JUMP = 5.0  # step to the next curve over the median step, of the input and of a time
-_NOISY = 0.05  # share of the steps that noise turns against the way of the input
-_NEAR = 0.05  # of the range of the input, within which all curves begin or end
 _RESTS = 1e-4  # of the range of a field, up to which its steps are those of one that is held
 
 Curves = list[tuple[str, np.ndarray]]
@@ -29,7 +26,7 @@ Curves = list[tuple[str, np.ndarray]]
 def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Curves | None:
     """Label and rows of every curve; None where the rows are of one curve."""
     u = table.columns[choice.input]
-    if not np.isfinite(u).all() or u.size < 2 * _FEWEST:
+    if not np.isfinite(u).all() or u.size < 2 * OF_RECORD:
         return None
     for position, name in enumerate(table.names):
         if position in (choice.input, choice.output) or column_quantity(name, table.units[position]) != "temperature":
@@ -42,7 +39,7 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
             rows = np.flatnonzero(~_heated(u, values))
         begins = _steps_of_plateaus(values[rows])
         pieces = np.split(rows, begins)
-        one = not begins.size and 2 * _FEWEST <= rows.size < u.size and np.ptp(values[rows]) < HEATED
+        one = not begins.size and 2 * OF_RECORD <= rows.size < u.size and np.ptp(values[rows]) < HEATED
         if one or (begins.size and _cover(u, pieces) and _begin_alike(u[rows], begins)):
             if rows.size < u.size:
                 text = (
@@ -56,7 +53,7 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
             return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
     begins = _returns(u, None if choice.time is None else table.columns[choice.time])
     pieces = [piece for piece in np.split(np.arange(u.size), begins) if piece.size > 1]
-    if len(pieces) < 2 or u.size < _FEWEST * len(pieces):
+    if len(pieces) < 2 or u.size < OF_RECORD * len(pieces):
         return None
     notes.append(
         Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back from the end of each to the begin of the next")
@@ -69,7 +66,7 @@ def _heated(u: np.ndarray, temperature: np.ndarray) -> np.ndarray:
     found = np.zeros(u.size, dtype=bool)
     begins = np.flatnonzero(np.abs(np.diff(u)) > _RESTS * np.ptp(u)) + 1
     for run in np.split(np.arange(u.size), begins):
-        found[run] = run.size >= _FEWEST and np.ptp(temperature[run]) > HEATED
+        found[run] = run.size >= OF_RECORD and np.ptp(temperature[run]) > HEATED
     return found
 
 
@@ -77,7 +74,7 @@ def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
     """Rows at which a quantity that is held goes to its next value; none for one that varies in another way."""
     steps = np.abs(np.diff(values))
     largest = np.argsort(-steps, kind="stable")
-    for count in range(min(_MOST - 1, values.size // _FEWEST, np.count_nonzero(steps)), 0, -1):
+    for count in range(min(_MOST - 1, values.size // OF_RECORD, np.count_nonzero(steps)), 0, -1):
         begins = np.sort(largest[:count]) + 1
         drifts = [float(np.ptp(piece)) for piece in np.split(values, begins)]
         changes = [np.inf, *steps[begins - 1], np.inf]
@@ -91,24 +88,24 @@ def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
     steps = np.diff(u)
     usual = float(np.median(steps))
     against = np.sign(steps) * np.sign(usual) < 0
-    jumps = against & (np.abs(steps) > _JUMP * abs(usual))
+    jumps = against & (np.abs(steps) > JUMP * abs(usual))
     begins = np.flatnonzero(jumps) + 1
-    if not begins.size or (against & ~jumps).mean() > _NOISY:
+    if not begins.size or (against & ~jumps).mean() > ODD:
         return np.empty(0, dtype=int)
-    if clock is not None and not (np.diff(clock)[begins - 1] > _JUMP * np.median(np.diff(clock))).all():
+    if clock is not None and not (np.diff(clock)[begins - 1] > JUMP * np.median(np.diff(clock))).all():
         return np.empty(0, dtype=int)
     ends = np.append(begins - 1, u.size - 1)
     ends = ends[1:] if begins[0] == 1 else ends  # a first row that is no curve, such as a remanence measured before
-    alike = _begin_alike(u, begins) or (ends.size > 2 and np.ptp(u[ends]) <= _NEAR * np.ptp(u))
+    alike = _begin_alike(u, begins) or (ends.size > 2 and np.ptp(u[ends]) <= NEAR * np.ptp(u))
     return begins if alike else np.empty(0, dtype=int)
 
 
 def _begin_alike(u: np.ndarray, begins: np.ndarray) -> bool:
-    return bool((np.abs(u[begins] - u[0]) <= _NEAR * np.ptp(u)).all())
+    return bool((np.abs(u[begins] - u[0]) <= NEAR * np.ptp(u)).all())
 
 
 def _cover(u: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    return all(piece.size >= _FEWEST and np.ptp(u[piece]) >= _SPAN * np.ptp(u) for piece in pieces)
+    return all(piece.size >= OF_RECORD and np.ptp(u[piece]) >= PART * np.ptp(u) for piece in pieces)
 
 
 def _labeled(pieces: Sequence[np.ndarray], labels: Sequence[str]) -> Curves:

@@ -15,11 +15,13 @@ import numpy as np
 from hystfit.errors import DataError, optional
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.array_files import check_members
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
+from hystfit.reading.limits import SAMPLE
 from hystfit.reading.number_block import careful_block
 from hystfit.reading.older_sheets import MOST_CELLS, sheets_of
 from hystfit.reading.raw_table import Part, Table, below_each_other
@@ -27,8 +29,6 @@ from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
 
-_SAMPLE = 2000  # rows of a sheet that show its dialect
-_NAMED = 6  # other sheets named in a note
 _SUMMARY = 0.1  # rows of a sheet over those of the longest, below which it summarizes others
 
 
@@ -106,7 +106,7 @@ def _holds_pair(table: Table) -> bool:
 def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
     """Whether the first rows of a sheet have formulas."""
     book = openpyxl.load_workbook(io.BytesIO(raw), read_only=True)
-    cells_of = lambda page: (cell for row in page.iter_rows(values_only=True, max_row=_SAMPLE) for cell in row)
+    cells_of = lambda page: (cell for row in page.iter_rows(values_only=True, max_row=SAMPLE) for cell in row)
     return any(isinstance(cell, str) and cell.startswith("=") for page in book.worksheets for cell in cells_of(page))
 
 
@@ -114,7 +114,7 @@ def _table(file: FileBytes, page: Any) -> Table | None:
     """The columns of a sheet; None where it has no rows of numbers."""
     rows = _cells_of(page, file.source)
     rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
-    dialect = max((dialect_of(rows[:_SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
+    dialect = max((dialect_of(rows[:SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
         return None
     text = Text(["\t".join(row) for row in rows], dialect, file.source, settled=True)
@@ -123,7 +123,7 @@ def _table(file: FileBytes, page: Any) -> Table | None:
 
 def _records(tables: Mapping[str, Table]) -> Table:
     """Sheets with the same columns as one table, of which each is a record with its title."""
-    listed = ", ".join(map(repr, tables))
+    sheets = ", ".join(map(repr, tables))
     base = [table.parts[0] if table.parts else Part() for table in tables.values()]
     parts = [
         dataclasses.replace(part, name=title, metadata=table.metadata)
@@ -135,21 +135,20 @@ def _records(tables: Mapping[str, Table]) -> Table:
         ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
     below = below_each_other(ordered)
     if branches:
-        text = f"{len(tables)} sheets of the same columns, each a branch: {listed} (--sheet reads one)"
+        text = f"{len(tables)} sheets of the same columns, each a branch: {sheets} (--sheet reads one)"
         return dataclasses.replace(below, curve=below.part, part=None, parts=()).noted(Note(Code.FILE_FORMAT, text))
-    text = f"{len(tables)} sheets of the same columns, each a record: {listed} (--sheet reads one)"
+    text = f"{len(tables)} sheets of the same columns, each a record: {sheets} (--sheet reads one)"
     return dataclasses.replace(below, parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:
     """The sheet that is read; unless the user chose it, a warning where others hold columns of numbers too."""
     others = [number for number, other in enumerate(titles) if not chosen and other != title and other in pairs]
-    listed = ", ".join(map(repr, titles))
+    text = f"sheet {title!r} of {', '.join(map(repr, titles))}"
     if not others:
-        return Note(Code.FILE_FORMAT, f"sheet {title!r} of {listed}")
-    named = ", ".join(f"{titles[number]!r} (sheet='{number}')" for number in others[:_NAMED])
-    more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
-    text = f"sheet {title!r} of {listed} is read; other sheets with numbers: {named}{more}"
+        return Note(Code.FILE_FORMAT, text)
+    named = listed([f"{titles[number]!r} (sheet='{number}')" for number in others])
+    text += f" is read; other sheets with numbers: {named}"
     return warn(Code.FILE_FORMAT, text)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.column_names import column_quantity
+from hystfit.reading.limits import FEW
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.stated_interval import stated_interval
@@ -20,7 +21,6 @@ from hystfit.reading.text_file import TextFile
 
 _NUMBERS = re.compile(r"(?:\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?(?=\s|$))+\s*")
 _WHOLE = re.compile(r"(?<![\d.])\d+(?![\d.])")
-_FEWEST = 3  # lines of a block, and numbers of a line
 _LONGEST = 9  # digits of a number of samples
 
 
@@ -66,7 +66,7 @@ def _ends_as_stated(text: TextFile) -> bool:
     stated = {k: {int(n) for line in text.head[:k] for n in _WHOLE.findall(line) if len(n) < _LONGEST} for k in begins}
     for k in begins:
         width = len(text.lines[k].split())
-        for end in {k - (-n // width) for n in stated[k] if n > _FEWEST * width} if width >= _FEWEST else ():
+        for end in {k - (-n // width) for n in stated[k] if n > FEW * width} if width >= FEW else ():
             block = text.lines[end - 1 : end + 1]
             if block and _NUMBERS.fullmatch(block[0]) and not any(map(_NUMBERS.fullmatch, block[1:])):
                 return True
@@ -75,7 +75,7 @@ def _ends_as_stated(text: TextFile) -> bool:
 
 def may_state_samples(row: str) -> bool:
     """Whether a row of numbers may be a line that states how many samples follow it."""
-    return any(int(n) > _FEWEST * len(row.split()) for n in _WHOLE.findall(row) if len(n) < _LONGEST)
+    return any(int(n) > FEW * len(row.split()) for n in _WHOLE.findall(row) if len(n) < _LONGEST)
 
 
 def _blocks(lines: Sequence[str]) -> list[_Block] | None:
@@ -87,16 +87,16 @@ def _blocks(lines: Sequence[str]) -> list[_Block] | None:
         if _NUMBERS.fullmatch(line):
             rows.append(line.split())
             continue
-        if rows and (line.strip() or len(rows) >= _FEWEST):
+        if rows and (line.strip() or len(rows) >= FEW):
             if (
-                above and len(rows) > 1 and len(rows[0]) < min(_FEWEST, len(rows[1]))
+                above and len(rows) > 1 and len(rows[0]) < min(FEW, len(rows[1]))
             ):  # the number of samples and their interval
                 above, rows = [*above, " ".join(rows[0])], rows[1:]
             cells = [cell for row in rows for cell in row]
             widths = [len(row) for row in rows]
-            even = len({*widths[:-1]}) == 1 and widths[-1] <= widths[0] and widths[0] >= _FEWEST
+            even = len({*widths[:-1]}) == 1 and widths[-1] <= widths[0] and widths[0] >= FEW
             stated = str(len(cells)) in _WHOLE.findall(" ".join(above))
-            if len(rows) < _FEWEST or not even or not stated:
+            if len(rows) < FEW or not even or not stated:
                 return None
             blocks.append(_Block(above, cells))
             above, rows = [], []

@@ -8,15 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.models.slopes import POINTS
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.held_out import correlation_length
-from hystfit.quality.loops import SAME_LEVEL, reversals
+from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
 
-TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
-_LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
-_GRID = 400  # inputs of that comparison
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -40,7 +38,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     edges = [0, *turns.tolist(), u.size - 1]
     parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
     span = float(np.ptp(u))
-    large = [part for part in parts if np.ptp(part.u) >= _LARGE * span]
+    large = [part for part in parts if np.ptp(part.u) >= LARGEST * span]
     first, last = parts[0], parts[-1]
     if (
         len(parts) > 2
@@ -50,14 +48,14 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
         and last not in large
     ):
         joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
-        if np.ptp(joined.u) >= _LARGE * span:
+        if np.ptp(joined.u) >= LARGEST * span:
             large.append(joined)
     return large
 
 
 def turns_of(u: np.ndarray) -> np.ndarray:
     """Samples at which the branches of a loop end."""
-    return reversals(u, TURN * float(np.ptp(u)))
+    return reversals(u, APART * float(np.ptp(u)))
 
 
 def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
@@ -238,12 +236,12 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
-    most = _LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    most = LARGEST * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None
-    grid = np.linspace(-most, most, _GRID)
+    grid = np.linspace(-most, most, POINTS)
     at = lambda u, y: np.interp(grid, u[np.argsort(u, kind="stable")], y[np.argsort(u, kind="stable")])
     one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)
-    columns = np.column_stack([np.ones(_GRID), np.gradient(0.5 * (one + other), grid) * most])
+    columns = np.column_stack([np.ones(POINTS), np.gradient(0.5 * (one + other), grid) * most])
     left = one - other - columns @ np.linalg.lstsq(columns, one - other, rcond=None)[0]
-    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (_GRID - 1)
+    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (POINTS - 1)

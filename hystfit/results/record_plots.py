@@ -11,6 +11,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.inference.autocorrelation import autocorrelation
+from hystfit.params.relative_size import REACH
 from hystfit.params.units import axis_label
 from hystfit.quality.loops import cycles
 from hystfit.results.accuracy import persistent_error
@@ -256,7 +257,7 @@ def draw_autocorrelation(traces: list[Trace], ax: Axes) -> None:
     r = max(chosen, key=lambda part: part.size)
     r = r[np.isfinite(r)]
     rho = autocorrelation(r, max(1, min(r.size // 2, 5000)))
-    band = 1.96 / np.sqrt(r.size)
+    band = REACH / np.sqrt(r.size)
     large = np.flatnonzero(np.abs(rho) > 0.2)
     shown = rho[: max(20, min(rho.size, 2 * int(large[-1]) + 10))]
     at = thin(_POINTS, shown)

@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.data.circulation import FEWEST
 from hystfit.results.loop_branches import Branch
 
 _WINDOWS = (0.3, 0.5, 0.7)  # of the largest field, from which the law is fitted
-_FEWEST = 8  # samples of a half-branch in a window
 # Of the value: half range over the windows from which the field does not reach the approach to saturation.
 _UNSETTLED = 0.1
 _BEYOND = 1.3  # ratio to the largest output, from which the value is an extrapolation without a measurement near it
@@ -75,7 +75,7 @@ def _of_law(branches: list[Branch], largest: float, name: str) -> np.ndarray:
             for sign in (1.0, -1.0):
                 field = sign * branch.u / largest
                 kept = field >= start
-                if kept.sum() >= _FEWEST and np.ptp(field[kept]) > 0.5 * (1 - start):
+                if kept.sum() >= FEWEST and np.ptp(field[kept]) > 0.5 * (1 - start):
                     columns = np.column_stack([np.ones(kept.sum()), *(column(field[kept]) for column in _LAWS[name])])
                     theta = np.linalg.lstsq(columns, sign * branch.y[kept], rcond=None)[0]
                     sides.setdefault((branch.rises == (sign > 0), sign), []).append(theta[[0, -1]])

@@ -16,15 +16,14 @@ from jaxtyping import Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.models.slopes import CYCLES, POINTS
+from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
-from hystfit.quality.loops import cycles
+from hystfit.quality.loops import LARGEST, cycles
 from hystfit.results.loop_kinds import LoopKind
 
-_CYCLES, _POINTS = 3, 400
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
-_NO_CREEP = 1e-6  # % a decade
-_LARGE = 0.45  # of the input's range: stroke of the cycles that count as those of the record, below a first rise from the middle
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
 _AT_1S, _AT_10S = 21, 201
@@ -129,8 +128,8 @@ class Excitation:
     interval: float
     force_driven: bool = False
     sine: bool = False
-    points: int = _POINTS
-    cycles: int = _CYCLES
+    points: int = POINTS
+    cycles: int = CYCLES
     energy: float = 1.0
 
     @classmethod
@@ -143,7 +142,7 @@ class Excitation:
         low = min(float(r.u[r.used].min()) for r in data)
         high = max(float(r.u[r.used].max()) for r in data)
         interval, sine, points = _waveform(data)
-        count = _cycles_of_path(data, high - low) if hardens else _CYCLES
+        count = _cycles_of_path(data, high - low) if hardens else CYCLES
         energy = loop_energy(data.units["u"], data.units["y"])[1]
         return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, energy)
 
@@ -183,13 +182,13 @@ class Excitation:
 
 def creeps(percent: np.ndarray) -> bool:
     """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
-    return not bool((np.abs(percent) < _NO_CREEP).all())
+    return not bool((np.abs(percent) < ROUNDED).all())
 
 
 def _cycles_of_path(data: Dataset, span: float) -> int:
     """Cycles over a range that run at most the longest path of a record up to its last sample that counts."""
     path = max(float(np.abs(np.diff(record.u[: np.flatnonzero(record.used)[-1] + 1])).sum()) for record in data)
-    return int(np.clip(path / (2 * span), _CYCLES, 50)) if span > 0 else _CYCLES
+    return int(np.clip(path / (2 * span), CYCLES, 50)) if span > 0 else CYCLES
 
 
 def _waveform(data: Dataset) -> tuple[float, bool, int]:
@@ -198,13 +197,15 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
     The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
     """
     for record in data:
-        found = () if record.t is None else cycles(record.u, _LARGE * float(np.ptp(record.u)))
+        found = (
+            () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
+        )  # half: a first rise from the middle
         if record.t is None or not len(found):
             continue
         points = int(np.clip(2 * round(np.median(found[:, 2] - found[:, 0]) / 2), _FEWEST, _MOST))
         interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / points
         return interval, bool(np.median(_rms_of_cycles(record.t, record.u, found)) > _SINE), points
-    return data[0].sampling_interval or 1.0, False, _POINTS
+    return data[0].sampling_interval or 1.0, False, POINTS
 
 
 def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:

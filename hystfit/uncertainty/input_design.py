@@ -18,6 +18,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
 from hystfit.inference.information import Moments
+from hystfit.inference.priors import LOG_WIDE
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
@@ -26,7 +27,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
 from hystfit.results.estimates import grouped
 from hystfit.results.result import FitResult
-from hystfit.uncertainty.predicted_errors import PRIOR, Plan, covariance_with
+from hystfit.uncertainty.predicted_errors import Plan, covariance_with
 
 SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimized input
@@ -227,7 +228,7 @@ def design(
 def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) -> dict[str, float | None]:
     """Standard errors in physical units from a covariance in relative size; None where the error is that of the prior."""
     relative = np.sqrt(np.diag(np.asarray(covariance)))[: len(names)]
-    known = np.where(relative < _UNKNOWN * PRIOR, relative * np.asarray(plan.size), np.nan)
+    known = np.where(relative < _UNKNOWN * LOG_WIDE, relative * np.asarray(plan.size), np.nan)
     return {name: float(error) if np.isfinite(error) else None for name, error in zip(names, known, strict=True)}
 
 
@@ -243,7 +244,7 @@ def _notes(
         text = f"the input {best!r} determines {combination}, which the present data do not"
         notes.append(Note(Code.CLOSES, text))
     if None in present.values():
-        text = f"each parameter has a prior of {100 * PRIOR:.0f} % of its size; '-' where the data add no information to the prior"
+        text = f"each parameter has a prior of {100 * LOG_WIDE:.0f} % of its size; '-' where the data add no information to the prior"
         notes.append(warn(Code.NOT_DETERMINED, text))
     notes.append(Note(Code.LOCAL, "the design is optimal for the fitted values: repeat it after the next fit"))
     for note in coverage_notes(result.data):

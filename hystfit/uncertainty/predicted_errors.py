@@ -18,13 +18,12 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.white import White
+from hystfit.inference.priors import LOG_WIDE
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import analyze
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import REAL, Coordinates
 from hystfit.results.result import FitResult
-
-PRIOR = 3.0  # standard deviation in relative size that each parameter has before any measurement
 
 
 def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
@@ -101,7 +100,7 @@ class Plan(eqx.Module):
 
     def covariance(self, moments: Moments) -> Float[Array, "q q"]:
         """Covariance in relative size of the parameters of the fit, then of those of the further record."""
-        return self.information.covariance(moments, jnp.eye(self.x.shape[0] + len(self.own)) / PRIOR**2)
+        return self.information.covariance(moments, jnp.eye(self.x.shape[0] + len(self.own)) / LOG_WIDE**2)
 
 
 def _information(result: FitResult) -> AbstractInformation:

@@ -8,14 +8,13 @@ import functools
 import numpy as np
 
 from hystfit.fitting.multistart import spread_starts
-from hystfit.inference.bounded_newton import BoundedNewton, Point
+from hystfit.inference.bounded_newton import EDGE, BoundedNewton, Point
 
 # Deviation of the root statistic from that of the curvature, relative, up to which one descent is enough.
 _ORDINARY = 0.2
 _STRIDE = 0.6  # target rise of the root statistic from point to point
 _JUMP = 1.5  # rise of the root statistic above which a step is shortened
 _FAR = 12.0  # distance in z beyond which a side counts as open: a factor of 160 000, or within 6e-6 of a bound
-_BACK = 8.0  # |z| at the other bound of a parameter that starts on one
 _FAR_LINEAR = 1e4  # the same for a linear parameter, in its scale
 _LOWER = 1e-3  # decrease of the value below the optimum that counts as another optimum
 
@@ -86,7 +85,7 @@ class Walk:
         start, low, high = self.optimum.v[self.k], *(side[self.k] for side in self.newton.limits)
         linear = self.newton.linear[self.k]
         step = float(np.clip(_STRIDE * self._error, 1e-6, 10.0 if linear else 1.0))
-        far = _FAR_LINEAR if linear else max(_FAR, abs(start) + _BACK)
+        far = _FAR_LINEAR if linear else max(_FAR, abs(start) + EDGE)
         while len(points) <= 24:  # on each side
             value = float(np.clip(points[-1].v[self.k] + sign * step, low, high))
             if value == points[-1].v[self.k]:

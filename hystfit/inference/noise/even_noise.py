@@ -16,9 +16,9 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
 from hystfit.outcome.table import ROUNDING
+from hystfit.params.host_arrays import NUMBERS
 
 _BLOCK = 2**14  # frequencies summed at once
-_PRODUCTS = 2**22  # largest number of products of rows that are kept
 # The same of fits whose noise is sought side by side: memory of this size is used again. Four times as much is mapped anew in each step:
 # six threads with 84 fits of 2000 samples each spent 3.2 s in the system, and 0.3 s with this.
 BESIDE = 2**20
@@ -106,7 +106,7 @@ class EvenRows:
     def _products(self) -> np.ndarray | None:
         """Products of two rows, shape (..., k (k + 1) / 2, n), with which many points are one product; None where they would be large."""
         left, right = np.triu_indices(self.rows.shape[-2])
-        if left.size * self.rows[..., 0, :].size > _PRODUCTS:
+        if left.size * self.rows[..., 0, :].size > NUMBERS:
             return None
         return self.rows[..., left, :] * self.rows[..., right, :]
 

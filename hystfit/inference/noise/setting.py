@@ -8,10 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
-from hystfit.data.record import median_interval
+from hystfit.data.record import EVEN, median_interval
 from hystfit.params.host_arrays import to_device
-
-_UNEVEN = 0.02  # deviation from even sampling, relative, below which the filters take one interval for all samples
 
 
 class Setting(eqx.Module):
@@ -50,7 +48,7 @@ class Setting(eqx.Module):
         gap = np.where((dt > 0).any(axis=1, keepdims=True), dt / typical, 1.0)
         last = [int(np.flatnonzero(row)[-1]) if row.any() else 0 for row in weight]
         inside = np.concatenate([row[1 : end + 1] for row, end in zip(gap, last, strict=True)])
-        even = bool(np.all(np.abs(inside - 1.0) < _UNEVEN))
+        even = bool(np.all(np.abs(inside - 1.0) < EVEN))
         turning = np.sign(np.diff(u, axis=1, prepend=u[:, :1]))
         return cls(
             gap=np.array(1.0) if even else gap,

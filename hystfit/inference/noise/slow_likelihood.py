@@ -17,6 +17,7 @@ from jaxtyping import Float
 from scipy.linalg.lapack import dpttrf, dpttrs
 
 from hystfit.inference.blocks import gram, parts, qr
+from hystfit.inference.newton import LONGEST
 from hystfit.inference.noise.even_noise import EvenRows
 from hystfit.inference.noise.setting import Setting
 
@@ -27,7 +28,7 @@ _SHORTEST = 0.2  # correlation time, samples
 _STENCIL = 0.15 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1]])
 _PARTS = (1.0, 0.4, 2.0)  # of a Newton step, of which the best is taken
 _NEWTONS, _NO_GAIN = 20, 1e-4  # steps, and decrease of -2 log likelihood below which they end
-_FLAT, _FARTHEST = 0.05, 2.0  # least curvature that limits a step, largest step
+_FLAT = 0.05  # least curvature that limits a step
 _WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the average
 
 
@@ -318,7 +319,7 @@ def _minima(
         if number == _NEWTONS:
             break
         step = -ways @ (ways.swapaxes(1, 2) @ slope[..., None] / np.maximum(np.abs(size), _FLAT)[..., None])
-        step *= np.minimum(1.0, _FARTHEST / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-300))
+        step *= np.minimum(1.0, LONGEST / np.maximum(np.abs(step).max(axis=(1, 2), keepdims=True), 1e-300))
         taken = center[going, None] + np.array(_PARTS)[:, None] * step.swapaxes(1, 2)
         points = np.clip(np.concatenate([taken, about], axis=1), low, high)
         values = np.concatenate([value(points[:, : len(_PARTS)], going), beside], axis=1)

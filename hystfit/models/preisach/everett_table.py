@@ -11,8 +11,7 @@ import scipy  # loads its subpackages when they are first used
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.models.preisach.everett import cells
-
-_NEAR = 0.05  # of the levels' range: an input so close to the lowest level has come back to it
+from hystfit.quality.loops import APART
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +74,7 @@ class EverettTable:
             order = np.argsort(down_u, kind="stable")
             peaks.append(float(r.u[top]))
             row = r.y[top] - np.interp(levels, down_u[order], down_y[order])
-            if r.u[0] <= levels[0] + _NEAR * np.ptp(levels):
+            if r.u[0] <= levels[0] + APART * np.ptp(levels):
                 row[0] = r.y[top] - r.y[0]
             rows.append(row)
         order = np.argsort(peaks)
@@ -136,18 +135,18 @@ class EverettTable:
 def _single_peaks(record: Record, levels: np.ndarray) -> list[Record]:
     """The curves of a record, cut where its input is back at the lowest level."""
     r, span = record.take(record.used), float(np.ptp(levels))
-    near = r.u <= levels[0] + _NEAR * span
+    near = r.u <= levels[0] + APART * span
     edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))
     lowest = [a + int(np.argmin(r.u[a:b])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
     cuts = sorted({0, *lowest})
     pieces = [r.take(np.arange(a, b + 1)) for a, b in zip(cuts, [*cuts[1:], len(r) - 1], strict=True) if b > a]
-    pieces = [piece for piece in pieces if piece.u.max() > levels[0] + _NEAR * span]
+    pieces = [piece for piece in pieces if piece.u.max() > levels[0] + APART * span]
     for piece in pieces:
         top = int(np.argmax(piece.u))
-        if piece.u[-1] > levels[0] + _NEAR * span:
+        if piece.u[-1] > levels[0] + APART * span:
             raise DataError(f"curve {record.name!r} does not fall back to {levels[0]:g} after its peak")
         back = max((np.maximum.accumulate(side) - side).max() for side in (piece.u[: top + 1], -piece.u[top:]))
-        if back > 0.2 * _NEAR * span:
+        if back > 0.2 * APART * span:
             raise DataError(
                 f"curve {record.name!r} reverses between {levels[0]:g} and its peak {piece.u[top]:g}: a table needs curves that rise "
                 "to one peak and fall back (--model preisach fits any input)"

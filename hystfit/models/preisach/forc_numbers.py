@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.models.preisach.forc_diagram import ForcDiagram
+from hystfit.models.slopes import POINTS
 
 NUMBERS = {
     "peak_coercivity": ("coercivity of the peak", "u"),
@@ -22,7 +23,6 @@ NUMBERS = {
 }
 """Label of each number, and the unit that it has: of the input, of the output, or per cent."""
 
-_POINTS = 201  # of a profile
 # Of the maximum: the part of the density whose center is the peak, so that it does not jump from cell to cell.
 _TOP = 0.9
 _PARTS = 8  # of a cell along each axis, at most, over which its mass is spread
@@ -164,8 +164,8 @@ def _read(
     sums, step = _binned(diagram, edges), float(edges[1])
     whole = np.cumsum(np.maximum(sums, 0.0))
     coercivity = Profile(0.5 * (edges[1:] + edges[:-1]), sums / step)
-    along, across = np.linspace(0.0, x.max(), _POINTS), np.linspace(y.min(), y.max(), _POINTS)
-    vertical = Profile(across, diagram.at(np.full(_POINTS, h), across))
+    along, across = np.linspace(0.0, x.max(), POINTS), np.linspace(y.min(), y.max(), POINTS)
+    vertical = Profile(across, diagram.at(np.full(POINTS, h), across))
     ridge = _central_ridge(diagram, coercivity.x, m) if diagram.resolution else None
     values = {
         "peak_coercivity": h,
@@ -179,7 +179,7 @@ def _read(
     }
     return values, {
         "coercivity": coercivity,
-        "peak coercivity": Profile(along, diagram.at(along, np.full(_POINTS, m))),
+        "peak coercivity": Profile(along, diagram.at(along, np.full(POINTS, m))),
         "peak interaction": vertical,
         **({"central ridge": ridge} if ridge else {}),
     }

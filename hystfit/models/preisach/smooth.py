@@ -148,15 +148,16 @@ class _Trials:
 
     @classmethod
     def of(cls, system: SmoothSystem, fixed: np.ndarray) -> _Trials:
-        """Those of a system, which keeps the last ones: the choice of a size and the fit solve the same equations.
+        """Those of a system, which keeps the last ones in `solved`: the choice of a size and the fit solve the same equations.
 
         Bounded weights that the data hardly determine depend on the solution that a solve starts from: a fit of them begins anew, so that
         it does not depend on what was solved before.
         """
-        known = vars(system).get("_trials")
-        if known is None or system.bounded.any() or not np.array_equal(known[0], fixed, equal_nan=True):
-            known = vars(system)["_trials"] = fixed, cls(system, fixed)
-        return known[1]
+        key = fixed.tobytes()
+        if system.bounded.any() or key not in system.solved:
+            system.solved.clear()
+            system.solved[key] = cls(system, fixed)
+        return system.solved[key]
 
     def left_out(self, strengths: Sequence[float], *, refitted: bool, most: float = np.inf) -> list[float]:
         """The error on held-out groups with each rising strength; infinite for those that are not tried, or above `most` by `fitted`.

@@ -101,6 +101,7 @@ class SmoothSystem:
         visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
             that count, record after record.
         size: of the output, by which it was divided.
+        solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
     """
 
     layout: Layout
@@ -112,6 +113,7 @@ class SmoothSystem:
     offsets: np.ndarray
     visited: Mapping[int, Sequence[Columns]]
     size: float
+    solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
     def of(

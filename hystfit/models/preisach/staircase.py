@@ -18,6 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hystfit.params.host_arrays import NUMBERS
+
 Rest = Literal["demagnetized", "negative", "positive"]
 _WORTH = 1 / 16  # part of the reversals that a pass must take out to be worth another
 _FEW = 64  # reversals left to the stack
@@ -241,12 +243,9 @@ def levels(parent: np.ndarray) -> np.ndarray:
     return level
 
 
-_TABLE = 4_000_000  # largest range of keys for which counting replaces sorting
-
-
 def distinct(keys: np.ndarray, bound: int) -> tuple[np.ndarray, np.ndarray]:
     """As np.unique with inverse, for whole numbers below a bound: by counting where the range is small and well filled."""
-    if bound > min(_TABLE, 256 * keys.size):
+    if bound > min(NUMBERS, 256 * keys.size):
         return np.unique(keys, return_inverse=True)
     seen = np.zeros(bound, dtype=bool)
     seen[keys] = True
