@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.errors import DataError
 
 _STAMPS = 20  # from which two lengths of steps are no chance
-_EVEN = 0.01  # of a step, up to which steps are equal
+EVEN = 0.02  # deviation of a time step from the usual one, as a part of it, which the rounding of a clock may make
 _ORDER = 2  # of the polynomials of the smoothing filter
 
 
@@ -80,15 +80,15 @@ class RoundedStamps:
             return None
         steps = np.diff(t)
         resolution = float(np.ptp(steps))
-        if resolution <= _EVEN * float(np.median(steps)):
+        if resolution <= EVEN * float(np.median(steps)):
             return None
         power = np.log10(resolution)
-        if abs(power - np.round(power)) > _EVEN:
+        if abs(power - np.round(power)) > EVEN:
             return None
         number = np.arange(t.size) - 0.5 * (t.size - 1)
         interval = float(number @ t / (number @ number))
         off = t - interval * number
-        if np.ptp(off) > (1 + _EVEN) * resolution:
+        if np.ptp(off) > (1 + EVEN) * resolution:
             return None
         middle = 0.5 * float(off.min() + off.max())
         return cls(float(10.0 ** np.round(power)), middle + interval * float(number[0]), interval)

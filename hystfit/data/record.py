@@ -17,8 +17,6 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
 
-EVEN = 0.02  # deviation of a time step from the usual one, as a part of it, which the rounding of a clock may make
-
 
 def median_interval(steps: np.ndarray) -> float | None:
     """Median of the positive time steps; None where no step is positive."""

@@ -90,7 +90,7 @@ def coarse(data: Dataset) -> Dataset:
     if samples < 2 * _ENOUGH:
         return data
     branches = sum(clear_reversals(record.u).size + 1 for record in data)
-    step = min(samples // max(_ENOUGH, _TIP * branches), min(map(len, data)) // _LEAST)
+    step = min(samples // max(_ENOUGH, _TIP * branches), min(map(len, data)) // LEAST)
     while step > 1 and not all(_straight(values, step) for record in data for values in (record.u, record.y)):
         step //= 2
     return data.map(lambda record: _means(record, step)) if step > 1 else data

@@ -11,8 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from hystfit.data.preparation import CoarseClock
-from hystfit.data.record import EVEN, Record
+from hystfit.data.preparation import EVEN, CoarseClock
+from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import EVEN, Record
+from hystfit.data.preparation import EVEN
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.preparation import CoarseClock, RoundedStamps, interval_of
-from hystfit.data.record import EVEN, Record
+from hystfit.data.preparation import EVEN, CoarseClock, RoundedStamps, interval_of
+from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.params.units import conversion, parse_unit

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
-from hystfit.data.record import EVEN, median_interval
+from hystfit.data.preparation import EVEN
+from hystfit.data.record import median_interval
 from hystfit.params.host_arrays import to_device
 
 
