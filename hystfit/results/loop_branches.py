@@ -14,7 +14,7 @@ from hystfit.quality.loops import SAME_LEVEL, reversals
 
 TURN = 0.05  # of the input's range: smallest reversal that ends a branch
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
-_LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
+LARGE = 0.9  # of the input's range: covered by a branch of the largest loops, and compared between two branches
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
 _GRID = 400  # inputs of that comparison
 
@@ -40,7 +40,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     edges = [0, *turns.tolist(), u.size - 1]
     parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
     span = float(np.ptp(u))
-    large = [part for part in parts if np.ptp(part.u) >= _LARGE * span]
+    large = [part for part in parts if np.ptp(part.u) >= LARGE * span]
     first, last = parts[0], parts[-1]
     if (
         len(parts) > 2
@@ -50,7 +50,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
         and last not in large
     ):
         joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
-        if np.ptp(joined.u) >= _LARGE * span:
+        if np.ptp(joined.u) >= LARGE * span:
             large.append(joined)
     return large
 
@@ -238,7 +238,7 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
-    most = _LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    most = LARGE * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None
     grid = np.linspace(-most, most, _GRID)

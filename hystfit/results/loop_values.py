@@ -22,6 +22,7 @@ from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
     ENDS,
+    LARGE,
     Branch,
     Pair,
     closes,
@@ -239,7 +240,9 @@ def _levels(
         ends = [(b.u.max(), b.u.min()) for b in branches]
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
         middle = 0.0 if named else 0.5 * (top + bottom)
-        of = lambda rises: [b for b in branches if b.rises == rises]
+        # A branch that begins inside the loop crosses the middle elsewhere.
+        whole = lambda b: named or np.ptp(b.y) >= LARGE * (top - bottom)
+        of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, None, sigma) for b in of(r)]) for r in (True, False)}
         words = ("coercivity", "remanence") if named else ("half width", "half height")
