@@ -42,6 +42,7 @@ from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
+_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
 _NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
@@ -219,6 +220,11 @@ def _with_data_sheet(
     if magnetic.branches and not any(row.name == "Js" for row in sheet):
         text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
         notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
+    law = magnetic.saturation
+    falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
+    if falls and "slope" not in correct:
+        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope leaves its slope out"
+        notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 
 
