@@ -56,8 +56,8 @@ def _two_branches(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     if max(abs(float(gap[0])), abs(float(gap[-1]))) > _CLOSED * float(np.abs(gap).max()):
         return None
     of_both = long[~beside]  # where the branches are one, as beyond the closing of a loop
-    rows = np.sort([*short, *of_both[::2]]), np.sort([*long[beside], *of_both[1::2]])
-    return rows if gap.mean() > 0 else rows[::-1]
+    one, other = np.sort([*short, *of_both[::2]]), np.sort([*long[beside], *of_both[1::2]])
+    return (one, other) if gap.mean() > 0 else (other, one)
 
 
 def _variation(y: np.ndarray) -> float:
@@ -69,9 +69,7 @@ def _shortest_pair(y: np.ndarray) -> np.ndarray:
 
     Both begin at the first value and end at the last one, where a loop is closed.
     """
-    cost = np.zeros(
-        1
-    )  # by the last value of the curve that does not have value k: 0 is the first one, and j + 1 value j
+    cost = np.zeros(1)  # by the last value of the curve without value k: 0 is the first one, and j + 1 value j
     back = np.zeros(y.size, dtype=int)
     for k in range(1, y.size):
         switched = cost + np.abs(y[k] - np.append(y[0], y[: k - 1]))
