@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -110,3 +111,14 @@ def test_pictures_of_curves_with_chinese_names(bare: None, tmp_path: Path) -> No
     ax = plot_curves(records, ax=Figure().subplots())
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("input [V]", "output [um]")
     _drawn(ax.figure, tmp_path)
+
+
+def test_numbers_of_a_field_do_not_touch():
+    """Fields to 20000 Oe at the size of the pictures of a report."""
+    figure = Figure(layout="constrained")
+    ax = figure.subplots()
+    ax.plot([-20000, 20000], [0, 1])
+    column_label(ax, "x", "Field", "Oe", "input")
+    figure.canvas.draw()
+    boxes = [label.get_window_extent() for label in ax.get_xticklabels() if label.get_text()]
+    assert all(left.x1 + 4 < right.x0 for left, right in itertools.pairwise(boxes))

@@ -252,3 +252,15 @@ def test_one_cycle_of_each_amplitude_gives_the_energy_of_the_largest():
     # Of a spring and a Coulomb element of 10 kN/mm that slips at 5 kN: 4 times 5 kN times 2.5 mm of slip, less the corner at the start.
     assert found["loop_area"].value == pytest.approx(4 * 5 * 2.5, rel=0.03)
     assert found["secant_stiffness"].value == pytest.approx(4 + 5 / 3, rel=1e-3)
+
+
+def test_a_branch_that_begins_inside_the_loop_gives_no_width():
+    """Soil that is wetted to the middle of its water and then dried crosses one half where that branch begins."""
+    main = lambda u, half: 1 / (1 + (u / half) ** 6)
+    dry, wet, again = np.linspace(0, 2.6, 200), np.linspace(2.6, 1.0, 200)[1:], np.linspace(1.0, 20, 800)[1:]
+    inside = 0.6 * main(again, 1.5) / main(1.0, 1.5)
+    back = np.linspace(20, 0, 900)[1:]
+    scanning = np.maximum(main(wet, 0.5), np.interp(wet, [1.0, 2.6], [0.6, main(2.6, 1.5)]))
+    u, y = np.concatenate([dry, wet, again, back]), np.concatenate([main(dry, 1.5), scanning, inside, main(back, 0.5)])
+    found = values_of(hf.Record(u, y, u_unit="kPa", y_unit="", u_name="suction", y_name="saturation"))
+    assert "coercive_input" not in found  # of the largest loop 0.5, and 0.4 where that branch counts

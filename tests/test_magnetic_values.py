@@ -301,3 +301,13 @@ def test_a_catalog_curve_gives_its_energy_product(name, coercivity, product, mea
     found = values_of(hf.Dataset.of(hf.read(measured / f"wild/B(H).{name}.tab"))[0])
     assert found["energy_product"].value == pytest.approx(product, rel=5e-3)
     assert found["HcB"].value == pytest.approx(coercivity, rel=1e-3)
+
+
+def test_a_superconducting_loop_has_no_data_sheet_of_a_magnet():
+    """Its currents give the largest moment near no field and little in the largest field (critical state of Kim)."""
+    h = np.concatenate([np.linspace(7, -7, 801), np.linspace(-7, 7, 801)[1:]])
+    side = np.repeat([1.0, -1.0], [801, 800])
+    currents = 4e5 * side / (1 + np.abs(h) / 0.5) * np.tanh(50 * (7.02 - side * h))
+    found = values_of(hf.Record(h, currents, u_unit="T", y_unit="A/m", u_name="Field", y_name="M"))
+    assert found["loop_area"].value > 0
+    assert not {"HcJ", "HcB", "Br", "energy_product", "knee_field"} & found.keys()

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.data.dataset import Dataset
 from hystfit.quality.loops import loop_area
 from hystfit.results.loop_kinds import LoopKind
+from hystfit.results.loop_values import quantities
 from hystfit.results.quantities import QUANTITIES, Unknown, applicable
 from hystfit.results.quantity_estimates import measured_quantities, quantity_values
 from hystfit.results.report import html_report, text_report
-from hystfit.results.steady_loops import Excitation
+from hystfit.results.steady_loops import Excitation, SteadyLoops
 
 TRUTH = hf.BoucWen(c=1.2, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
 SAMPLES = 200  # in a cycle
@@ -374,3 +376,51 @@ def test_the_error_of_a_finely_sampled_loop_is_that_of_its_parameters(fit: hf.Fi
     errors = {one.name: one.stderr for one in fit.quantities}
     scatter = {name: float(np.std(values)) for name, values in of_draws(fit, drawn(fit, 300)).items()}
     assert errors["loop_area"] == pytest.approx(scatter["loop_area"], rel=0.25)
+
+
+def test_the_width_of_a_film_on_a_diamagnetic_substrate_is_that_of_its_step():
+    """The slope of the substrate takes the output through the middle near both ends also."""
+    u = np.linspace(-20, 20, 801)
+    film = lambda side: 0.25 * np.tanh((u - 0.11 * side) / 0.16) - 0.045 * u
+    loops = SteadyLoops(u, film(1.0)[None], film(-1.0)[None])
+    assert loops.coercive_input == pytest.approx(
+        [0.11], rel=0.2
+    )  # 0.117 with the slope, and 0.06 between the outer crossings
+
+
+def test_the_slope_of_a_substrate_is_named():
+    h = np.concatenate([np.linspace(20, -20, 801), np.linspace(-20, 20, 801)[1:]])
+    side = np.repeat([1.0, -1.0], [801, 800])
+    record = lambda slope: hf.Record(
+        h,
+        0.25 * np.tanh((h + 0.11 * side) / 0.16) + slope * h,
+        u_unit="kOe",
+        y_unit="emu",
+        u_name="Field",
+        y_name="Moment",
+    )
+    named = lambda slope, **correct: [
+        note
+        for notes in quantities(record(slope), **correct).notes.values()
+        for note in notes
+        if "diamagnetic" in note.text
+    ]
+    assert named(-0.045)
+    assert not named(0.045)
+    assert not named(-0.045, correct=("slope",))
+
+
+def test_a_small_loop_inside_a_measured_branch_does_not_change_its_width():
+    """Soil that is dried, wetted to the middle of its water and dried on, over a suction of which both are a small part."""
+    main = lambda u, half: 1 / (1 + (u / half) ** 6)
+    parts = [
+        np.linspace(0, 2.6, 200),
+        np.linspace(2.6, 1.0, 200)[1:],
+        np.linspace(1.0, 2.6, 200)[1:],
+        np.linspace(2.6, 50, 4000)[1:],
+    ]
+    wetting = np.linspace(50, 0, 6000)[1:]
+    inside = lambda u: np.interp(u, [1.0, 2.6], [0.6, main(2.6, 1.5)])
+    dried = [main(parts[0], 1.5), inside(parts[1]), inside(parts[2]), main(parts[3], 1.5)]
+    record = hf.Record(np.concatenate([*parts, wetting]), np.concatenate([*dried, main(wetting, 0.5)]), u_unit="kPa")
+    assert measured_quantities(Dataset.of(record))["coercive_input"] == pytest.approx(0.5, rel=0.02)

@@ -162,13 +162,15 @@ _QUANTITIES = {
     "current density": "A/m^2", "displacement": "m", "angle": "rad", "velocity": "m/s", "angular velocity": "rad/s",
     "acceleration": "m/s^2", "force": "N", "torque": "N*m", "stiffness": "N/m", "stress": "Pa", "power": "W", "mass": "kg",
     "moment": "A*m^2", "magnetization": "A*m^2/kg", "molar moment": "A*m^2/mol", "induction": "T", "flux": "Wb",
-    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "capacitance": "F", "inductance": "H", "temperature": "K",
+    "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "resistivity": "Ohm*m",
+    "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
     "specific volume": "m^3/kg",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
+    "resistivity": "resistance",
     "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip

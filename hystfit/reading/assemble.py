@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
+from hystfit.reading.branches_in_order import in_order_of_time
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.cells import unit_of_epoch
 from hystfit.reading.column_names import column_unit
@@ -86,6 +87,7 @@ def assemble(
     marked = table.calibration if table.calibration is not None and divider is None else marked
     table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
     table = without_turns(table, choice.output, notes)
+    table = in_order_of_time(table, choice, notes) if divider is None and not table.section.any() else table
     groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
         if not several:

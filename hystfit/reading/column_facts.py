@@ -10,7 +10,15 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hystfit.params.units import quantity
-from hystfit.reading.column_names import SIDES, column_role, is_channel, parts_of, secondary, without_role
+from hystfit.reading.column_names import (
+    SIDES,
+    column_quantity,
+    column_role,
+    is_channel,
+    parts_of,
+    secondary,
+    without_role,
+)
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
@@ -249,7 +257,8 @@ def is_raw_signal(table: Table, position: int) -> bool:
     The voltage across a shunt and that of a lock-in amplifier are proportional to the current or resistance computed from them.
     """
     name = split_unit(table.names[position])[0].strip().lower()
-    if not name or quantity(table.units[position]) != "voltage":
+    unit = table.units[position]
+    if not name or "voltage" not in (quantity(unit), column_quantity(table.names[position], unit)):
         return False
 
     def measures(k: int) -> bool:

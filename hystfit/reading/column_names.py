@@ -18,7 +18,7 @@ _MEASURED = frozenset(VOCABULARY["measured"].split())
 _SECONDARY = frozenset(VOCABULARY["secondary"].split())
 SIDES = frozenset(VOCABULARY["sides"].split())
 _CHANNEL = re.compile(
-    r"(?:ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
+    r"(?:lock-?in|ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
 # Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas, VGS, I_D.
 _TERMINAL = re.compile(

@@ -106,6 +106,15 @@ def _cut(text: str, mark: str | None) -> list[str]:
     return [cells.clean(part) for part in parts]
 
 
+def _longer(line: str, width: int, delimiter: str | None) -> list[str] | None:
+    """The first `width` names of a line that names further columns, which have no numbers in any row; None for other lines."""
+    parts = _cut(line, delimiter) if delimiter else []
+    units = any(map(is_unit, parts))  # Force, kN
+    return (
+        parts[:width] if len(parts) > width > 2 and len({*parts}) == len(parts) and all(parts) and not units else None
+    )
+
+
 def _named(parts: list[str]) -> list[str]:
     """Names without the comment mark before the first, and without the commas that follow each where blanks separate them."""
     parts = [cells.clean(part) for part in parts]
@@ -314,10 +323,15 @@ def read_header(
         if parts is None or len(parts) != width or re.match(_COMMENT, parts[0]):
             apart = any(not line.strip() for line in above[position + 1 :])
             parts = _cut(above[position], "  ") if apart else _fields(above[position], width, delimiter)
+            parts = parts or (_longer(above[position], width, delimiter) if position == len(above) - 1 else None)
         if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
             continue
         if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):
             parts[0] = ""  # "Interval data:" before the names, above a row of units
+        if (
+            parts and headers and parts[0] == "x-axis" and all(part.isdigit() for part in parts[1:])
+        ):  # of an oscilloscope
+            parts = ["x-axis", *(f"CH{number}" for number in parts[1:])]
         if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
             break
         alike = len(set(parts)) == 1 and not _are_units(_bare(parts), parts)

@@ -43,8 +43,8 @@ _NO_UNIT = re.compile(r"[a-z]+ed|raw|avg|mean|left|right|top|bottom", re.IGNOREC
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 # Names of columns that are no more than a unit, and that unit.
 _BARE_UNITS = {
-    unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa".split()
-}
+    unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa hPa".split()
+} | {"kpa": "kPa"}
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity

@@ -33,6 +33,10 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         many: whether there are more columns than a pair.
     """
     among = lambda *names: any(kinds[k] in names for k in free)
+    if among("stress", "pressure"):  # of the water in a soil, by its saturation or its content
+        kinds.update({k: "loading" for k in free if table.names[k] == "Sr"})
+    if among("loading") and not among("pressure"):
+        kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):
         kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
     if among("displacement"):  # v beside x is a velocity

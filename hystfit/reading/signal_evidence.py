@@ -50,7 +50,10 @@ def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
         part: number of the record that a sample is in, shape (rows,); samples of different records are compared apart too.
     """
     u, y, part = (sample(values) for values in (u, y, part))
-    both = np.isfinite(u) & np.isfinite(y)
+    known = np.isfinite(u), np.isfinite(y)
+    both = known[0] & known[1]
+    if both.sum() < _FEWEST <= min(map(np.sum, known)):  # channels that were measured in turn
+        return 0.0
     u, y, part = u[both], y[both], part[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0

@@ -15,12 +15,14 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table
+from hystfit.reading.signal_evidence import extent
 
 # Words in the names of columns that tell records apart, the best one first.
 _OBJECTS = "specimen sample coupon material test experiment table file probe versuch échantillon essai".split()
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
 _PASSES = "run curve loop cycle series batch group label condition name id".split()
 _STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
+_MOST_OF = 0.5  # of the range of the column that drives, which it passes at every temperature or frequency
 
 
 def divided(table: Table) -> Table | None:
@@ -91,20 +93,27 @@ def _own_names(table: Table) -> int | None:
 
 
 def _labels(table: Table, position: int) -> np.ndarray | None:
-    """The text in a column, or the numbers of specimens or tests or a frequency in it as text, shape (rows,); None for other columns."""
+    """The text in a column, or the numbers of specimens or its condition as text, shape (rows,); None for other columns."""
     values, name = table.columns[position], table.names[position]
     if position in table.labels:
         return table.labels[position]
     numbered = _rank(name) < len(_OBJECTS) and not (values % 1).any()
-    if not np.isfinite(values).all() or not (numbered or _is_frequency(table, position)):
+    if not np.isfinite(values).all() or not (numbered or _is_condition(table, position)):
         return None
     title = split_unit(name)[0]
     distinct, back = np.unique(values, return_inverse=True)
     return np.array([f"{title}={value:g}" for value in distinct])[back]
 
 
-def _is_frequency(table: Table, position: int) -> bool:
-    return _quantity(table, position) == "frequency"
+def _is_condition(table: Table, position: int) -> bool:
+    return _quantity(table, position) in ("frequency", "temperature")
+
+
+def _swept(table: Table, position: int, changes: np.ndarray) -> bool:
+    """Whether another column goes through most of its range between any two changes of a column: that one does not drive."""
+    others = (k for k in range(len(table.names)) if k != position and k not in table.labels and not table.constant(k))
+    extents = ((extent(table.columns[k]), np.split(table.columns[k], changes + 1)) for k in others)
+    return any(whole > 0 and all(extent(part) > _MOST_OF * whole for part in parts) for whole, parts in extents)
 
 
 def _quantity(table: Table, position: int) -> str:
@@ -123,8 +132,8 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
     name, rank = table.names[position], _rank(table.names[position])
     if rank < len(_OBJECTS):
         return True
-    if _is_frequency(table, position):
-        return not _clock_goes_on(table, changes)
+    if _is_condition(table, position):
+        return _swept(table, position, changes) and not _clock_goes_on(table, changes)
     values = dict.fromkeys(table.labels[position].tolist())
     if any(words_of(value) & BRANCHES for value in values) or _clock_goes_on(table, changes):
         return False

@@ -17,7 +17,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
 from hystfit.quality.faults import noise_rms
-from hystfit.quality.loops import SAME_LEVEL
+from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
 from hystfit.results.loop_branches import (
@@ -41,6 +41,7 @@ from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
+_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
 _NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
@@ -218,6 +219,11 @@ def _with_data_sheet(
     if magnetic.branches and not any(row.name == "Js" for row in sheet):
         text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
         notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
+    law = magnetic.saturation
+    falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
+    if falls and "slope" not in correct:
+        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope leaves its slope out"
+        notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 
 
@@ -239,7 +245,9 @@ def _levels(
         ends = [(b.u.max(), b.u.min()) for b in branches]
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
         middle = 0.0 if named else 0.5 * (top + bottom)
-        of = lambda rises: [b for b in branches if b.rises == rises]
+        # A branch that begins inside the loop crosses the middle elsewhere.
+        whole = lambda b: named or np.ptp(b.y) >= LARGEST * (top - bottom)
+        of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, None, sigma) for b in of(r)]) for r in (True, False)}
         words = ("coercivity", "remanence") if named else ("half width", "half height")

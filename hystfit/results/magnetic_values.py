@@ -20,6 +20,7 @@ from hystfit.results.measured_value import LoopValue
 
 _HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically hard (IEC 60404-1); soft ones have no energy product
 _KNEE = 0.9  # of Jr, at the knee field Hk
+_SATURATED = 0.5  # of the remanence, below which no magnet is in its largest field: the parts of a superconducting loop have 0 to 0.3
 _RAYLEIGH = 0.3  # of the coercivity, up to which the first curve follows the Rayleigh law
 REMANENT_PART = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
 _NEIGHBORS = 7  # samples of a local quadratic of a switching field distribution, at least
@@ -176,17 +177,24 @@ def _of_branches(
     width = [found[0] for b in falling if (found := _coercivity(b, loop.noise)) is not None]
     hard = float(np.median(width) if width else np.abs(loop.h).max()) >= _HARD
     rows, sigma = [], loop.sigma
+    magnet = loop.absolute and not any(_is_superconducting(b) for b in falling)
     for row in _ROWS:
-        if (row.hard and not hard) or (row.absolute and not loop.absolute):
+        if (row.hard and not hard) or (row.absolute and not magnet):
             continue
         found = [(side, one) for side, b in zip(mirrored, falling, strict=True) if (one := row.of_branch(b, sigma))]
         rows.extend(_mean(row.name, row.label, found, units[row.kind]))
     if any(one.name == "volume" for one in loop.corrections):
         rows.extend(_loss(loop))
     rows.extend(_saturation(loop, falling, output_unit))
-    if loop.absolute and not hard:
+    if magnet and not hard:
         rows.extend(_permeabilities(loop, width))
     return tuple(rows)
+
+
+def _is_superconducting(b: Branch) -> bool:
+    """Whether a branch that falls from the largest field has a larger moment without field, which is that of its currents."""
+    rest = _remanence(b, None)
+    return rest is not None and float(b.y[np.argmax(b.u)]) < _SATURATED * rest[0]
 
 
 def _mean(name: str, label: str, found: list[tuple[bool, Found]], unit: tuple[str, float]) -> Iterator[LoopValue]:

@@ -29,6 +29,7 @@ from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
+_BACK = 0.01  # of the input's range, by which a branch goes back by noise alone
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
 _COARSE, _SEEN, _INSERTED = 40, 10, 16
@@ -261,6 +262,9 @@ def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray |
 def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:
     """The measured output at inputs between two turning points; None where the branch does not cover them."""
     kept = first + np.flatnonzero(record.used[first : last + 1])
+    onward = np.sign(record.u[last] - record.u[first]) * record.u[kept]
+    ahead = onward >= np.maximum.accumulate(onward) - _BACK * (inputs[-1] - inputs[0])
+    kept = kept[ahead]  # without small loops inside the branch
     kept = kept[np.argsort(record.u[kept], kind="stable")]
     u, slack = record.u[kept], SLACK * float(inputs[-1] - inputs[0])
     if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:

@@ -101,9 +101,10 @@ class SteadyLoops:
 
 
 def _crossings(branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " count"]:
-    """The first input at which each branch, rising or falling with it, passes zero; NaN where it does not (a butterfly)."""
+    """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it does not (a butterfly)."""
     passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
-    k, rows = np.argmax(passed, axis=1), np.arange(len(branches))
+    half = (passed.sum(axis=1, keepdims=True) + 1) // 2
+    k, rows = np.argmax(passed & (np.cumsum(passed, axis=1) == half), axis=1), np.arange(len(branches))
     before, after = branches[rows, k], branches[rows, k + 1]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(passed.any(axis=1), inputs[k] - before * (inputs[k + 1] - inputs[k]) / (after - before), np.nan)
