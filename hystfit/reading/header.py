@@ -197,7 +197,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
         return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        units = ["" if unit in ("*", "-") else unit for unit in units]
+        units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
         known = [is_unit(unit) for unit in units if unit]
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             if all(quantity(unit) == "time" for unit in units):
