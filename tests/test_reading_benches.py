@@ -98,3 +98,10 @@ def test_liters_and_decanewtons(tmp_path: Path) -> None:
     is_pair(record)
     assert (record.u_unit, record.y_unit) == ("mmHg", "uL")
     assert (conversion("uL", "mm3"), conversion("daN", "N"), conversion("mils", "um")) == (1.0, 10.0, 25.4)
+
+
+def test_the_current_of_a_motor_answers_its_motion(tmp_path: Path) -> None:
+    speed = np.round(np.gradient(U), 3)
+    names = "time,position_rad,velocity_rad_s,current_A,temperature_C\n"
+    record = one(tmp_path, names + rows(",", 0.01 * np.arange(N), U, speed, Y, 35 + 0.001 * np.arange(N)))
+    is_pair(record)

@@ -12,6 +12,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose
+from hystfit.fitting.comparison_run import WHITE
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
@@ -132,7 +133,8 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
     reason = "is the only candidate for these data"
     if len(comparison.rows) > 1:
-        reason = "leaves nothing but noise"
+        white = any(WHITE in row.note for row in comparison.rows)
+        reason = "leaves nothing but noise" if white else "is the only model that was fitted"
     if count > 1:
         reason = f"is the best of {count} models by cross-validation"
     if min(scores, default=None) != best.score_percent:

@@ -67,10 +67,10 @@ _LONGEST_NAME = 200  # characters
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
-    if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
-        return True
     if text.isdigit() or _NODE.fullmatch(text):  # P_11 is a component
         return False
+    if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
+        return True
     factor, scaled = factor_of(text)
     if factor != 1.0:
         return not scaled or is_unit(scaled)

@@ -190,7 +190,7 @@ class _Evidence:
         return ByColumn(points)
 
     def _of_pair(self, i: int, o: int) -> float:
-        """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
+        """Points of quantities that belong together: the position of a motor, of which a controller follows it, drives its current."""
         kinds = self.facts.kinds[i], self.facts.kinds[o]
         measured = self.facts.measured.values()
         # A load that is controlled, and nothing else, drives.
@@ -198,7 +198,8 @@ class _Evidence:
         if loads and {self.facts.kinds[k] for k in self.facts.measured} <= {*LOADS}:
             return _FOLLOWED if self.facts.measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
         beside = o if kinds[0] == "current" else i
-        if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and beside in measured:
+        moved = beside in measured or "velocity" in self.facts.kinds.values()  # that of a motor, beside its speed
+        if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and moved:
             return PAIRS["current", "displacement"] * (beside == i)
         return PAIRS.get(kinds, 0.0)
 
