@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 
-from hystfit.data import Record
+from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.params.units import conversion
 from hystfit.reading import read
@@ -72,7 +73,8 @@ def test_voltage_of_an_output_channel_drives_the_stage(tmp_path: Path) -> None:
 
 def test_units_and_interval_of_channels_with_a_clock_each(tmp_path: Path) -> None:
     """A scope of a controller repeats every key before the value of every channel, and states the interval with its unit there."""
-    head = "Name;Scope\nStarttime of export;132537312345678901\n\nName;Axis1.ActPos;Name;Axis1.ActTorque\nData-Type;REAL64;Data-Type;REAL64\n"
+    head = "Name;Scope\nStarttime of export;132537312345678901\n\nName;Axis1.ActPos;Name;Axis1.ActTorque\n"
+    head += "Data-Type;REAL64;Data-Type;REAL64\n"
     head += "SampleTime[ms];10;SampleTime[ms];10\nUnit;deg;Unit;Nm\nScaleFactor;1;ScaleFactor;1\n\n"
     clock = 10 * np.arange(N)
     record = one(tmp_path, head + rows(";", clock, U, clock, Y))
@@ -105,3 +107,32 @@ def test_the_current_of_a_motor_answers_its_motion(tmp_path: Path) -> None:
     names = "time,position_rad,velocity_rad_s,current_A,temperature_C\n"
     record = one(tmp_path, names + rows(",", 0.01 * np.arange(N), U, speed, Y, 35 + 0.001 * np.arange(N)))
     is_pair(record)
+
+
+def test_an_angle_that_rises_evenly_is_a_clock(tmp_path: Path) -> None:
+    """The crank angle of an indicator diagram, beside a pressure that rises and falls once."""
+    angle = np.arange(-360, 360, 12)
+    volume, pressure = (
+        np.round(300 - 250 * np.cos(np.radians(angle)), 3),
+        np.round(1 + 40 * np.exp(-(((angle - 10) / 80) ** 2)), 4),
+    )
+    record = one(tmp_path, "crank_angle_deg,volume_cc,pressure_bar\n" + rows(",", angle, volume, pressure))
+    assert {record.u_name, record.y_name} == {"volume_cc", "pressure_bar"}
+
+
+def test_units_below_names_behind_a_number_sign(tmp_path: Path) -> None:
+    record = one(tmp_path, "#Point\tDisp\tForce\n#\t[mm]\t[N]\n" + rows("\t", np.arange(N), U, Y), "gui.dat")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mm", "N")
+
+
+@pytest.mark.parametrize("lengths", [(N, N), (N, N - 7)])
+def test_a_trial_in_each_cell_of_matlab(lengths: tuple[int, ...], tmp_path: Path) -> None:
+    cells = {name: np.empty((1, 2), dtype=object) for name in ("Disp", "Load")}
+    for k, length in enumerate(lengths):
+        cells["Disp"][0, k], cells["Load"][0, k] = U[:length, None], Y[:length, None] + k
+    scipy.io.savemat(tmp_path / "trials.mat", cells)
+    data = read(tmp_path / "trials.mat")
+    assert isinstance(data, Dataset)
+    for k, (record, length) in enumerate(zip(data, lengths, strict=True)):
+        is_pair(record, U[:length], Y[:length] + k)

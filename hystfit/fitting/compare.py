@@ -66,7 +66,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         )
     if not rings:
         run.skip(chosen.resonant, "the response shows no resonance")
-    chosen = Candidates(chosen.closed, iterated, chosen.resonant if rings else ()).beside(found, delay)
+    chosen = dataclasses.replace(chosen, iterated=iterated, resonant=chosen.resonant if rings else ())
+    chosen = chosen.beside(found, delay)
     turns = (*chosen.closed, *chosen.resonant), chosen.iterated
     for number, names in enumerate(turns if rings else [sum(turns, ())]):
         if not white and run.is_white():
@@ -76,6 +77,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
+    if run.best_row is not None and run.best_row.status is not Status.OK:
+        run.run(chosen.last)
 
 
 def _timeless(names: Sequence[str]) -> tuple[str, ...]:

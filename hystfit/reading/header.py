@@ -88,7 +88,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
             while len(parts) > width and not parts[-1]:
                 parts.pop()
             if len(parts) == width and any(parts):
-                units = parts[0] in ("%", "#") and all(is_unit(part) or part in ("", "-", "1") for part in parts[1:])
+                units = parts[0] in ("%", "#") and _are_units(_bare(parts), parts)
                 if units or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None

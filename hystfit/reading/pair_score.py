@@ -16,7 +16,7 @@ from hystfit.reading.column_facts import ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.column_names import is_bare_role
 from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, sample
+from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, rises_evenly, sample
 
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
@@ -140,6 +140,10 @@ class _Evidence:
 
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
+            if (
+                rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any()
+            ):  # as a clock does: the angle of a crank
+                return _UNRELATED
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
