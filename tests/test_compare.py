@@ -3,6 +3,7 @@
 import dataclasses
 import gc
 import importlib
+import itertools
 import threading
 import weakref
 from pathlib import Path
@@ -242,7 +243,7 @@ def superelastic(samples: int = 50) -> hf.Record:
     """A wire of a shape memory alloy by hand: martensite grows above 400 MPa and shrinks below 180 MPa, elastic between."""
     elastic, transformed, hardening, martensite, stress = 500.0, 4.5, 60.0, 0.0, []
     turns = [0, 2, 0, 4, 0, 6, 0]
-    strain = np.concatenate([np.linspace(*pair, samples, endpoint=False) for pair in zip(turns, turns[1:])])
+    strain = np.concatenate([np.linspace(*pair, samples, endpoint=False) for pair in itertools.pairwise(turns)])
     for x in strain:
         grown, left = ((elastic * x - limit) / (elastic * transformed + hardening) for limit in (400, 180))
         martensite = min(max(min(max(martensite, grown), max(left, 0.0)), 0.0), 1.0)
@@ -254,7 +255,8 @@ def superelastic(samples: int = 50) -> hf.Record:
 def test_weights_of_either_sign_are_tried_last_where_no_model_describes_the_loops():
     record = superelastic()
     chosen = candidates(hf.Dataset((record,)))
-    assert chosen.last and not {*chosen.last} & {*chosen.names}
+    assert chosen.last
+    assert {*chosen.last}.isdisjoint(chosen.names)
     best = hf.compare(record, progress=lambda *_: None).rows[0]
     assert best.status is Status.OK
     assert best.asked in chosen.last
