@@ -16,8 +16,7 @@ SCHEMA = "hystfit.compare/1"
 # model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
 # less by it.
 MARGIN = 1.5
-# Of fits that did not converge, do not describe the loop, or only roughly.
-UNFIT = (Status.NOT_CONVERGED, Status.POOR, Status.ROUGH)
+UNFIT = (Status.NOT_CONVERGED, Status.POOR)  # of fits that did not converge or do not describe the loop
 STRONG = 10.0  # difference of BIC that is strong evidence against a model (Kass and Raftery 1995)
 Purpose = Literal["prediction", "inverse", "export"]
 
