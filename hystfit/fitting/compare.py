@@ -77,7 +77,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if run.best_row is not None and run.best_row.status is not Status.OK:
+    if run.best_row is not None and run.best_row.status in (Status.ROUGH, Status.POOR):
         run.run(chosen.last)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 
-import numpy as np
-
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
@@ -18,8 +16,7 @@ from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
-from hystfit.models.starting import output_range
-from hystfit.quality.baselines import USABLE, Baselines
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
 from hystfit.results.accuracy import POOR
 
@@ -52,10 +49,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
     """
     data = without_faults(data)
     short = thinned(data)  # not for the search, whose terms may depend on the rate
-    chosen, least, usable = candidates(data), np.inf, USABLE / 100 * output_range(data).width
-    for name in (*chosen.closed, *chosen.last):
-        if name in chosen.last and least <= usable:
-            return
+    for name in candidates(data).closed:
         found = None
         if name == SEARCH:
             found = search_structure(data)
@@ -69,7 +63,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
             except HystfitError:  # these records cannot start it
                 continue
             model, error = problem.model, float(fit_ridge(system).score)
-        least, weights = min(least, error), weights_of(model)
+        weights = weights_of(model)
         noise = found is not None and residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
         yield Screened(model_name(model), error, weights, model.has_inverse, found, noise)
         if noise:
