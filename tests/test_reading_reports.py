@@ -86,12 +86,13 @@ def test_names_and_units_of_tables_in_notes(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(record.y, MOMENT, atol=1e-9)
 
 
-def test_spice_names_its_voltages_and_currents(tmp_path: Path) -> None:
+@pytest.mark.parametrize("element", ["L1", "V1"])
+def test_spice_names_its_voltages_and_currents(element: str, tmp_path: Path) -> None:
     """V(drive) is the voltage of the node drive, not a quantity V in drives."""
     path = tmp_path / "ltspice.txt"
     rows = [f"{1e-3 * k}\t{row.replace(' ', chr(9))}" for k, row in enumerate(ROWS)]
-    path.write_text("\n".join(["time\tV(drive)\tI(L1)", *rows]) + "\n", encoding="utf-8")
-    record = hf.read(path, input="V(drive)", output="I(L1)")
+    path.write_text("\n".join([f"time\tV(drive)\tI({element})", *rows]) + "\n", encoding="utf-8")
+    record = hf.read(path, input="V(drive)", output=f"I({element})")
     assert (record.u_unit, record.y_unit) == ("V", "A")
 
 

@@ -36,15 +36,17 @@ class Candidates:
         closed: models whose weights follow from a linear solve: they take a tenth of a second each.
         iterated: models whose parameters are searched for.
         resonant: those of them with a resonance, which take longest.
+        last: those for loops of the other direction that describe these too: where no other model does.
     """
 
     closed: tuple[str, ...]
     iterated: tuple[str, ...] = ()
     resonant: tuple[str, ...] = ()
+    last: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All of them."""
+        """All but the last."""
         return (*self.closed, *self.iterated, *self.resonant)
 
     def beside(self, found: Structure, delay: bool) -> Candidates:
@@ -57,7 +59,7 @@ class Candidates:
         before = "delay+" * delay + "negate+" * found.falls
         around = lambda name: f"{before}{name}" + "+linear" * found.line
         lagged = (f"{before}lag+preisach",) if found.lag else ()
-        return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)))
+        return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)), self.last)
 
 
 def candidates(data: Dataset) -> Candidates:
@@ -78,8 +80,11 @@ def candidates(data: Dataset) -> Candidates:
         and (timed or model.rate_independent)
         and speeds >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
-        and (contrary not in {need.direction for need in _needs(name)} or (plays_fail and model.either_way))
+        and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
+    against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
+    last = () if plays_fail else tuple(against)
+    able = {name: model for name, model in able.items() if name not in last}
     # Signed weights need no negation, and some models are tried both ways.
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
     before = lambda name, model: "negate+" if falls(data) and model.has_inverse and name not in both_ways else ""
@@ -88,7 +93,7 @@ def candidates(data: Dataset) -> Candidates:
     }
     resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant))
-    return Candidates((SEARCH, *closed.values()), others, resonant)
+    return Candidates((SEARCH, *closed.values()), others, resonant, last)
 
 
 def _drives(model: AbstractHysteresis, data: Dataset) -> bool:

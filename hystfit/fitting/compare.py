@@ -67,7 +67,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         )
     if not rings:
         run.skip(chosen.resonant, "the response shows no resonance")
-    chosen = Candidates(chosen.closed, iterated, chosen.resonant if rings else ()).beside(found, delay)
+    chosen = dataclasses.replace(chosen, iterated=iterated, resonant=chosen.resonant if rings else ())
+    chosen = chosen.beside(found, delay)
     turns = (*chosen.closed, *chosen.resonant), chosen.iterated
     for number, names in enumerate(turns if rings else [sum(turns, ())]):
         if not white and run.is_white():
@@ -77,6 +78,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
+    if run.best_row is not None and run.best_row.status in (Status.ROUGH, Status.POOR):
+        run.run(chosen.last)
 
 
 def _timeless(names: Sequence[str]) -> tuple[str, ...]:
@@ -126,9 +129,9 @@ def compare(
     single loop; beside scattered samples of loops of several sizes smaller loops, and the geometric mean of both errors ranks. The input
     drives the model through what is held out, but its output is not fitted; the offset of a whole record is. Test data are not used.
     Among models within one standard error of the smallest error, those rank first whose fit converged, of which the data determine fewer
-    parameters, and that have an inverse; one that has not converged, or whose family has no inverse, must err clearly less. A model that
-    cannot be fitted is listed with the reason. Long records that are sampled far finer than their signals count by the means of several
-    samples, on which the winner is fitted too (`hystfit.fitting.thinning.coarse`).
+    parameters, and that have an inverse; one that has not converged or describes the loops only roughly, or whose family has no inverse,
+    must err clearly less. A model that cannot be fitted is listed with the reason. Long records that are sampled far finer than their
+    signals count by the means of several samples, on which the winner is fitted too (`hystfit.fitting.thinning.coarse`).
 
     Args:
         data: one record or several, or a data frame.
@@ -219,10 +222,10 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     ranked = sorted(rows, key=lambda row: _rank(row, purpose))
     if not ranked or ranked[0].score_percent is None:
         return ranked
-    least = ranked[0].ranked_percent or 0.0
+    least = _error(ranked[0])
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(equal * least, floor)
-    alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and (row.ranked_percent or 0.0) <= most]
+    alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and _error(row) <= most]
     plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
     # Rounding errors are no evidence.
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
@@ -230,6 +233,11 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     unlikely = lambda row: row.bic is not None and row.bic > limit
     simple = sorted(alike, key=lambda row: (row.status in UNFIT, unlikely(row), *plain(row)))
     return simple + ranked[len(alike) :]
+
+
+def _error(row: Row) -> float:
+    """Error by which a model ranks [percent of range]: one that describes the loops only roughly must err clearly less."""
+    return (row.ranked_percent or 0.0) * (MARGIN if row.status is Status.ROUGH else 1.0)
 
 
 def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
@@ -240,5 +248,5 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
         row.status is Status.NO_LOOP,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
-        row.ranked_percent or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),
+        _error(row) or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),
     )

@@ -51,10 +51,11 @@ def score_of(row: Row) -> float:
 
 def correlation_of(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
-    return max(map(correlation_length, _residuals_of(fit)))
+    return max(map(correlation_length, residuals_of(fit)))
 
 
-def _residuals_of(fit: FitResult) -> list[np.ndarray]:
+def residuals_of(fit: FitResult) -> list[np.ndarray]:
+    """Prediction less measurement at the samples of each record that count [y]."""
     return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
 
 
@@ -336,7 +337,7 @@ class ComparisonRun:
         if best is None or best.score_percent is None:
             return False
         fit = self.fits[best.asked]
-        return residuals_are_white(_residuals_of(fit), fit.baselines.curve, len(fit.free_names))
+        return residuals_are_white(residuals_of(fit), fit.baselines.curve, len(fit.free_names))
 
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""

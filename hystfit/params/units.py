@@ -135,7 +135,9 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "ksi": (6894757.293168, "Pa", False), "kpsi": (6894757.293168, "Pa", False), "mmHg": (101325 / 760, "Pa", False),
     "inHg": (3386.38815789, "Pa", False), "atm": (101325.0, "Pa", False), "dyn": (1e-5, "N", False),
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
-    "ppm": (1e-6, "1", False), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "daN": (10.0, "N", False), "psf": (47.8802589803358, "Pa", False), "ksf": (47880.2589803358, "Pa", False),
+    "mil": (2.54e-5, "m", False), "L": (1e-3, "m^3", True), "l": (1e-3, "m^3", False), "ppm": (1e-6, "1", False),
+    "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
     "Vs": (1.0, "V*s", True), "arcmin": (math.pi / 10800, "rad", False), "arcsec": (math.pi / 648000, "rad", False),
 }  # fmt: skip
 _SPELLINGS = {
@@ -149,7 +151,8 @@ _SPELLINGS = {
     "radians": "rad", "inches": "in", "foot": "ft", "feet": "ft", "minute": "min", "minutes": "min", "hour": "h", "hours": "h",
     "days": "day", "years": "year", "yr": "year",
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
-    "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T", "dyne": "dyn", "dynes": "dyn",
+    "mils": "mil", "thou": "mil", "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T",
+    "dyne": "dyn", "dynes": "dyn",
     "ounce": "oz", "ounces": "oz", "usec": "us", "nsec": "ns", "KN": "kN", "KPa": "kPa", "Kpa": "kPa", "Mpa": "MPa",
     "millis": "ms", "micros": "us", "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V", "ml": "cc", "mL": "cc", "pct": "%",
 }  # fmt: skip

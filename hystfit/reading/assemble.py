@@ -27,6 +27,7 @@ from hystfit.reading.limits import MAJORITY, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
 from hystfit.reading.sentinels import failed_inputs, replaced_notes, without_codes, without_infinite
+from hystfit.reading.stated_interval import unit_of_interval
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int
@@ -311,6 +312,7 @@ def _record(table: Table, choice: Choice, data: dict[str, np.ndarray], title: st
         time_unit = ""
     if choice.time is not None:
         time_unit = time_unit or unit_of_epoch(data["time"].min(), data["time"].max())
+        time_unit = time_unit or unit_of_interval(median_interval(np.diff(data["time"])), table.interval)
     part = table.parts[0 if table.part is None else int(table.part[0])] if table.parts else Part()
     if not time_unit:
         notes.append(Note(Code.FILE_FORMAT, "the file has no unit of time: seconds are assumed"))

@@ -119,13 +119,7 @@ class ColumnFacts:
     @functools.cached_property
     def axis(self) -> dict[int, str]:
         """The axis of columns that are components of a vector, as the ends of their names tell; "" of others."""
-        names = self._bases
-        is_component = lambda name: (
-            name[1:]
-            and name[-1] in "xyz"
-            and any(f"{name[:-1]}{other}" in names for other in "xyz" if other != name[-1])
-        )
-        return {k: name[-1] if is_component(name) else "" for k, name in enumerate(names)}
+        return _axes(self._bases)
 
     @functools.cached_property
     def is_partial(self) -> ByColumn:
@@ -240,11 +234,22 @@ def _roles(table: Table, components: Sequence[int]) -> dict[int, str]:
     return {k: column_role(name) if told(k, name) else "" for k, name in enumerate(table.names)}
 
 
+def _axes(names: Sequence[str]) -> dict[int, str]:
+    """The axis of names that are those of components of a vector, such as Fx beside Fy, as their ends tell; "" of others."""
+    alike = lambda name, axes: any(f"{name[:-1]}{other}" in names for other in axes if other != name[-1])
+    axis = lambda name: next((name[-1] for axes in ("xyz", "XYZ") if name[-1] in axes and alike(name, axes)), "")
+    return {k: axis(name).lower() if name[1:] else "" for k, name in enumerate(names)}
+
+
 def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str], roles: Mapping[int, str]) -> dict[int, int]:
-    """Place of each column among those of its quantity."""
+    """Place of each column among those of its quantity, of components of a force that which moves most first."""
     count: dict[tuple[str, str], int] = {}
     ranks = {}
-    for k in sorted(free, key=lambda k: (secondary(table.names[k]), k)):
+    bases = [split_unit(name)[0].strip() for name in table.names]
+    forces = {k: bases[k][:-1] for k, axis in _axes(bases).items() if axis and kinds[k] == "force"}
+    first = {stem: k for k, stem in reversed(forces.items())}
+    place = lambda k: (first[forces[k]], -extent(table.columns[k])) if k in forces else (k, 0.0)
+    for k in sorted(free, key=lambda k: (secondary(table.names[k]), *place(k))):
         group = (kinds[k], roles[k])
         ranks[k] = count.get(group, 0)
         count[group] = ranks[k] + 1

@@ -127,6 +127,9 @@ def choose(
     if clock is not None and clock in given.values():
         raise DataError(f"{table.source}: column {table.names[clock]!r} cannot be time and input or output at once")
     free = [k for k in free if k != clock and k not in table.stamps]
+    numbers = lambda k: table.names[k] == f"column {k}" and table.counts(k)
+    if table.named and clock is not None:  # that which a program wrote before the columns that it had names for
+        free = [k for k in free if not numbers(k)]
     if not {"input", "output"} <= given.keys():
         _guess_pair(table, free, kinds, given, clock, notes)
     for k, label in table.labels.items():

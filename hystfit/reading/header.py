@@ -88,7 +88,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
             while len(parts) > width and not parts[-1]:
                 parts.pop()
             if len(parts) == width and any(parts):
-                units = parts[0] in ("%", "#") and all(is_unit(part) or part in ("", "-", "1") for part in parts[1:])
+                units = parts[0] in ("%", "#") and _are_units(_bare(parts), parts)
                 if units or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None
@@ -206,7 +206,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
         return named
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        units = ["" if unit in ("*", "-") else unit for unit in units]
+        units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
         known = [is_unit(unit) for unit in units if unit]
         if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
             if all(quantity(unit) == "time" for unit in units):

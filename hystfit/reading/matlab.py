@@ -27,7 +27,7 @@ def read_matlab(file: FileBytes, opening: Opening) -> Table:
     if file.raw.startswith(b"MATLAB 7.3") or _HDF in (file.raw[:4], file.raw[512:516]):
         return read_arrays(_of_hdf, file, opening)
     with errors_of(file, opening):
-        tree = _variables(file.raw)
+        tree = _by_cell(_variables(file.raw))
     if any(map(_has_structures, tree.values())):
         return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
     return read_arrays(functools.partial(_flatten, tree), file, opening)
@@ -63,6 +63,23 @@ def _items(value: Any) -> list[Any]:
     """The items of a list or of an array of objects; none of another value."""
     objects = isinstance(value, np.ndarray) and value.dtype == object and value.ndim > 0
     return [*value.ravel()] if objects else [*value] if isinstance(value, list) else []
+
+
+def _by_cell(tree: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The variables; those that have a column in each of as many cells, one for each trial, as an array of structures."""
+    cells = {name: columns for name, value in tree.items() if (columns := _columns(value))}
+    if len(cells) < 2 or len({len(items) for items in cells.values()}) > 1:
+        return tree
+    trials = [dict(zip(cells, columns, strict=True)) for columns in zip(*cells.values(), strict=True)]
+    return {name: value for name, value in tree.items() if name not in cells} | {"cell": trials}
+
+
+def _columns(value: Any) -> list[np.ndarray]:
+    """The columns in the cells of a variable, which are the rows of a matrix where all are of one length; none of another value."""
+    cells = isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim > 0)
+    columns = [np.array(cell.tolist()) for cell in value if isinstance(cell, np.ndarray)] if cells else []
+    numbers = all(column.ndim == 1 and column.size > 1 and column.dtype.kind in "fiu" for column in columns)
+    return columns if numbers and columns and len(columns) == len(value) else []
 
 
 def _has_structures(value: Any) -> bool:

@@ -52,7 +52,7 @@ _NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names o
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
-_NODE = re.compile(r"[NVAWJKGT]\d")  # number of a node, an element or a channel: U1_N5
+_NODE = re.compile(r"[NVAWJKGTL]\d")  # number of a node, an element or a channel: U1_N5, I(V1)
 # Names before the "in" that is an inch: x_in, stroke_in; that of v_in, air_in and sw_in is the way in.
 _INCHES = re.compile(
     r"x|y|z|d|l|(?:.*[_ ])?(?:\w*(?:pos|disp|dist|drift|defl|stroke|travel|slip|lift|gap|width|length|height|elong|ext|lvdt|pot)\w*)",
@@ -67,10 +67,10 @@ _WORD = 4  # letters from which a unit is written as a word
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
+    if text.isdigit() or _NODE.fullmatch(text):  # P_11 is a component
+        return False
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:
         return True
-    if text.isdigit():  # P_11 is a component
-        return False
     factor, scaled = factor_of(text)
     if factor != 1.0:
         return not scaled or is_unit(scaled)
@@ -106,6 +106,7 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
         or _behind_mark(name)
         or _behind_blank(name, siblings)
         or _behind_underscore(name, siblings)
+        or _before_label(name)
         or (name, "")
     )
     return base, in_case(base, unit) or unit
@@ -116,9 +117,9 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     if not name.endswith(("]", ")", ">")) or (start := _opening(name)) <= 0:
         return None
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
-    closed = not re.search(r"[\])>]", unit) or is_unit(unit)
-    closed = closed or bool(in_case(base, unit))
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not (closed and (is_unit(unit) or in_case(base, unit))):
+    known = not _NODE.fullmatch(unit) and bool(is_unit(unit) or in_case(base, unit))
+    closed = known or not re.search(r"[\])>]", unit)
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not known:
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None
@@ -132,6 +133,12 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     if unit in ("-", "1", "") and not re.search(r"\w\[1\]$", name):  # x[1]: column of a matrix
         return base, ""
     return None
+
+
+def _before_label(name: str) -> tuple[str, str] | None:
+    """Position (m) Run #1; None for names without a unit in brackets and a label of the run behind it."""
+    match = re.fullmatch(r"(\w.*?)\s*[(\[]([^()\[\]]+)[)\]](\s.*)", name)
+    return (match[1] + match[3], match[2]) if match and is_unit(match[2]) and quantity(match[2]) else None
 
 
 def _quotient_in_words(name: str) -> tuple[str, str] | None:
@@ -180,7 +187,7 @@ def _behind_underscore(name: str, siblings: Sequence[str]) -> tuple[str, str] | 
         return None
     labels = len(match[2]) == 1 and any(not is_unit(other) for other in _indices(match[1], siblings))
     terminal = len(match[2]) == 1 and quantity(match[2]) != _ELECTRIC.get(match[1], quantity(match[2]))
-    if labels or terminal or _NODE.fullmatch(match[2]) or _is_role(match[1], match[2], siblings):
+    if labels or terminal or _is_role(match[1], match[2], siblings):
         return None  # I_A, I_B, I_C are currents of three phases, V_G the voltage of a gate
     return match[1], match[2]
 

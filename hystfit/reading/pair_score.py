@@ -16,7 +16,7 @@ from hystfit.reading.column_facts import ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.column_names import is_bare_role
 from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, sample
+from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, rises_evenly, sample
 
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
@@ -140,6 +140,10 @@ class _Evidence:
 
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
+            if (
+                rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any()
+            ):  # as a clock does: the angle of a crank
+                return _UNRELATED
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
@@ -190,7 +194,7 @@ class _Evidence:
         return ByColumn(points)
 
     def _of_pair(self, i: int, o: int) -> float:
-        """Points of quantities that belong together: a position that follows its command drives the current of the motor."""
+        """Points of quantities that belong together: the position of a motor, of which a controller follows it, drives its current."""
         kinds = self.facts.kinds[i], self.facts.kinds[o]
         measured = self.facts.measured.values()
         # A load that is controlled, and nothing else, drives.
@@ -198,7 +202,8 @@ class _Evidence:
         if loads and {self.facts.kinds[k] for k in self.facts.measured} <= {*LOADS}:
             return _FOLLOWED if self.facts.measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
         beside = o if kinds[0] == "current" else i
-        if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and beside in measured:
+        moved = beside in measured or "velocity" in self.facts.kinds.values()  # that of a motor, beside its speed
+        if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and moved:
             return PAIRS["current", "displacement"] * (beside == i)
         return PAIRS.get(kinds, 0.0)
 

@@ -11,6 +11,7 @@ import numpy as np
 from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.signal_evidence import is_even
 
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
@@ -69,17 +70,18 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "" for k in free if {"torque", "trq"} & parts_of(table.names[k])})
         kinds.update({k: "" for k in free if commanded and (k in commanded or kinds[k] == "current")})
     _find_velocities(table, free, kinds)
-    fractions = (k for k in free if kinds[k] == "index" and not _is_whole(table.columns[k]))
-    kinds.update(dict.fromkeys(fractions, ""))  # n that is no whole number is no number of a row: a refractive index
+    # n that is no whole number is no number of a row or, where it grows evenly, of cycles: a refractive index
+    fractions = (k for k in free if kinds[k] == "index" and not _is_count(table.columns[k]))
+    kinds.update(dict.fromkeys(fractions, ""))
     if table.named and many:
         unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
         kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k, groups=True)})
 
 
-def _is_whole(values: np.ndarray) -> bool:
-    """Whether a column has whole numbers alone."""
+def _is_count(values: np.ndarray) -> bool:
+    """Whether a column has whole numbers alone, or those of cycles, which grow as a clock does."""
     known = values[np.isfinite(values)]
-    return bool((known == np.round(known)).all())
+    return bool((known == np.round(known)).all() or ((np.diff(known) >= 0).all() and is_even(known)))
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:

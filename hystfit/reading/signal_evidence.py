@@ -166,6 +166,11 @@ def is_even(clock: np.ndarray) -> bool:
     return steps.size == 0 or float(np.mean(steps <= _USUAL * np.median(steps))) > _EQUAL
 
 
+def rises_evenly(values: np.ndarray) -> bool:
+    """Whether a column always rises, by usual steps."""
+    return bool((np.diff(values) > 0).all()) and is_even(values)
+
+
 def by_equal_steps(values: np.ndarray) -> bool:
     """Whether a column goes up and down by equal steps or is held equally long at every level, as one that was set: no measurement does."""
     finite = values[np.isfinite(values)]

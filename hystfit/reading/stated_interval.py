@@ -34,6 +34,7 @@ _HERTZ = {
     "ks/s": 1e3,
     "ms/s": 1e6,
 }
+_AGREE = 0.01  # part of an interval within which a clock has it: its stamps are rounded
 
 
 def stated_interval(above: Sequence[str]) -> float | None:
@@ -47,7 +48,10 @@ def stated_interval(above: Sequence[str]) -> float | None:
 
 def _interval(line: str) -> float | None:
     """The interval in one line [s]; None for other lines, and where its numbers differ."""
-    match = _LINE.fullmatch(line.strip())
+    line = line.strip()
+    if title := re.split(r"[;,\t]", line)[0]:  # which may stand before the number of every channel
+        line = title + " ".join(line.split(title)[1:])
+    match = _LINE.fullmatch(line)
     if match is None:
         return None
     parts = re.findall(_NUMBER, match["numbers"])
@@ -62,3 +66,11 @@ def _interval(line: str) -> float | None:
         return None
     factor = conversion(unit, "s") if unit else 1.0
     return None if factor is None else factor * value
+
+
+def unit_of_interval(step: float | None, interval: float | None) -> str:
+    """The unit in which the steps of a clock are the interval that the header states [s]; "" for none."""
+    if step is None or interval is None:
+        return ""
+    factors = {unit: conversion(unit, "s") or 1.0 for unit in ("s", "ms", "us", "min", "h")}
+    return next((unit for unit, factor in factors.items() if abs(factor * step - interval) < _AGREE * interval), "")

@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import ROUNDING, number
-from hystfit.quality.baselines import USABLE, Baselines
+from hystfit.quality.baselines import DEGREE, USABLE, Baselines
 from hystfit.quality.loops import SEVERAL
 from hystfit.results.metrics import Metrics
 
@@ -125,7 +125,7 @@ def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Basel
     names = {
         "noise": "the noise",
         "line": "the error of a straight line",
-        "curve": "that of a single-valued curve",
+        "curve": f"that of a polynomial of degree {DEGREE}",
         "plays": "that of ten plays",
     }
     beside = [f"{number(value, '.2g')} times {names[name]}" for name, value in over.items() if value is not None]

@@ -62,7 +62,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
-        change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
+        with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
+            change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
         if one.stderr is not None and name in between:
             one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
