@@ -32,6 +32,7 @@ def setup(request, fitted):
 
 def test_parameters_in_which_the_output_is_linear_together_are_found(setup):
     """y = offset + c (u - mu h) + b P(u): c and mu exclude each other."""
+    assert setup.target.linear is not None
     names = [setup.names[k] for k in setup.target.linear.places]
     assert names in (["c", "b[0]", "b[1]", "offset"], ["mu", "b[0]", "b[1]", "offset"])
 
@@ -40,7 +41,9 @@ def test_parameters_near_a_bound_and_other_noise_have_their_own_coordinates(fitt
     plain = prepare(fitted, noise="iid")
     z, names = np.asarray(plain.target.unwhitened(jnp.zeros(len(plain.names)))), plain.names
     wide = np.where(np.isin(names[:-1], ["c", "mu"]), 1.0, 1e-6)
-    assert [names[k] for k in LinearPart.of(plain.problem, z, wide).places] == ["b[0]", "b[1]", "offset"]
+    found = LinearPart.of(plain.problem, z, wide)
+    assert found is not None
+    assert [names[k] for k in found.places] == ["b[0]", "b[1]", "offset"]
     student = prepare(fitted, noise="student-t")
     assert LinearPart.of(student.problem, np.zeros(len(student.names)), np.full(len(names) - 1, 1e-6)) is None
 
@@ -66,6 +69,7 @@ def test_mean_and_covariance_are_those_of_generalized_least_squares(fitted):
     """Given the others and the noise, for the covariance of slow and white noise written out."""
     setup = given_others(prepare(fitted, noise="ou", priors=NARROW), jax.random.key(0))
     target, linear = setup.target, setup.target.linear
+    assert linear is not None
     places, names = list(linear.places), setup.names
     v = np.tile(np.asarray(target.v_of(jnp.zeros(len(names)))), (1 + len(places), 1))
     v[:, places] = np.vstack([np.zeros(len(places)), np.eye(len(places))])

@@ -1,7 +1,7 @@
 """Coordinates of parameters that enter the output linearly, such as weights, gains and offsets, given all other parameters.
 
-Under Gaussian noise the likelihood of such parameters x is normal, with a mean and a covariance that follow from the others. In thin, curved
-ridges these are what bends: the best x for each of the others is known to many digits. The coordinates here are e with
+Under Gaussian noise the likelihood of such parameters x is normal, with a mean and a covariance that follow from the others. A thin,
+curved ridge is often this mean, known to many digits, as a function of the others. The coordinates here are e with
 
     x = mean(others) + root(others) e,
 
@@ -10,8 +10,6 @@ non-centered parametrization: Papaspiliopoulos, Roberts and Skold 2007, Stat. Sc
 """
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -23,7 +21,6 @@ from hystfit.inference.density import Density
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 from hystfit.models.shapes import Scalar
-from hystfit.params.coordinates import BOTH, LOWER
 from hystfit.params.host_arrays import to_device
 
 _CLEAR = 6.0  # standard deviations from a bound beyond which it cuts nothing off: one in 1e9 of a normal distribution

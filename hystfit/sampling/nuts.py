@@ -33,9 +33,10 @@ from hystfit.sampling.target import Target
 from hystfit.sampling.transitions import Tuning, advance_chunk
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
-# Gradients of a trajectory on average beyond which the coordinates of `LinearPart` pay: their gradients take up to 2.5 times as long, and
-# trajectories of about ten of them suffice.
+# Gradients of a trajectory on average beyond which the coordinates of `LinearPart` pay: those of the piezo record of
+# experiments/uncertainty took 2 times as long for four linear parameters, and 11 of them sufficed for a trajectory instead of 50 to 160.
 _LONG = 32
+_EACH = 8  # the same for each linear parameter, which needs a simulation of its own
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
@@ -79,7 +80,12 @@ class Nuts(AbstractSampler):
             current, _start(setup.target, key), Tuning.about(0.5), key, jnp.asarray(True), jnp.asarray(self.target_accept),
             self.max_depth, Offers.none(len(setup.names)),
         )  # fmt: skip
-        return given_others(setup, key) if np.mean(trial[0][-1]) > _LONG else setup
+        length = float(np.mean(trial[0][-1]))
+        if length <= _LONG:
+            return setup
+        other = given_others(setup, key)
+        linear = other.target.linear
+        return other if linear is not None and length > _EACH * len(linear.places) else setup
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder.
