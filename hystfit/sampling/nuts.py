@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ClassVar
@@ -17,19 +17,26 @@ import numpy as np
 from jaxtyping import Array
 
 from hystfit.errors import ParameterError, optional
+from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.priors import AbstractPrior
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import compiled, to_device
+from hystfit.results.result import FitResult
 from hystfit.runs.chunks import stored
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted
-from hystfit.sampling.setup import Setup
+from hystfit.sampling.setup import Setup, given_others, prepare
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
 from hystfit.sampling.transitions import Tuning, advance_chunk
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
+# Gradients of a trajectory on average beyond which the coordinates of `LinearPart` pay: those of the piezo record of
+# experiments/uncertainty took 2 times as long for four linear parameters, and 11 of them sufficed for a trajectory instead of 50 to 160.
+_LONG = 32
+_EACH = 8  # the same for each linear parameter, which needs a simulation of its own
 _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
@@ -62,6 +69,23 @@ class Nuts(AbstractSampler):
         self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
+
+    def prepare(
+        self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
+    ) -> Setup:
+        """See the base class; where trajectories are long, linear parameters have the coordinates of `LinearPart`."""
+        setup, key = prepare(result, noise=noise, priors=priors), jax.random.key(0)
+        current = setup.target.sheared(setup.target.factor)
+        trial = advance_chunk(
+            current, _start(setup.target, key), Tuning.about(0.5), key, jnp.asarray(True), jnp.asarray(self.target_accept),
+            self.max_depth, Offers.none(len(setup.names)),
+        )  # fmt: skip
+        length = float(np.mean(trial[0][-1]))
+        if length <= _LONG:
+            return setup
+        other = given_others(setup, key)
+        linear = other.target.linear
+        return other if linear is not None and length > _EACH * len(linear.places) else setup
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder.
@@ -207,14 +231,14 @@ class _Chain:
                 self.chunks.append(stored(self.folder, f"{self.label}-{k:05d}.npz", lambda k=k: self._chunk(k)))
             if collect({name: rows[: draws - first] for name, rows in self.chunks[k].items()}):
                 break
-        rows = {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in self.chunks[0]}
-        rows["z"] = np.asarray(adapted(self.target, self.warm).unwhitened(rows.pop("q")))
-        return rows
+        names = [name for name in self.chunks[0] if name != "q"]
+        return {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in names}
 
     def _chunk(self, k: int) -> dict[str, np.ndarray]:
         """Chunk number k, after those before it."""
         q = self.chunks[-1]["q"][-1] if k else self.warm["q"]
-        return self.nuts.chunk(self.target, self.warm, jnp.asarray(q), jax.random.fold_in(self.key, k))
+        rows = self.nuts.chunk(self.target, self.warm, jnp.asarray(q), jax.random.fold_in(self.key, k))
+        return rows | {"z": np.asarray(adapted(self.target, self.warm).unwhitened(rows["q"]))}
 
 
 class _Adaptation:

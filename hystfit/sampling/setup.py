@@ -28,6 +28,7 @@ from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
+from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.target import Target
 
 _MOST = 100  # parameters beyond which sampling is refused
@@ -36,6 +37,7 @@ _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
 _OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
+_AROUND = 200  # normal draws about the mode, for standard deviations of parameters to a twentieth
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
@@ -163,6 +165,15 @@ def prepare(
         raise DataError("the posterior is not finite at the fit: check the status and the notes of the fit first")
     target = checked(target.whitened(to_device(center), to_device(factor)))
     return Setup(problem, NOISES.label(choice), tuple(notes), target)
+
+
+def given_others(setup: Setup, key: Array) -> Setup:
+    """The posterior in the coordinates of `LinearPart`, which straighten ridges along linear parameters; the same where there are none."""
+    normal = np.asarray(jax.random.normal(key, (_AROUND, len(setup.names))))
+    z = np.asarray(setup.target.unwhitened(np.concatenate([np.zeros_like(normal[:1]), normal])))
+    deviations = setup.physical(z[None, 1:])[0].std(axis=0)
+    linear = LinearPart.of(setup.problem, z[0], deviations[: len(setup.problem.space)])
+    return setup if linear is None else dataclasses.replace(setup, target=setup.target.given_others(linear))
 
 
 def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.sampling.bend import Bend
+from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
@@ -32,6 +33,7 @@ class Target(eqx.Module):
         shear: between y and v; None where they are the same.
         noise: coordinates of white and slow noise; None where the noise model has one part.
         slopes: coordinates of slopes of which the hysteresis takes a part; None where the model has none.
+        linear: parameters whose coordinates are relative to their distribution given all the others; None for none.
     """
 
     density: Density
@@ -41,6 +43,7 @@ class Target(eqx.Module):
     shear: Shear | None = None
     noise: NoiseCoordinates | None = None
     slopes: SlopeCoordinates | None = None
+    linear: LinearPart | None = None
 
     @classmethod
     def about(cls, density: Density, z: Float[Array, " d"], widths: Float[Array, " d"] | None = None) -> Target:
@@ -65,6 +68,18 @@ class Target(eqx.Module):
         shear = Shear.of(self.bend, center, factor)
         center = to_device(shear.unsheared(center, np))
         return dataclasses.replace(self, center=center, factor=to_device(factor), shear=shear)
+
+    def given_others(self, linear: LinearPart) -> Target:
+        """The same density with the coordinates of `LinearPart`, whitened by the same covariance of the others; outside traced code."""
+        at, center = list(linear.places), np.array(self.center)
+        covariance = np.asarray(self.factor) @ np.asarray(self.factor).T
+        covariance[at], covariance[:, at], center[at] = 0.0, 0.0, 0.0
+        covariance[at, at] = 1.0
+        both, width = np.array(self.bend.both), np.array(self.bend.width)
+        both[at], width[at] = False, 0.0
+        numbers = (to_device(value) for value in (center, np.linalg.cholesky(covariance)))
+        target = self.whitened(*numbers)
+        return dataclasses.replace(target, bend=Bend(to_device(both), to_device(width)), linear=linear)
 
     def v_of(self, q: Any, xp: Any = jnp) -> Any:
         """v from q, shape (..., d); `xp` is the module of the arrays, as in `q_of`."""
@@ -94,11 +109,18 @@ class Target(eqx.Module):
 
         With `lean`, see `Density.log_density`.
         """
+        bend = self.bend.log_slope(v)
+        if self.linear is not None:
+            z, change = self.z_and_slope(self.bend.unbent(self.linear.without(v)))
+            return self.linear.log_density(self.density, z, v) + change + bend
         z, change = self.z_and_slope(self.bend.unbent(v))
-        return self.density.log_density(z, lean) + change + self.bend.log_slope(v)
+        return self.density.log_density(z, lean) + change + bend
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
+        if self.linear is not None:
+            total, gradient = jax.value_and_grad(self.log_density)(v)
+            return total, jnp.where(jnp.isfinite(gradient), gradient, 0.0)
         w, stretch = jax.jvp(self.bend.unbent, (v,), (jnp.ones_like(v),))
         (z, change), pull = jax.vjp(self.z_and_slope, w)
         total, gradient = self.density.slope(z)
@@ -130,13 +152,18 @@ def _v_of_z(target: Target, z: Array) -> Array:
 
 @eqx.filter_jit
 def _unwhitened(target: Target, q: Array) -> Array:
-    w = target.bend.unbent(target.v_of(q))
+    v, linear = target.v_of(q), target.linear
+    w = target.bend.unbent(v if linear is None else linear.without(v))
     w = w if target.slopes is None else target.slopes.z_of(target.density, w)
-    return w if target.noise is None else target.noise.z_of(w)
+    z = w if target.noise is None else target.noise.z_of(w)
+    if linear is None:
+        return z
+    rows = (row.reshape(-1, row.shape[-1]) for row in (z, v))
+    return jax.lax.map(lambda at: linear.z_of(target.density, *at), tuple(rows)).reshape(z.shape)
 
 
 @compiled
 def log_densities(target: Target, q: Array) -> Array:
     """Log posterior at q of shape (n, d), for as many at once as the cache has room for."""
-    together = _TOGETHER if target.density.keeps_trajectories else len(q)
+    together = _TOGETHER if target.density.keeps_trajectories or target.linear is not None else len(q)
     return jax.lax.map(lambda row: target.log_density(target.v_of(row), lean=True), q, batch_size=together)

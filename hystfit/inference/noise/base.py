@@ -182,17 +182,29 @@ class AbstractNoise(eqx.Module):
 
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
         """Log density of the residuals that count."""
-        on = setting.weight > 0
-        columns = self.columns(setting)
-        if not columns.shape[-1]:
-            e, logs = self.whiten(setting, r[..., None])
-            return jnp.sum(jnp.where(on, self.density(e[..., 0], logs), 0.0))
+        return self.integrated(setting, r, jnp.zeros((*r.shape, 0)), jnp.zeros(0))[0]
+
+    def integrated(
+        self, setting: Setting, r: Float[Array, "R T"], signals: Float[Array, "R T k"], precision: Float[Array, " k"]
+    ) -> tuple[Scalar, Float[Array, " k"], Float[Array, "k k"]]:
+        """log of the integral over w of exp(log density of r - signals w, less w' diag(precision) w / 2), and the density of w there.
+
+        Returns:
+            The logarithm, less k log(2 pi) / 2; and b and L, lower triangular, for which L'w is normal about b with unit covariance.
+        """
+        on, k = setting.weight > 0, signals.shape[-1]
+        columns = jnp.concatenate([self.columns(setting), signals], axis=-1)
         e, logs = self.whiten(setting, jnp.concatenate([r[..., None], columns], axis=-1))
         plain = jnp.sum(jnp.where(on, self.density(e[..., 0], logs), 0.0))
-        shapes, residual = e[..., 1:].reshape(-1, columns.shape[-1]), e[..., 0].reshape(-1)
-        factor = jnp.linalg.cholesky(jnp.eye(shapes.shape[1]) + shapes.T @ shapes)
+        count = columns.shape[-1]
+        if not count:
+            return plain, jnp.zeros(0), jnp.zeros((0, 0))
+        shapes, residual = e[..., 1:].reshape(-1, count), e[..., 0].reshape(-1)
+        own = jnp.concatenate([jnp.ones(count - k), precision])
+        factor = jnp.linalg.cholesky(jnp.diag(own) + shapes.T @ shapes)
         half = jax.scipy.linalg.solve_triangular(factor, shapes.T @ residual, lower=True)
-        return plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor)))
+        value = plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor)))
+        return value, half[count - k :], factor[count - k :, count - k :]
 
 
 def resample(

@@ -1,0 +1,104 @@
+"""Coordinates of linear parameters given the others: against generalized least squares, the density itself, and sampling without them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+
+import hystfit as hf
+from hystfit import priors
+from hystfit.outcome import Status
+from hystfit.sampling.linear_part import LinearPart
+from hystfit.sampling.sample import sample
+from hystfit.sampling.setup import given_others, prepare
+
+NARROW = {"offset": priors.Normal(0.3, 0.003)}  # about as narrow as the likelihood
+
+
+@pytest.fixture(scope="module")
+def fitted() -> hf.FitResult:
+    rng, phase = np.random.default_rng(0), np.arange(150) / 150
+    u = np.sin(2 * np.pi * 4 * phase) * (0.4 + 0.6 * phase)
+    truth = hf.AsymmetricBoucWen(c=2.0, mu=0.5, tau=2.0, rho=0.5, b=(0.1, 0.0), offset=0.3)
+    y = np.asarray(hf.simulate(truth, u)[0]) + 0.02 * rng.normal(size=150)
+    return hf.fit(truth, hf.Record(u=u, y=y), starts=1, fix={"rho": 0.5, "n": 1.0, "skew": 0.0})
+
+
+@pytest.fixture(scope="module", params=["ou", "discrepancy"])
+def setup(request, fitted):
+    return given_others(prepare(fitted, noise=request.param, priors=NARROW), jax.random.key(0))
+
+
+def test_parameters_in_which_the_output_is_linear_together_are_found(setup):
+    """y = offset + c (u - mu h) + b P(u): c and mu exclude each other."""
+    assert setup.target.linear is not None
+    names = [setup.names[k] for k in setup.target.linear.places]
+    assert names in (["c", "b[0]", "b[1]", "offset"], ["mu", "b[0]", "b[1]", "offset"])
+
+
+def test_parameters_near_a_bound_and_other_noise_have_their_own_coordinates(fitted):
+    plain = prepare(fitted, noise="iid")
+    z, names = np.asarray(plain.target.unwhitened(jnp.zeros(len(plain.names)))), plain.names
+    wide = np.where(np.isin(names[:-1], ["c", "mu"]), 1.0, 1e-6)
+    found = LinearPart.of(plain.problem, z, wide)
+    assert found is not None
+    assert [names[k] for k in found.places] == ["b[0]", "b[1]", "offset"]
+    student = prepare(fitted, noise="student-t")
+    assert LinearPart.of(student.problem, np.zeros(len(student.names)), np.full(len(names) - 1, 1e-6)) is None
+
+
+def test_density_is_that_of_all_parameters_times_the_jacobian(setup):
+    target = setup.target
+    with_jacobian = jax.jit(lambda q: (target(q), jnp.linalg.slogdet(jax.jacfwd(target.unwhitened)(q))[1]))
+    of_z, differences = jax.jit(lambda z: target.density.log_density(z)), []
+    for q in np.random.default_rng(1).normal(size=(6, len(setup.names))):
+        value, stretch = with_jacobian(jnp.asarray(q))
+        differences.append(float(value - of_z(target.unwhitened(jnp.asarray(q))) - stretch))
+    assert np.ptp(differences) < 1e-8
+
+
+def test_gradient_is_that_of_the_density(setup):
+    q, slope = jnp.asarray(np.random.default_rng(2).normal(size=len(setup.names))), 1e-5
+    value = jax.jit(lambda q: setup.target(q))
+    want = [float(value(q + slope * e) - value(q - slope * e)) / (2 * slope) for e in jnp.eye(q.size)]
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda q: setup.target(q)))(q), want, rtol=1e-4, atol=1e-4)
+
+
+def test_mean_and_covariance_are_those_of_generalized_least_squares(fitted):
+    """Given the others and the noise, for the covariance of slow and white noise written out."""
+    setup = given_others(prepare(fitted, noise="ou", priors=NARROW), jax.random.key(0))
+    target, linear = setup.target, setup.target.linear
+    assert linear is not None
+    places, names = list(linear.places), setup.names
+    v = np.tile(np.asarray(target.v_of(jnp.zeros(len(names)))), (1 + len(places), 1))
+    v[:, places] = np.vstack([np.zeros(len(places)), np.eye(len(places))])
+    x = setup.physical(np.asarray(target.unwhitened(target.q_of(v, np)))[None])[0]
+    mean, root, record = x[0, places], (x[1:, places] - x[0, places]).T, fitted.data[0]
+    white, slow, time = (x[0, names.index(f"noise_{part}")] for part in ("white", "slow", "time"))
+    lags = np.arange(record.u.size)
+    covariance = scipy.linalg.toeplitz(slow**2 * np.exp(-lags / time) + white**2 * (lags == 0))
+    predict = lambda x: np.asarray(setup.problem.predict(x[: len(setup.problem.space)])[0])
+    columns = np.array([predict(x[0] + unit) - predict(x[0]) for unit in 0.1 * np.eye(len(names))[places]]).T / 0.1
+    own = np.asarray(linear.precision) / np.diag(np.asarray(linear.moves)[:, places]) ** 2
+    precision = columns.T @ np.linalg.solve(covariance, columns) + np.diag(own)
+    z, start = np.zeros(len(setup.problem.space)), x[0].copy()
+    z[places] = linear.reference
+    start[places] = setup.problem.space.physical(z)[places]
+    pull = columns.T @ np.linalg.solve(covariance, record.y - predict(start))
+    np.testing.assert_allclose(mean, start[places] + np.linalg.solve(precision, pull), rtol=1e-6)
+    np.testing.assert_allclose(root @ root.T @ precision, np.eye(len(places)), atol=1e-5)
+
+
+@pytest.mark.slow
+def test_draws_are_those_of_the_usual_coordinates(fitted, monkeypatch):
+    plain = sample(fitted, "nuts", noise="ou", priors=NARROW, draws=300, extend=4)
+    monkeypatch.setattr("hystfit.sampling.nuts._LONG", -1)
+    made = sample(fitted, "nuts", noise="ou", priors=NARROW, draws=300, extend=4)
+    for posterior in (plain, made):
+        assert posterior.status is Status.OK
+    for k in range(len(plain.names)):
+        a, b = (posterior.draws[:, :, k] for posterior in (plain, made))
+        size = np.sqrt(1 / plain.convergence.bulk[k] + 1 / made.convergence.bulk[k])
+        assert abs(np.median(a) - np.median(b)) < 1.25 * 4 * size * a.std()
+        assert b.std() == pytest.approx(a.std(), rel=4 * size)
