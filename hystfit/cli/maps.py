@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -93,5 +93,4 @@ def _draw(found: LoopMap, folder: Path) -> None:
     if len(found.shape) != 2:
         return
     for name in (*found.values, *found.quantities):
-        with suppress(OSError):
-            found.plot(name).savefig(folder / f"map_{name.replace('[', '_').strip(']')}.png", dpi=120)
+        found.plot(name).savefig(folder / f"map_{re.sub(r'[^0-9A-Za-z_.-]+', '_', name).strip('_')}.png", dpi=120)
