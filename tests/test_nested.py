@@ -125,10 +125,11 @@ def test_residuals_suggest_no_priors_for_an_evidence(monkeypatch, sampler, sugge
     class Asked(Exception):
         pass
 
-    def prepare(result, *, noise, priors, by_residuals):
+    def prepare(result, *, noise, priors, by_residuals=True):
         raise Asked(by_residuals)
 
-    monkeypatch.setattr("hystfit.sampling.base.prepare", prepare)
+    for room in ("base", "nuts"):
+        monkeypatch.setattr(f"hystfit.sampling.{room}.prepare", prepare)
     with pytest.raises(Asked) as asked:
         sample(None, sampler, noise="discrepancy")
     assert asked.value.args == (suggested,)

@@ -192,7 +192,7 @@ def test_a_band_beyond_the_fitted_records_has_the_error_on_held_out_groups(drawn
 def test_every_weight_that_acts_has_an_error_by_its_posterior(cells: hf.FitResult, drawn: tuple, monkeypatch) -> None:
     from hystfit.uncertainty import robust_errors
 
-    monkeypatch.setattr(robust_errors, "sample", lambda result, sampler, seed: drawn[0])
+    monkeypatch.setattr(robust_errors, "sample", lambda result, sampler, seed, progress: drawn[0])
     found = robust_errors.standard_errors(cells)
     acts = np.linalg.norm(cells.problem.linearize(cells.x)[1], axis=(0, 1)) > 0
     np.testing.assert_array_equal(np.isfinite(found.errors["posterior"]), acts)

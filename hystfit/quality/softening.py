@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 
-from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL
+from hystfit.quality.loops import APART, SAME_LEVEL
 
+_FEWEST = 2  # branches on each side of the comparison
 _GRID = np.linspace(0.3, 0.9, 25)  # part of the common range that is compared
 
 
@@ -48,7 +49,7 @@ def _from_lowest(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | Non
         for a, b, stroke in branches
         if stroke > max((1 + APART) * least, largest / (1 + APART))
     ]
-    if min(len(first), len(late)) < SEVERAL or abs(np.median(first)) < SAME_LEVEL * np.ptp(y[np.isfinite(y)]):
+    if min(len(first), len(late)) < _FEWEST or abs(np.median(first)) < SAME_LEVEL * np.ptp(y[np.isfinite(y)]):
         return None
     return float(np.median(late) / np.median(first))
 
