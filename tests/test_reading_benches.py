@@ -8,31 +8,12 @@ import numpy as np
 import pytest
 import scipy.io
 
-from hystfit.data import Dataset, Record
+from hystfit.data import Dataset
 from hystfit.errors import DataError
 from hystfit.params.units import conversion
 from hystfit.reading import read
 
-N = 60
-U = np.round(40 + 8 * np.sin(np.linspace(0, 4 * np.pi, N)), 3)
-Y = np.round(30 + 7 * np.sin(np.linspace(-0.4, 4 * np.pi - 0.4, N)), 3)
-
-
-def one(folder: Path, content: str, name: str = "loop.csv") -> Record:
-    path = folder / name
-    path.write_text(content, encoding="utf-8")
-    data = read(path)
-    assert isinstance(data, Record), [record.name for record in data]
-    return data
-
-
-def is_pair(record: Record, u: np.ndarray = U, y: np.ndarray = Y) -> None:
-    np.testing.assert_allclose(record.u, u, rtol=1e-12)
-    np.testing.assert_allclose(record.y, y, rtol=1e-12)
-
-
-def rows(mark: str, *columns: np.ndarray) -> str:
-    return "".join(mark.join(map(str, row)) + "\n" for row in zip(*columns, strict=True))
+from .loop_files import N, U, Y, is_pair, one, rows
 
 
 def test_units_before_the_label_of_a_run(tmp_path: Path) -> None:
