@@ -12,96 +12,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from hystfit.batch.many_fits import ERRORS, ManyFits
 from hystfit.batch.row import Row
 from hystfit.batch.sources import Source
 from hystfit.batch.work import Work, fit_alone, record_of
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
-from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.outcome import Status, Table
 from hystfit.outcome.table import write_csv
 from hystfit.params.space import MANY
 from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.exchange import write_table
 from hystfit.results.folders import writing_file
-from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
-
-ERRORS = ("rmse", "error_percent", "max_error_percent")
-_OUTER = (0.05, 0.5, 0.95)
-
-
-class ManyFits(WithStatus):
-    """What fits of one model to many loops have in common, as a table or as maps.
-
-    Attributes:
-        schema: of `to_dict`.
-        model: name of the model.
-        units: of the numbers.
-        work: what was done with every loop.
-    """
-
-    schema: ClassVar[str]
-    model: Any
-    units: Any
-    work: Any
-    verb: ClassVar[str] = "batch"
-
-    @property
-    def status(self) -> Status:
-        """`Status.OK` where all fits are usable, `Status.PARTIAL` where some are, `Status.FAILED` where none is."""
-        usable, every = self.counts.get(str(Status.OK), 0), sum(self.counts.values())
-        return Status.OK if usable == every else Status.PARTIAL if usable else Status.FAILED
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """Number of loops by status, most frequent first."""
-        return dict(Counter(self._statuses()).most_common())
-
-    def _statuses(self) -> list[str]:
-        """Status of each loop."""
-        raise NotImplementedError
-
-    def summary(self) -> Table:
-        """Distribution of each parameter and quantity over the usable fits, beside the median standard error of one fit."""
-        raise NotImplementedError
-
-    @staticmethod
-    def _distribution(rows: Sequence[tuple[str, str, np.ndarray, Sequence[Any]]], last: Sequence[str]) -> Table:
-        """A table of names, units, values, and what the `last` columns say of them."""
-        columns = [Column("parameter"), Column("unit", left=True), Column("loops"), Column("median"), Column("5 %")]
-        cells = []
-        for name, unit, values, more in rows:
-            low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
-            cells.append([name, unit, int(values.size), middle, low, high, *more])
-        return Table([*columns, Column("95 %"), *map(Column, last)], cells)
-
-    def _lines(self, told: Sequence[str], usable: Sequence[str], bad: Sequence[str]) -> str:
-        """Counts, what is `told` of all loops, the lines on `usable` fits, and the first loops that are `bad`."""
-        counts, every = self.counts, sum(self.counts.values())
-        counted = ", ".join(f"{count} {status}" for status, count in counts.items())
-        lines = [f"{self.model} fitted to {every} loop{'s' if every != 1 else ''}: {counted}", *told]
-        if counts.get(str(Status.OK), 0):
-            lines += ["", "Usable fits", *usable]
-        if bad:
-            lines += ["", "Not usable", *bad]
-            rest = every - counts.get(str(Status.OK), 0) - len(bad)
-            lines += [f"  and {rest} more"] if rest else []
-        return "\n".join(lines)
-
-    def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`; unknown values are null."""
-        return {
-            "schema": self.schema,
-            "model": self.model,
-            "status": str(self.status),
-            "advice": self.advice,
-            "counts": self.counts,
-            "units": dict(self.units),
-            "settings": self.work.settings,
-            "summary": self.summary().to_list(),
-            "provenance": provenance((), self.work.options.seed),
-        }
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

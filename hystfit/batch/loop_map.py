@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from hystfit.batch.fits import ERRORS, ManyFits
+from hystfit.batch.many_fits import ERRORS, ManyFits
 from hystfit.batch.work import Work
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional

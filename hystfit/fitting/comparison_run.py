@@ -51,12 +51,17 @@ def score_of(row: Row) -> float:
 
 def correlation_of(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
-    return max(map(correlation_length, residuals_of(fit)))
+    return max(map(correlation_length, _residuals_of(fit)))
 
 
-def residuals_of(fit: FitResult) -> list[np.ndarray]:
+def _residuals_of(fit: FitResult) -> list[np.ndarray]:
     """Prediction less measurement at the samples of each record that count [y]."""
     return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
+
+
+def leaves_noise(fit: FitResult) -> bool:
+    """Whether the residuals of a fit are white, and its loop stands out of them."""
+    return residuals_are_white(_residuals_of(fit), fit.baselines.curve, len(fit.free_names))
 
 
 class ComparisonRun:
@@ -336,8 +341,7 @@ class ComparisonRun:
         best = self.best_row
         if best is None or best.score_percent is None:
             return False
-        fit = self.fits[best.asked]
-        return residuals_are_white(residuals_of(fit), fit.baselines.curve, len(fit.free_names))
+        return leaves_noise(self.fits[best.asked])
 
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""

@@ -12,13 +12,12 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Purpose
-from hystfit.fitting.comparison_run import residuals_of
+from hystfit.fitting.comparison_run import leaves_noise
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
 from hystfit.fitting.registry import is_sequential
 from hystfit.fitting.trial import with_left_out, with_test
-from hystfit.fitting.verdict import residuals_are_white
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss
 from hystfit.models.base import AbstractHysteresis
@@ -134,9 +133,7 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
     reason = "is the only candidate for these data"
     if len(comparison.rows) > 1:
-        one = comparison.winner
-        white = residuals_are_white(residuals_of(one), one.baselines.curve, len(one.free_names))
-        reason = "leaves nothing but noise" if white else "is the only model that was fitted"
+        reason = "leaves nothing but noise" if leaves_noise(comparison.winner) else "is the only model that was fitted"
     if count > 1:
         reason = f"is the best of {count} models by cross-validation"
     if min(scores, default=None) != best.score_percent:

@@ -10,7 +10,6 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fitted import Fitted
-from hystfit.inference.residuals import TURNS
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK
@@ -24,6 +23,7 @@ from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, p
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _EXPLAINED = 0.5  # least share of a squared error that a drift explains
+_TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -128,7 +128,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         span: range of the output [y].
     """
     for row, record in zip(rows, data, strict=True):
-        if record.t is None or clear_reversals(record.u).size < TURNS:
+        if record.t is None or clear_reversals(record.u).size < _TURNS:
             continue
         passed, missed = record.t[record.used] - record.t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))

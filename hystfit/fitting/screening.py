@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.comparison import MARGIN
+from hystfit.fitting.comparison import handicap
 from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
@@ -16,6 +16,7 @@ from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
+from hystfit.outcome import Status
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
 from hystfit.results.accuracy import POOR
@@ -45,6 +46,11 @@ class Screened:
     leaves_noise: bool = False
     beaten: bool = False
 
+    @property
+    def ranked(self) -> float:
+        """The error by which it ranks, as in a comparison."""
+        return self.error * handicap(Status.OK, self.inverse)
+
 
 def screen(data: Dataset) -> Iterator[Screened]:
     """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start.
@@ -60,7 +66,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
         yield one
         if one.leaves_noise:
             return
-        most = min(most, equal_errors(samples) * _ranked(one.error, inverse=one.inverse))
+        most = min(most, equal_errors(samples) * one.ranked)
 
 
 def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
@@ -68,11 +74,6 @@ def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screene
     look = _Look(without_faults(data))
     found = (look.at(one.asked, float("inf")) for one in beaten)
     return [one for one in found if one is not None]
-
-
-def _ranked(error: float, *, inverse: bool) -> float:
-    """The error by which a model is ranked: without an inverse it must err clearly less."""
-    return error * (1.0 if inverse else MARGIN)
 
 
 def _searched(data: Dataset) -> Screened:
@@ -92,7 +93,7 @@ class _Look:
     def at(self, name: str, most: float) -> Screened | None:
         """A model, and whether it is beaten because it is ranked at an error above `most`; None where these records cannot start it."""
         model = make_model(name)
-        most /= _ranked(1.0, inverse=model.has_inverse)
+        most /= handicap(Status.OK, model.has_inverse)
         if (first := self._sizes.first(model, most)) is not None:
             model, error = first
             return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=error > most)
@@ -113,8 +114,7 @@ def best_screened(models: Iterable[Screened], samples: int, span: float) -> Scre
     Args:
         span: range of the output.
     """
-    own = lambda one: _ranked(one.error, inverse=one.inverse)
     every = list(models)
-    least = min(map(own, every))
+    least = min(one.ranked for one in every)
     within = equal_errors(samples) if 100 * least <= POOR * span else 1.0
-    return min((one for one in every if own(one) <= within * least), key=lambda one: one.weights)
+    return min((one for one in every if one.ranked <= within * least), key=lambda one: one.weights)

@@ -24,11 +24,11 @@ from hystfit.models.series import Series
 from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
 from hystfit.quality.held_out import GAIN, HeldOut, held_out
-from hystfit.quality.loops import SEVERAL
 from hystfit.quality.summary import delay_of, slow_lag_of
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
+_FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
@@ -139,7 +139,7 @@ def max_plays(data: Dataset) -> int:
     samples = sum(int(record.used.sum()) for record in data)
     inputs = np.concatenate([record.u[record.used] for record in data])
     levels = np.unique(np.round(_LEVELS * inputs / (float(np.ptp(inputs)) or 1.0))).size
-    return max(SEVERAL, min(samples // 4, levels, max(_OTHER_PLAYS)))
+    return max(_FEWEST, min(samples // 4, levels, max(_OTHER_PLAYS)))
 
 
 def _step(change: str, before: float, after: float, span: float) -> str:

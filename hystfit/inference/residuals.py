@@ -26,7 +26,7 @@ _LENGTH = 0.3  # length scale (relative to the input range) of the curves tested
 _LENGTHS = (0.1, 0.15, 0.22, 0.3, 0.45, 0.7)  # length scales, of which the most probable describes the curve
 _SMALLEST = 1e-6  # of noise, over that of the residuals, that is plausible
 _LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the residuals
-TURNS = 8  # reversals of the input needed to detect a repeating error
+_TURNS = 8  # reversals of the input needed to detect a repeating error
 _ENOUGH = 240  # samples needed for the same
 TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
 _DRAWS = 20_000
@@ -258,7 +258,7 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     """
     samples, residual, basis = analysis.samples, analysis.residual, analysis.basis
     turns = sum(int(np.count_nonzero(np.diff(row))) for row in samples.by_record(samples.rising.astype(int)))
-    if turns < TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
+    if turns < _TURNS or samples.gap.size < _ENOUGH or not np.any(residual):
         return None
     columns = curves(samples) if analysis.shapes is None else analysis.shapes
     joint, p = gram([basis, residual, columns], analysis.slow.noise.solve), basis.shape[1]

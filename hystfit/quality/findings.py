@@ -12,10 +12,10 @@ from hystfit.params.units import quantity
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR, MOST
-from hystfit.quality.loops import SEVERAL
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
 
+_MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 CONTROLLED = warn(
@@ -57,9 +57,7 @@ def _alike(notes: Iterable[Note]) -> list[list[Note]]:
     groups: dict[tuple[Code, str], list[Note]] = {}
     for note in notes:
         groups.setdefault((note.code, _NUMBER.sub("#", note.text)), []).append(note)
-    return [
-        part for group in groups.values() for part in ([group] if len(group) > SEVERAL else [[one] for one in group])
-    ]
+    return [part for group in groups.values() for part in ([group] if len(group) > _MANY else [[one] for one in group])]
 
 
 def _faults(record: RecordQuality) -> Iterator[Note]:

@@ -114,7 +114,7 @@ def choose(
     kinds = {k: column_quantity(table.names[k], table.units[k]) if known(k) else "" for k in range(len(table.names))}
     if (
         "Y_value" in table.names
-    ):  # of a plot that was digitized: X_value is no time, as in LabVIEW, and pixels are no quantity
+    ):  # a digitized plot: X_value is no time, as it is in LabVIEW, and pixels are no quantity
         kinds.update({k: "" for k in free if table.names[k] == "X_value"})
         kinds.update({k: "index" for k in free if "pixel" in table.names[k].lower()})
     no_time = time is False or (isinstance(time, str) and time.lower() == "none" and "none" not in table.names)

@@ -328,9 +328,8 @@ def read_header(
             continue
         if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):
             parts[0] = ""  # "Interval data:" before the names, above a row of units
-        if (
-            parts and headers and parts[0] == "x-axis" and all(part.isdigit() for part in parts[1:])
-        ):  # of an oscilloscope
+        # Channels of an oscilloscope
+        if parts and headers and parts[0] == "x-axis" and all(part.isdigit() for part in parts[1:]):
             parts = ["x-axis", *(f"CH{number}" for number in parts[1:])]
         if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
             break

@@ -140,9 +140,8 @@ class _Evidence:
 
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
-            if (
-                rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any()
-            ):  # as a clock does: the angle of a crank
+            # An output that rises as a clock does, such as the angle of a crank
+            if rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any():
                 return _UNRELATED
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives

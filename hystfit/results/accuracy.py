@@ -11,12 +11,13 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import ROUNDING, number
 from hystfit.quality.baselines import DEGREE, USABLE, Baselines
-from hystfit.quality.loops import SEVERAL
 from hystfit.results.metrics import Metrics
 
 VISIBLE = 1.0  # percent of range, below which drift or damage does not matter: least limit of the rms error (`USABLE` the largest)
 _TIMES_PLAYS = 5.0  # it is this many times the error of ten plays
-POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise; limit of a lasting error
+POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
+_LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
+_LASTING = 3  # samples; a shorter one is an outlier of the measurement
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
 _NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
 NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
@@ -37,7 +38,7 @@ class Limits(NamedTuple):
         usable = USABLE
         if baselines.plays is not None:
             usable = float(np.clip(_TIMES_PLAYS * percent(baselines.plays), VISIBLE, USABLE))
-        return cls(max(usable, NOISY * noise), max(POOR, _PEAKS * noise))
+        return cls(max(usable, NOISY * noise), max(_LARGEST, _PEAKS * noise))
 
 
 def is_noise(rmse: float, baselines: Baselines) -> bool:
@@ -58,7 +59,7 @@ def persistent_error(errors: Any, xp: Any = np) -> Any:
         xp: module of the arrays, NumPy or jax.numpy.
     """
     size = xp.abs(errors)
-    if size.shape[-1] < SEVERAL:
+    if size.shape[-1] < _LASTING:
         return size
     inner = xp.minimum(xp.minimum(size[..., :-2], size[..., 1:-1]), size[..., 2:])
     return xp.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)

@@ -17,12 +17,13 @@ from hystfit.outcome.table import rounded
 from hystfit.outcome.wrapping import shortened
 from hystfit.quality.damage import FAILED
 from hystfit.quality.faults import noise_rms
-from hystfit.quality.loops import APART, SAME_LEVEL, reversals
+from hystfit.quality.loops import SAME_LEVEL, reversals
 from hystfit.results.loop_kinds import STRUCTURAL, LoopKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_SAME = 1.1  # ratio of displacements up to which peaks repeat one another
 FAILURE = f"failure ({100 * FAILED:.0f} % of the largest force)"
 
 
@@ -258,9 +259,7 @@ def _backbone(u: np.ndarray, f: np.ndarray, turns: np.ndarray, sign: float) -> t
         if size <= (1 + SAME_LEVEL) * largest:
             continue
         largest = size
-        repeats = [
-            half for half in halves[number + 1 :] if size / (1 + APART) <= sign * u[half[1]] <= (1 + APART) * size
-        ]
+        repeats = [half for half in halves[number + 1 :] if size / _SAME <= sign * u[half[1]] <= _SAME * size]
         peak = a + int(np.argmax(sign * f[a : b + 1]))
         later = sign * float(np.max(sign * f[repeats[-1][0] : repeats[-1][1] + 1])) if repeats else None
         points.append(BackbonePoint(float(u[peak]), float(f[peak]), later, b))

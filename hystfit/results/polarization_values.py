@@ -9,21 +9,21 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
 from hystfit.params.units import parse_unit
-from hystfit.quality.loops import SAME_LEVEL, SEVERAL
 from hystfit.results.loop_branches import GAP
 from hystfit.results.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
-# Half sum of the outermost outputs over their range: 0.2 to 0.5 where a charge is counted from the start of a record, because the loop of a
-# poled capacitor begins at one of its remanences.
-_OFF_CENTER = 0.1
+_FEWEST = 3  # samples on each side of a tip
+# Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
+# start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
+_START, _OFF_CENTER = 0.02, 0.1
 
 
 def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
     """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
     u, y = record.u[record.used], record.y[record.used]
     middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
-    if abs(y[0]) > SAME_LEVEL * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
+    if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
         return record, ()
     text = (
         f"the output is counted from the start of the record: coercivity and remanence are those about the middle of its range "
@@ -82,7 +82,7 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
             before -= 1
         while after < u.size - 1 and near[after + 1]:
             after += 1
-        if min(tip - before, after - tip) < SEVERAL or t[before] == t[tip] or t[tip] == t[after]:
+        if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
             return
         slopes = [_slope(t[a : b + 1], y[a : b + 1]) for a, b in ((before, tip), (tip, after))]
         found.append(sign * 0.5 * (slopes[0][0] + slopes[1][0]))

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.params.relative_size import REACH
 from hystfit.params.units import loop_energy
-from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
+
+# Standard errors of both, and part of the measured value, by which a model's quantity must differ from it to be reported.
+_APART, _VISIBLE = 2.0, 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -145,7 +146,7 @@ class QuantityEstimate:
         if self.value is None or self.stderr is None or self.measured is None:
             return False
         apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
-        return apart > REACH * both and apart > SAME_LEVEL * abs(self.measured)
+        return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""

@@ -20,7 +20,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
-from hystfit.results.loop_branches import GAP, turns_of
+from hystfit.results.loop_branches import turns_of
 from hystfit.results.loop_values import quantities
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
@@ -29,6 +29,7 @@ from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
+_CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
 _BACK = 0.01  # of the input's range, by which a branch goes back by noise alone
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -257,7 +258,7 @@ def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray |
     if first is None or second is None:
         return False
     end = 0 if rises else -1
-    return bool(abs(first[end] - second[end]) <= GAP * np.ptp(first))
+    return bool(abs(first[end] - second[end]) <= _CLOSED * np.ptp(first))
 
 
 def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:

@@ -23,11 +23,12 @@ from hystfit.models.preisach.solve import fit_preisach
 from hystfit.models.preisach.staircase import Rest
 from hystfit.outcome.status import Status
 from hystfit.outcome.wrapping import NAMED, listed
-from hystfit.quality.loops import LARGEST, SAME_LEVEL
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
 _LIMIT = 2.0  # percent of the output's range up to which a property holds
+_MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _CELLS = 20  # along an axis, of the model whose errors are split by order
 _FIRST = 1  # reversals that the memory holds on a first-order curve
@@ -161,8 +162,8 @@ def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
         model: also identify a Preisach model and see how its errors grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))
-    minor = closures.width < LARGEST * float(np.ptp(record.u))
-    inner = tuple(loop for loop in loops if loop.high - loop.low < LARGEST * float(np.ptp(record.u)))
+    minor = closures.width < _MAJOR * float(np.ptp(record.u))
+    inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
     found = [_wiping_words(closures, minor), _congruency_words(inner)]
     higher = higher_order(record) if model else None
     if model:
