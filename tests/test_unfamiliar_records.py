@@ -348,6 +348,19 @@ def test_backlash_and_a_device_in_saturation_are_not_clipped() -> None:
     assert not saturated_samples(u, np.round(np.tanh(u), 3)).any()
     assert not saturated_samples(u, np.clip(plays(u, np.array([1.0])), -0.5, 0.5)).any()
 
+def test_a_plateau_without_noise_is_the_device() -> None:
+    """Drop on a surface: the contact angle advances at 110 deg, recedes at 40 deg, and is pinned between them."""
+    volume = np.concatenate([np.linspace(5, 15, 61), np.linspace(15, 5, 61)[1:]])
+    angle = np.empty_like(volume)
+    angle[0] = 60.0
+    for k in range(1, volume.size):
+        angle[k] = np.clip(angle[k - 1] + 8.0 * (volume[k] - volume[k - 1]), 40.0, 110.0)
+    angle = np.round(angle, 3)
+    assert clipped_samples(volume, angle).any()
+    assert not saturated_samples(volume, angle).any()
+    noisy = np.minimum(angle + 0.05 * NOISE[: angle.size], 100.0)
+    assert saturated_samples(volume, noisy).sum() == np.count_nonzero(noisy == 100.0)
+
 
 @pytest.mark.usefixtures("as_users_run")
 def test_swapped_arguments_are_named() -> None:
