@@ -424,3 +424,43 @@ def test_a_small_loop_inside_a_measured_branch_does_not_change_its_width():
     dried = [main(parts[0], 1.5), inside(parts[1]), inside(parts[2]), main(parts[3], 1.5)]
     record = hf.Record(np.concatenate([*parts, wetting]), np.concatenate([*dried, main(wetting, 0.5)]), u_unit="kPa")
     assert measured_quantities(Dataset.of(record))["coercive_input"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_an_even_output_has_no_width_and_no_loss() -> None:
+    """Magnetoresistance and strain: the branches end where they begin, and the lobes of the loop run in opposite directions."""
+    phase = np.linspace(0, 2 * np.pi, 401)
+    u, rises = 2.0 * np.cos(phase), np.sin(phase) < 0
+    polarization = np.tanh((u - np.where(rises, 0.6, -0.6)) / 0.2)
+    strain = 0.12 * polarization**2 + 1e-3 * np.random.default_rng(1).normal(size=u.size)
+    names = {row.name for row in quantities(hf.Record(u, strain, u_unit="kV/mm", y_unit="%")).rows["record"]}
+    assert not names & {"coercive_input", "remanence", "loop_area"}
+    measured = measured_quantities(hf.Dataset.of(hf.Record(u, strain)))
+    assert not {"coercive_input", "remanence", "loop_area"} & measured.keys()
+    widest = (
+        np.abs(np.diff(np.tanh((u[:201, None] + [0.6, -0.6]) / 0.2) ** 2, axis=1)).max() * 0.12
+    )  # of the two branches
+    assert measured["hysteresis_percent"] == pytest.approx(100 * widest / np.ptp(strain), abs=3)
+    odd = measured_quantities(hf.Dataset.of(hf.Record(u, polarization)))
+    assert odd["coercive_input"] == pytest.approx(0.6, abs=1e-3)
+    assert odd["remanence"] == pytest.approx(np.tanh(3.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "names"),
+    [
+        ("V", "um", {"half width", "half height", "hysteresis (of the stroke)", "stroke"}),
+        ("mm", "kN", {"half width", "half height", "hysteresis (of the range)", "range of the output"}),
+        ("A/m", "T", {"coercivity (half width)", "remanence (half height)", "range of the output"}),
+    ],
+)
+def test_quantities_have_the_names_of_their_field(u: str, y: str, names: set[str]) -> None:
+    data = hf.Dataset.of(hf.Record(u=np.array([0.0, 1.0]), y=np.array([0.0, 1.0]), u_unit=u, y_unit=y))
+    assert names <= {one.label_on(data) for one in QUANTITIES.values()}
+
+
+def test_the_report_says_how_long_a_cycle_lasts_where_time_matters() -> None:
+    t = np.linspace(0, 3.0, 601)
+    u = np.sin(4 * np.pi * t)
+    result = hf.fit("bouc-wen+viscous", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None) + 0.01 * np.gradient(u, t), t))
+    assert "fitted input range, one cycle in 0.5 s" in text_report(result)
+    assert "one cycle in" not in text_report(hf.fit("bouc-wen", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None), t)))

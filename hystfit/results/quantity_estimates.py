@@ -66,6 +66,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
             change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
+        if one.reason is Unknown.NOT_FINITE and np.isfinite(values["stroke"][0]):
+            one = dataclasses.replace(one, reason=Unknown.NO_CROSSING if name == "coercive_input" else Unknown.LOBES)
         if one.stderr is not None and name in between:
             one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
         value = measured.get(name)
@@ -107,7 +109,7 @@ def _estimate(
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
     if not np.isfinite(value):
-        return made(None, None, Unknown.NO_CROSSING if name == "coercive_input" else Unknown.NOT_FINITE)
+        return made(None, None, Unknown.NOT_FINITE)
     covariance = result.joint
     if covariance is None:
         return made(value, None, Unknown.NO_ERRORS)
