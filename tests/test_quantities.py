@@ -464,3 +464,21 @@ def test_the_report_says_how_long_a_cycle_lasts_where_time_matters() -> None:
     result = hf.fit("bouc-wen+viscous", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None) + 0.01 * np.gradient(u, t), t))
     assert "fitted input range, one cycle in 0.5 s" in text_report(result)
     assert "one cycle in" not in text_report(hf.fit("bouc-wen", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None), t)))
+
+
+def test_the_largest_height_of_a_noisy_loop_is_within_its_error() -> None:
+    """Noise widens a narrow loop where it is read at its widest: half the range of a backlash of half width 4 in 56."""
+    phase = np.linspace(-0.5 * np.pi, 3.5 * np.pi, 801)
+    u = 28 * np.sin(phase)
+    p = np.empty_like(u)
+    p[0] = u[0] + 4
+    for k in range(1, u.size):
+        p[k] = min(max(p[k - 1], u[k] - 4), u[k] + 4)
+    record = hf.Record(u, 0.2 * p + 0.035 * np.random.default_rng(7).normal(size=u.size), u_unit="deg", y_unit="deg")
+    result = hf.fit("prandtl-ishlinskii", record)
+    (height,) = (one for one in result.quantities if one.name == "hysteresis_percent")
+    exact = 100 * 0.2 * 8 / (0.2 * 48)
+    assert height.measured is not None and height.measured_stderr is not None
+    assert height.measured > exact + 0.5  # the bias by noise
+    assert abs(height.measured - exact) < 2 * height.measured_stderr
+    assert not height.differs

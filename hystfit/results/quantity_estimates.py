@@ -57,8 +57,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
-    if "stroke" in part:  # the largest of noisy heights over that of noisy outputs
-        part["hysteresis_percent"] = float(np.sqrt(2)) * part["stroke"]
+    if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
+        part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
     between = _between_samples(result)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
