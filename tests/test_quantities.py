@@ -478,7 +478,8 @@ def test_the_largest_height_of_a_noisy_loop_is_within_its_error() -> None:
     result = hf.fit("prandtl-ishlinskii", record)
     (height,) = (one for one in result.quantities if one.name == "hysteresis_percent")
     exact = 100 * 0.2 * 8 / (0.2 * 48)
-    assert height.measured is not None and height.measured_stderr is not None
+    assert height.measured is not None
+    assert height.measured_stderr is not None
     assert height.measured > exact + 0.5  # the bias by noise
     assert abs(height.measured - exact) < 2 * height.measured_stderr
     assert not height.differs

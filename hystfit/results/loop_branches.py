@@ -236,6 +236,11 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
+    level = 0.5 * (max(falling.y.max(), rising.y.max()) + min(falling.y.min(), rising.y.min()))
+    sides = [crossing(b.y - level, b.u, None) for b in (falling, rising)]
+    if sides[0] is not None and sides[1] is not None:  # exchange bias may shift a loop by more than its width
+        shift = 0.5 * (sides[0][0] + sides[1][0])
+        falling, rising = (Branch(b.u - shift, b.y) for b in (falling, rising))
     most = LARGEST * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None

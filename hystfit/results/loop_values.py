@@ -38,7 +38,7 @@ from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
-from hystfit.results.polarization_values import centered, polarization_values
+from hystfit.results.polarization_values import centered, offset_of, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
@@ -178,6 +178,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
+    if kind is LoopKind.MAGNETIC:
+        found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
     closed = any(closes(*pair, y) for pair in pairs)
     rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
