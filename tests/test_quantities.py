@@ -279,6 +279,21 @@ def test_the_loss_is_an_energy_where_the_units_tell_it():
     assert measured_quantities(data)["loop_area"] == pytest.approx(1e-4 * np.pi * 150 * np.sin(0.5), rel=1e-3)
 
 
+def test_an_area_has_no_unit_where_one_column_has_none():
+    """That of the other column stays for heights and ranges, also where it is a ratio."""
+    x = np.linspace(0, 6 * np.pi, 1201)
+    data = hf.Dataset.of(hf.Record(15 * np.sin(x), 30 * np.sin(x - 0.5), u_name="Drive voltage", y_unit="uC/cm2"))
+    units = {name: one.units(data) for name, one in QUANTITIES.items()}
+    assert (units["loop_area"], units["stroke"], units["remanence"], units["coercive_input"]) == (
+        "",
+        "uC/cm2",
+        "uC/cm2",
+        "",
+    )
+    read = {one.name: one.unit for one in quantities(data).rows["record"]}
+    assert (read["loop_area"], read["stroke"]) == ("", "uC/cm2")
+
+
 def test_gaps_have_their_reason(fit):
     no_error = dataclasses.replace(fit, joint=None)
     assert {q.reason for q in no_error.quantities} == {Unknown.NO_ERRORS}

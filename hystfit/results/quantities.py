@@ -50,7 +50,7 @@ class Quantity:
         u, y = data.units["u"], data.units["y"]
         force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
         text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
-        return text if (u and y) or "/" not in text else ""
+        return text if (u and y) or "/" not in self.unit else ""
 
 
 CREEP = "creep_percent_per_decade"

@@ -136,8 +136,10 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             continue
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
-        beside = f"; {f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop" if q.differs else ""
-        rows.append((_capital(one.label_on(result.data)), f"{value}{known} {q.unit}".rstrip() + beside))
+        text = f"{value}{known} {q.unit}".rstrip()
+        if q.differs:
+            text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
+        rows.append((_capital(one.label_on(result.data)), text))
     return rows
 
 
