@@ -498,3 +498,14 @@ def test_the_largest_height_of_a_noisy_loop_is_within_its_error() -> None:
     assert height.measured > exact + 0.5  # the bias by noise
     assert abs(height.measured - exact) < 2 * height.measured_stderr
     assert not height.differs
+
+
+def test_an_input_switched_between_two_values_has_no_quantities_of_a_loop() -> None:
+    """The heater of a thermostat drives the temperature through a lag: what it does in between was not measured."""
+    t = np.arange(0, 300.0)
+    heater = (np.sin(2 * np.pi * t / 80) > 0).astype(float)
+    data = hf.Dataset.of(hf.Record(heater, 20 + 3 * np.sin(2 * np.pi * t / 80), t, y_unit="degC"))
+    assert applicable(data, timed=True) == ("creep_percent_per_decade",)
+    assert not any(quantities(data).rows.values())
+    ramps = hf.Dataset.of(hf.Record(np.interp(t, [0, 75, 150, 225, 299], [0, 1, 0, 1, 0]), data[0].y, t, y_unit="degC"))
+    assert "coercive_input" in applicable(ramps, timed=True)

@@ -16,6 +16,7 @@ from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
+from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
@@ -155,7 +156,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     """Quantities, corrections and notes of a record."""
     kept = record.used
     u, y = record.u[kept], record.y[kept]
-    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
         return (), (), ()
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
     if kind is LoopKind.FERROELECTRIC:

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.params.units import loop_energy
+from hystfit.quality.coverage import is_switched
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
 
@@ -93,16 +95,17 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have.
+    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
 
     Args:
         timed: whether the model depends on time, without which there is no creep.
     """
     kind = LoopKind.of(data)
+    looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
         name
         for name, one in QUANTITIES.items()
-        if (one.kinds is None or kind in one.kinds) and (one.of_loops is not None or timed)
+        if (one.kinds is None or kind in one.kinds) and (timed if one.of_loops is None else looped)
     )
 
 

@@ -30,6 +30,7 @@ _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
+_MISSING = {"coercive_input": Unknown.NO_CROSSING, "remanence": Unknown.LOBES, "loop_area": Unknown.LOBES}
 _BACK = 0.01  # of the input's range, by which a branch goes back by noise alone
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -66,8 +67,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
             change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
-        if one.reason is Unknown.NOT_FINITE and np.isfinite(values["stroke"][0]):
-            one = dataclasses.replace(one, reason=Unknown.NO_CROSSING if name == "coercive_input" else Unknown.LOBES)
+        if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
+            one = dataclasses.replace(one, reason=_MISSING[name])
         if one.stderr is not None and name in between:
             one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
         value = measured.get(name)
