@@ -168,6 +168,16 @@ def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None
         assert float(change) == pytest.approx(drift[-1], rel=0.1)
 
 
+def test_a_drift_that_a_fading_state_follows_is_named_and_no_first_half_cycle_is_blamed() -> None:
+    t = np.arange(800) / 20
+    u = 4 * np.sin(0.2 * np.pi * t)
+    steady = u - 0.4 * (u - plays(u, np.linspace(0.2, 1.5, 6)) / 6) + 0.01 * NOISE[:800]
+    warming = hf.Record(u, steady + 0.8 * (1 - np.exp(-t / 15)), t)
+    assert has(hf.fit("duhem", warming).notes, Code.DRIFT)
+    assert not has(hf.fit("duhem", warming).notes, Code.INITIAL_STATE)
+    assert not has(hf.fit("duhem", hf.Record(u, steady, t)).notes, Code.DRIFT)
+
+
 def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
     t = np.arange(1000) / 100
     for seed in range(3):
@@ -347,6 +357,20 @@ def test_backlash_and_a_device_in_saturation_are_not_clipped() -> None:
     assert not clipped_samples(u, plays(u, np.array([1.0]))).any()
     assert not saturated_samples(u, np.round(np.tanh(u), 3)).any()
     assert not saturated_samples(u, np.clip(plays(u, np.array([1.0])), -0.5, 0.5)).any()
+
+
+def test_a_plateau_without_noise_is_the_device() -> None:
+    """Drop on a surface: the contact angle advances at 110 deg, recedes at 40 deg, and is pinned between them."""
+    volume = np.concatenate([np.linspace(5, 15, 61), np.linspace(15, 5, 61)[1:]])
+    angle = np.empty_like(volume)
+    angle[0] = 60.0
+    for k in range(1, volume.size):
+        angle[k] = np.clip(angle[k - 1] + 8.0 * (volume[k] - volume[k - 1]), 40.0, 110.0)
+    angle = np.round(angle, 3)
+    assert clipped_samples(volume, angle).any()
+    assert not saturated_samples(volume, angle).any()
+    noisy = np.minimum(angle + 0.05 * NOISE[: angle.size], 100.0)
+    assert saturated_samples(volume, noisy).sum() == np.count_nonzero(noisy == 100.0)
 
 
 @pytest.mark.usefixtures("as_users_run")

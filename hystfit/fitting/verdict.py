@@ -113,7 +113,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
     single_valued = percent <= POOR and _is_single_valued(train, baselines, unexplained)
     if not fitted.model.from_saturation and (single_valued or _branches_coincide(fitted)):
-        text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
+        text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:

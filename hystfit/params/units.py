@@ -310,11 +310,13 @@ MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multi
 def loop_energy(one: str, other: str) -> tuple[str, float]:
     """Unit of an area over two columns as an energy or energy density, and the factor to it; the product of both elsewhere.
 
+    Empty where one column has no unit: that of the other alone is not the unit of the area.
+
     Args:
         one, other: units of input and output.
     """
     first, second = parse_unit(one), parse_unit(other)
-    plain = f"{other} {one}".strip()
+    plain = f"{other} {one}" if one and other else ""
     if first is None or second is None:
         return plain, 1.0
     powers = dict(first.powers)
