@@ -91,6 +91,15 @@ def test_symbols_of_suction_and_water_and_void_ratios(names: str, drives: bool, 
     np.testing.assert_allclose(record.y, water)
 
 
+def test_levels_in_decibels_are_no_forces(tmp_path: Path) -> None:
+    """A detector is calibrated by the gain of a transmitter, of which the letters RF are part of the name."""
+    gain = 2.0 * np.arange(24)
+    volts = 1.46 - 0.0215 * gain + 0.25 * np.exp((gain - 46) / 5)
+    power = (volts - 0.5) / -0.025
+    record = one(tmp_path, "HackRF_TX_dB,Detector_Voltage_V,Power_dBm\n", gain, volts, power)
+    assert (record.u_name, record.y_name) == ("HackRF_TX_dB", "Detector_Voltage_V")
+
+
 def test_names_of_suction_and_water_are_others_where_the_numbers_are_no_parts(tmp_path: Path) -> None:
     record = one(tmp_path, "theta,h\n", 90 * WAY, FIELD)
     assert (record.u_name, record.y_name) == ("h", "theta")

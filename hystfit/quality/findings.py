@@ -149,7 +149,9 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     """Whether there are loops, and of which shape."""
     shape = record.shape
     if record.motion.monotonic:
-        text = "the input is monotonic, so there is no loop; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
+        text = "the input is monotonic, so there is no loop"
+        if quantity(record.units["u"]) in ("", "time"):
+            text += "; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
         yield warn(Code.NO_LOOP, text)
     if shape is None:
         return
