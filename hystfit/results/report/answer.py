@@ -117,7 +117,7 @@ def _error(result: FitResult) -> str:
 
 
 def _numbers(result: FitResult) -> list[tuple[str, str]]:
-    if result.status is Status.NO_LOOP:
+    if result.status in (Status.NO_LOOP, Status.UNDETERMINED):  # nothing tests the loop of the model
         read = next(iter(result.measured.rows.values()), ())
         return [
             (
