@@ -145,8 +145,8 @@ def left_out_scores(
 ) -> LeftOutErrors:
     """Errors with the smoothness that the held-out groups choose, output units; lower bounds of them where these are above `most`.
 
-    The weights in x are solved for; `smoothness` has two or more strengths, of which `likely` is one that a similar model chose. With `keep` the equations stay with the problem for its fit,
-    where all free parameters are weights.
+    The weights in x are solved for; `smoothness` has two or more strengths, of which a similar model chose the `likely` one. With `keep`
+    the equations stay with the problem for its fit, where all free parameters are weights.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
     if keep and (now.place >= 0).all():
