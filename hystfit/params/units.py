@@ -186,14 +186,17 @@ _BY_SYMBOL = {
 _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
     map(ord, "\u2126\u03a9"), "Ohm"
 )
-# Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
+_LONGEST = 100  # characters of a unit
 _HIGHEST = 12  # power of a symbol in any unit, beyond which a text is none
+# Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
 _TERM = re.compile(r"(?P<mark>[/*.\s]*)(?P<symbol>1|[A-Za-z\u03a9%°]+)(?:(?:\^|\*\*)?(?P<power>-?\d+))?")
 
 
 def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
+    if len(text) > _LONGEST:
+        return text
     plain = re.sub(r"\s+vs\b.*", "", text.strip().rstrip("."))  # of a voltage against a reference
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(_MARKS))
     plain = re.sub(r"[ _(]+STP\b\)?", "", plain)  # of gas at standard temperature and pressure

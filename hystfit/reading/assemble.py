@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,29 +65,13 @@ def assemble(
     notes = list(table.notes)
     table, replaced = without_infinite(table)
     table, taken = _filter(table, where, notes)
-    divider = None if by is None else find(table, by, "by")
-    spread = None if sigma is None else find(table, sigma, "sigma")
+    divider, spread = (None if key is None else find(table, key, role) for role, key in (("by", by), ("sigma", sigma)))
+    asked = (time, *_of_layout(table, input, output))
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
-    input, output = _of_layout(table, input, output)
-    marked, dividers = marked_by_kind(table, others)
-    named = {"time": None if isinstance(time, bool) or time == "none" else time, "input": input, "output": output}
-    _check_problems(table, [None if key is None else find(table, key, role) for role, key in named.items()])
-    choice = choose(table, time, input, output, [*others, *dividers])
-    if divider is None and (divider := restart_divider(table, choice)) is not None:
-        choice = choose(table, time, input, output, [*others, *dividers, divider])
-        text = f"the time starts again where column {table.names[divider]!r} changes: each of its values is a record"
-        notes.append(Note(Code.CURVES, text))
-    if choice.untimed:
-        table = dataclasses.replace(table, interval=None)
-    _check_problems(table, [choice.time, choice.input, choice.output])
-    notes += [*choice.notes, *_unread_time(table, choice, time)]
+    table, choice, divider = _with_choice(table, asked, others, divider, notes)
     for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
         notes += replaced_notes(replaced[position], role) if position in replaced else []
-    if marked is None and divider is None and table.part is None:
-        marked = marked_by_place(table, choice)
-    marked = table.calibration if table.calibration is not None and divider is None else marked
-    table = _without_comments(dataclasses.replace(table, calibration=marked), choice, notes)
-    table = without_turns(table, choice.output, notes)
+    table = without_turns(_without_comments(table, choice, notes), choice.output, notes)
     table = in_order_of_time(table, choice, notes) if divider is None and not table.section.any() else table
     groups, several = split_curves(table, choice, divider, notes)
     if only is not None:
@@ -96,23 +80,71 @@ def assemble(
                 f"{table.source} holds one curve, so only={only!r} cannot choose among several; separate curves with by="
             )
         groups = select_curves(groups, only, table.source)
-    records, failed = list[Record](), dict[str, DataError]()
-    for label, rows in groups:
-        title = label if several else stem
-        try:
-            records += _records_of(table.take(rows), choice, title, notes, gaps, spread, treatment)
-        except DataError as error:
-            if unread is None:
-                raise
-            failed[title] = error
-    if unread is not None and failed:
-        if not records:
-            raise next(iter(failed.values()))
-        unread |= {title: str(error) for title, error in failed.items()}
+    read = lambda label, rows: _records_of(
+        table.take(rows), choice, label if several else stem, notes, gaps, spread, treatment
+    )
+    records = (
+        _readable(groups, read, unread) if unread is not None else [one for group in groups for one in read(*group)]
+    )
     if not several and len(records) == 1:
         return records[0]
     # A column separates measurements, whose numbers may be equal.
     return Dataset(tuple(records) if divider is not None else without_copies(records), name=stem)
+
+
+def _with_choice(
+    table: Table,
+    asked: tuple[Column | bool | None, Column | None, Column | None],
+    others: Sequence[int],
+    divider: int | None,
+    notes: list[Note],
+) -> tuple[Table, Choice, int | None]:
+    """The columns of the record and that which separates curves; the table with its calibration points marked.
+
+    Args:
+        asked: time, input and output as the user names them.
+        others: columns that have another use.
+    """
+    marked, dividers = marked_by_kind(table, others)
+    named = [None if isinstance(key, bool) or key == "none" else key for key in asked]
+    roles = zip(("time", "input", "output"), named, strict=True)
+    _check_problems(table, [None if key is None else find(table, key, role) for role, key in roles])
+    choice = choose(table, *asked, [*others, *dividers])
+    if divider is None and (divider := restart_divider(table, choice)) is not None:
+        choice = choose(table, *asked, [*others, *dividers, divider])
+        text = f"the time starts again where column {table.names[divider]!r} changes: each of its values is a record"
+        notes.append(Note(Code.CURVES, text))
+    if choice.untimed:
+        table = dataclasses.replace(table, interval=None)
+    _check_problems(table, [choice.time, choice.input, choice.output])
+    notes += [*choice.notes, *_unread_time(table, choice, asked[0])]
+    if divider is None:
+        if marked is None and table.part is None:
+            marked = marked_by_place(table, choice)
+        marked = marked if table.calibration is None else table.calibration
+    return dataclasses.replace(table, calibration=marked), choice, divider
+
+
+def _readable(
+    groups: Sequence[tuple[str, np.ndarray]],
+    read: Callable[[str, np.ndarray], list[Record]],
+    unread: dict[str, str],
+) -> list[Record]:
+    """The records of the curves that can be read; `unread` takes the reasons why others cannot.
+
+    Raises:
+        DataError: no curve can be read.
+    """
+    records, failed = list[Record](), dict[str, DataError]()
+    for label, rows in groups:
+        try:
+            records += read(label, rows)
+        except DataError as error:
+            failed[label] = error
+    if failed and not records:
+        raise next(iter(failed.values()))
+    unread |= {label: str(error) for label, error in failed.items()}
+    return records
 
 
 def _of_layout(table: Table, input: Column | None, output: Column | None) -> tuple[Column | None, Column | None]:

@@ -13,7 +13,7 @@ from hystfit.reading.limits import FEWEST, MOST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text_file import TextFile
 
-_NUMBER = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)"
+_NUMBER = r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)"
 # name = [, name = np.array([, name[600] = {, name <- c(, name: [: up to the first number.
 _START = re.compile(
     rf"([A-Za-z_][\w.]*)(?:\s*\[\d*\])*\s*(?:<-|=|:)\s*(?:[A-Za-z_][\w.]*\s*)?([\[({{][\[({{\s]*)(?={_NUMBER}[\s,;\])}}])",

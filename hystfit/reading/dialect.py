@@ -125,13 +125,15 @@ def dialect_of(rows: Sequence[Sequence[str]], delimiter: str | None, decimal: st
         and all(a == b or missing in (a, b) or b == text for a, b in zip(pattern, top, strict=True))
     ]
     kinds = ""
+    began = False  # whether a column before this one holds something
     for position in range(len(top)):
         votes = collections.Counter()
         for pattern in fits:
             votes[pattern[position]] += counts[pattern]
         empty = votes.pop(missing, 0)
-        if set(kinds) <= {missing} and votes.total() < ODD * empty:
+        if not began and votes.total() < ODD * empty:
             votes.clear()
+        began = began or bool(votes)
         kinds += text if text in votes else votes.most_common(1)[0][0] if votes else missing
     total = sum(counts[pattern] for pattern in fits)
     return Dialect(delimiter, decimal, kinds, total * _quality(kinds), total)

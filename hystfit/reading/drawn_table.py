@@ -6,7 +6,7 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_RULE = re.compile(r"[\s|+:_=-]*[-=_]{3}[\s|+:_=-]*")
+_RULE = re.compile(r"(?=[\s|+:_=-]*?[-=_]{3})[\s|+:_=-]++")
 _NUMBERS = re.compile(r"[\s|]*[-+]?\.?\d")
 
 

@@ -14,9 +14,10 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_NUMBER = r"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|NaN|inf)"
+_NUMBER = r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|nan|NaN|inf)"
 _AFTER = r"\s?[A-Za-zµμ°%Ω][\w/²°µμ%]*(?![\w/]*\"?\s*[=:])"  # a word that is not the name of the next number
-_PAIR = re.compile(rf"([A-Za-zµμ_][\w.()\[\]/%µμ-]*)\"?\s*[=:]\s*\"?({_NUMBER})(?![\d.:])({_AFTER})?")
+_NAME = r"(?<![A-Za-zµμ_])[A-Za-zµμ_][\w.()\[\]/%µμ-]{0,99}+"  # bounded, for lines without blanks
+_PAIR = re.compile(rf"({_NAME})\"?\s*[=:]\s*\"?({_NUMBER})(?![\d.:])({_AFTER})?")
 _STAMP = re.compile(r"\W*((?:\d{4}-\d\d-\d\d[ T])?\d\d:\d\d:\d\d(?:[.,]\d+)?)")
 
 

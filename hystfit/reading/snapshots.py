@@ -13,11 +13,11 @@ from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_SETTING = re.compile(r"\s*\*?\s*(Time|Data)\s*=\s*(\S.*?)\s*", re.IGNORECASE)
+_SETTING = re.compile(r"\s*+(?:\*\s*+)?(Time|Data)\s*=\s*(\S.*?)\s*", re.IGNORECASE)
 # The line above the rows of nodes or elements: "displacements (vx,vy,vz) for set TOP and time 0.1".
 _CAPTION = re.compile(r"[ \t]*(?P<kind>[a-z][a-z ]*) \((?P<words>[\w ,.]+)\).*\btime +(?P<time>[\d.eE+-]+)[ \t]*")
 _ITEMS = ("elem", "integ.pnt.")
-_BEGIN = re.compile(rf"^[ \t]*\*?[ \t]*data[ \t]*=|^{_CAPTION.pattern}$", re.IGNORECASE | re.MULTILINE)
+_BEGIN = re.compile(rf"^[ \t]*+(?:\*[ \t]*+)?data[ \t]*=|^{_CAPTION.pattern}$", re.IGNORECASE | re.MULTILINE)
 _ROW = re.compile(r"\s*\d+(?:[\s,;]+[+-]?[\d.][\d.eE+-]*)+\s*")
 # What the letters of finite-element programs stand for beside each other: displacements and reactions along the axes.
 _MEANINGS = {"u": "displacement", "R": "reaction force"}

@@ -6,7 +6,7 @@ import re
 
 from hystfit.outcome import Code, Note
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)"
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf)"
 _TYPED = re.compile(
     rf"\b(?:(?:np|numpy)\.(?:float|int|uint)\d+|tensor|Decimal)\(\[?['\"]?({_NUMBER})['\"]?\]?"
     r"(?:, ?(?:dtype|device|weak_type|grad_fn|requires_grad)=[^()]*(?:\([^()]*\))?)?\)"

@@ -19,7 +19,7 @@ from hystfit.reading.stated_interval import stated_interval
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_NUMBERS = re.compile(r"(?:\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?(?=\s|$))+\s*")
+_NUMBERS = re.compile(r"(?:\s*[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?(?=\s|$))++\s*")
 _WHOLE = re.compile(r"(?<![\d.])\d+(?![\d.])")
 _LONGEST = 9  # digits of a number of samples
 
