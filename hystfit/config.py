@@ -53,8 +53,9 @@ _MEMORY = {-3: 2**26, -1: 2**28, -8: 1}
 def keep_freed_memory() -> None:
     """Let arrays use memory that others have freed, which glibc would give back to the system and fetch again page by page."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    for number, value in _MEMORY.items() if set_option else ():
-        set_option(number, value)
+    if set_option is not None:
+        for number, value in _MEMORY.items():
+            set_option(number, value)
 
 
 def enable_x64(*, whole_loops: bool = True) -> None:

@@ -196,7 +196,7 @@ class _Trials:
             return found
 
         likely = self.likely
-        if likely in strengths:
+        if likely is not None and likely in strengths:
             for k in every:  # each solution starts the next
                 if strengths[k] > likely:
                     self.solved(strengths[k])
