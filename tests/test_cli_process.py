@@ -310,3 +310,25 @@ main()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == 2
     assert (done.stdout, "hystfit:" in done.stderr) == ("imported by it\n", True)
+
+
+_FAULTS = """
+import resource
+import numpy as np
+from hystfit.config import keep_freed_memory
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(20):
+        np.ones(2**22)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+before = faults()
+keep_freed_memory()
+faults()  # the heap grows
+print(faults() / before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
+def test_arrays_of_a_command_use_memory_that_others_freed():
+    ended = subprocess.run([sys.executable, "-c", _FAULTS], capture_output=True, text=True, check=True)
+    assert float(ended.stdout) < 0.1
