@@ -130,12 +130,13 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         )
     if record.output_controlled:
         yield CONTROLLED
-    if y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
+    timed = record.sampling.rate is not None
+    if timed and y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
         yield Note(
             Code.RATE,
             f"the output is a {y_kind} against a {u_kind}: for a loop of charge or polarization, --integrate (integrate=True) "
             "integrates it over time",
-            option=("integrate", "true") if record.charges and record.sampling.rate is not None else None,
+            option=("integrate", "true") if record.charges else None,
         )
 
 
@@ -143,8 +144,9 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     """Whether there are loops, and of which shape."""
     shape = record.shape
     if record.motion.monotonic:
-        text = "the input is monotonic, so there is no loop; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
-        yield warn(Code.NO_LOOP, text)
+        text = "the input is monotonic, so there is no loop"
+        perhaps = "if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
+        yield warn(Code.NO_LOOP, text if quantity(record.units["u"]) not in ("", "time") else f"{text}; {perhaps}")
     if shape is None:
         return
     if shape.crossing:
