@@ -68,7 +68,7 @@ def forc_page(
         "curves": "Reversal curves, and the major loop that they contain",
         "compared": "Densities by local regression and as the posterior of a model; coercivity distributions with two standard errors",
     }
-    shown = [Picture(figures[name], caption) for name, caption in captions.items() if name in figures]
+    shown = [Picture(figures[name], caption, name=name) for name, caption in captions.items() if name in figures]
     sections = [("Plots", [shown]), *((f"Numbers {of}", [table]) for of, table in tables.items())]
     sections.append(("Notes", [list(notes)]))
     return page_of(title, Status.OK, "forc", answer, sections)
@@ -121,7 +121,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         "rank": "Ranks of the draws of each chain; flat histograms mean that the chains agree",
     }
     wide = ("corner", "bands")
-    shown = [Picture(posterior.plot(kind), caption, wide=kind in wide) for kind, caption in captions.items()]
+    shown = [Picture(posterior.plot(kind), caption, kind in wide, kind) for kind, caption in captions.items()]
     sections = [
         ("Parameters", [posterior.summary(), CHECKS]),
         ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),
@@ -154,7 +154,7 @@ def profile_page(profiles: Profiles, fit: Path) -> Page:
     answer += [("Noise", profiles.noise), ("Next", f"hystfit sample {opened(profiles.result, shlex.quote(str(fit)))}")]
     caption = "Likelihood profiles with confidence limits; dashed: parabola of the standard error"
     sections = [
-        ("Plots", [[Picture(profiles.plot(), caption, wide=True)]]),
+        ("Plots", [[Picture(profiles.plot(), caption, wide=True, name="profiles")]]),
         ("All limits", [list(map(str, profiles.profiles.values()))]),
         ("Notes", [notes_of(profiles.notes)]),
     ]
@@ -178,7 +178,7 @@ def calibrate_page(calibration: Calibration) -> Page:
         caption = (
             "Top: ranks of the true values among the draws. Bottom: coverage; gray: 99 % range of calibrated intervals"
         )
-        shown = [[Picture(calibration.plot(), caption, wide=True)]]
+        shown = [[Picture(calibration.plot(), caption, wide=True, name="calibration")]]
     answer += [
         ("Simulated data", f"{len(calibration.ranks)} sets, noise {calibration.truth}"),
         ("Inference", f"{calibration.method}, noise {calibration.assumed}"),

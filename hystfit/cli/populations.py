@@ -76,8 +76,6 @@ def population(
         from hystfit.population.population_files import write_devices
 
         write_devices(result, folder / "devices.csv")
-        for kind in ("forest", "correlation", "shrinkage"):
-            result.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
         if proposal is not None:
             like = result.devices[0].result.data[0]
             write_input(folder / "next.csv", like, proposal.best.u, proposal.dt)
@@ -142,7 +140,7 @@ def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None
         ("Outlying", ", ".join(result.outlying) or "none"),
         ("Next", f"hystfit sample FIT --prior-from {folder}"),
     ]
-    shown = [Picture(result.plot(kind), caption) for kind, caption in captions.items()]
+    shown = [Picture(result.plot(kind), caption, name=kind) for kind, caption in captions.items()]
     sections = [
         (
             "Mean and scatter",

@@ -97,9 +97,7 @@ def forc(
         page = forc_page(
             family.words(), how, tables, numbers, units["u"], notes, figures, command_words(loops, reading)
         )
-        (folder / "report.html").write_text(page.render(), encoding="utf-8")
-        for name, figure in figures.items():
-            figure.savefig(folder / f"{name}.png", dpi=120)
+        page.write(folder)
 
     return finish(text, content, output, save, status=status)
 

@@ -76,13 +76,8 @@ def sample(
             result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
         )
 
-    def save(folder: Path) -> None:
-        posterior.save(folder)
-        for kind in ("corner", "trace", "rank", "bands"):
-            posterior.plot(kind).savefig(folder / f"{kind}.png", dpi=120)
-
     page = lambda folder: sample_page(posterior, folder)
-    return finish(str(posterior), posterior.to_dict(), output, save, page=page)
+    return finish(str(posterior), posterior.to_dict(), output, posterior.save, page=page)
 
 
 def _priors_of(folder: Path | None, result: FitResult) -> Any:
@@ -137,8 +132,7 @@ def profile(
     result = open_fit(fitdir, output, trust)
     with progress("profiling"):
         profiles = follow(result, parameter, noise=noise, level=level)
-    save = lambda folder: profiles.plot().savefig(folder / "profiles.png", dpi=120)
-    return finish(str(profiles), profiles.to_dict(), output, save, page=lambda _: profile_page(profiles, fitdir))
+    return finish(str(profiles), profiles.to_dict(), output, page=lambda _: profile_page(profiles, fitdir))
 
 
 def errors(
@@ -230,8 +224,7 @@ def calibrate(
         )
     origin = {"fit": {"folder": str(fitdir), "status": result.status, "provenance": result.provenance}}
     content = calibration.to_dict() | origin | {"provenance": provenance(result.data, seed)}
-    save = lambda folder: calibration.plot().savefig(folder / "calibration.png", dpi=120)
-    return finish(str(calibration), content, output, save, page=lambda _: calibrate_page(calibration))
+    return finish(str(calibration), content, output, page=lambda _: calibrate_page(calibration))
 
 
 def _noise_like(result: FitResult, name: str) -> AbstractNoise:

@@ -39,7 +39,7 @@ def finish(
     """Write the folder of a verb, all files or none, print its text or JSON, and return its exit status.
 
     Args:
-        page: makes report.html, from the folder as the user named it; None where there is none, or `save` writes it.
+        page: makes report.html and its pictures, from the folder as the user named it; None where there is none, or `save` writes it.
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
@@ -50,7 +50,7 @@ def finish(
             if save is not None:
                 save(scratch)
             if page is not None:
-                (scratch / "report.html").write_text(page(output.out).render(), encoding="utf-8")
+                page(output.out).write(scratch)
             names = sorted(path.name for path in scratch.iterdir() if not path.name.startswith("."))
         if pyplot := sys.modules.get("matplotlib.pyplot"):
             pyplot.close("all")

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 from hystfit.outcome import Note, Table
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -28,16 +30,27 @@ class Picture:
         figure: matplotlib figure.
         caption: below it, and its text for readers who do not see it.
         wide: as wide as the page, for figures of several panels.
+        name: of the same picture as a file beside the page; "" for none.
     """
 
     figure: Figure
     caption: str
     wide: bool = False
+    name: str = ""
 
     @functools.cached_property
     def svg(self) -> bytes:
         """The figure as vector graphics, laid out once."""
         return svg(self.figure)
+
+    def write_png(self, folder: Path) -> None:
+        """Write the figure as NAME.png; the page shows it as it is laid out here."""
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        self.figure.dpi = 150
+        FigureCanvasAgg(self.figure).print_png(folder / f"{self.name}.png", pil_kwargs={"compress_level": 1})
+        self.figure.dpi = 100
+        self.figure.set_layout_engine("none")
 
     def html(self) -> str:
         """As vector graphics within the page."""
@@ -79,6 +92,15 @@ class Page:
     good: bool
     answer: Sequence[tuple[str, str | Markup]]
     sections: Sequence[tuple[str, Sequence[Block]]]
+
+    def write(self, folder: Path) -> None:
+        """Write report.html, and the pictures that have names as PNG."""
+        for _, blocks in self.sections:
+            for block in blocks:
+                for item in block if isinstance(block, Sequence) else ():
+                    if isinstance(item, Picture) and item.name:
+                        item.write_png(folder)
+        (folder / "report.html").write_text(self.render(), encoding="utf-8")
 
     def render(self) -> str:
         """The page as one file that loads nothing else."""

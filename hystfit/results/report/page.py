@@ -86,7 +86,7 @@ def notebook_view(result: FitResult) -> str:
 
 
 def _captioned(figures: dict[str, Figure]) -> dict[str, Picture]:
-    return {name: Picture(figures[name], caption) for name, caption in _CAPTIONS.items() if name in figures}
+    return {name: Picture(figures[name], caption, name=name) for name, caption in _CAPTIONS.items() if name in figures}
 
 
 def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str:
@@ -103,15 +103,6 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
         *((heading, [in_words(items)]) for heading, items in facts(result).items()),
     ]
     return Page(headline(result), status, result.usable, answer(result, wording), sections).render()
-
-
-def _write_png(figure: Figure, path: Path) -> None:
-    """A figure as PNG: the canvas draws it once, `savefig` twice."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    figure.dpi = 150
-    FigureCanvasAgg(figure).print_png(path, pil_kwargs={"compress_level": 1})
-    figure.dpi = 100
 
 
 def write(
@@ -151,7 +142,6 @@ def write_into(
     shown = _captioned(pictures(result, test=test, refit_offset=refit_offset))
     (folder / "report.txt").write_text(text_report(result, wording), encoding="utf-8")
     for name, picture in shown.items() if files else ():
-        _write_png(picture.figure, folder / f"{name}.png")
-        picture.figure.set_layout_engine("none")  # as laid out for the PNG
+        picture.write_png(folder)
         (folder / f"{name}.svg").write_bytes(picture.svg)
     (folder / "report.html").write_text(_page(result, shown, wording), encoding="utf-8")
