@@ -88,8 +88,8 @@ def axis_label(name: str, unit: str) -> str:
 
 
 def without_unit(name: str, unit: str) -> str:
-    """Name without a unit at its end, behind a space or an underscore, or in brackets."""
-    return re.sub(rf"(?:[\s_]+|[\s_]*[\[(（［]){re.escape(unit)}[\])）］]?$", "", name) or name
+    """Name without a unit at its end, behind a space, an underscore or a slash, or in brackets."""
+    return re.sub(rf"(?:\s*/\s*|[\s_]+|[\s_]*[\[(（［]){re.escape(unit)}[\])）］]?$", "", name) or name
 
 
 def with_unit(name: str, unit: str) -> str:
