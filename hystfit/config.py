@@ -1,9 +1,11 @@
 """Process-wide settings: precision, device and compiler of JAX, threads of linear algebra. Its import needs no numerical library."""
 
 import contextlib
+import ctypes
 import functools
 import numbers
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -40,6 +42,20 @@ def set_compiler_flags() -> None:
 
     flags = [_WHOLE_LOOPS, _WIDE_VECTORS, *([_LLVM_EMITTERS] if __version__.startswith(_HAS_LLVM_EMITTERS) else [])]
     os.environ["XLA_FLAGS"] = " ".join(flags)
+
+
+# Settings of `mallopt` by number: bytes of arrays that get pages of their own (M_MMAP_THRESHOLD), free bytes from which memory goes back to
+# the system (M_TRIM_THRESHOLD), and heaps for threads (M_ARENA_MAX). With a normal matrix of 29 MB for each group of samples a fit of 1891
+# weights took 5.9 s of system time without them and 2.2 s with them, and 892 and 924 MB.
+_MEMORY = {-3: 2**26, -1: 2**28, -8: 1}
+
+
+def keep_freed_memory() -> None:
+    """Let arrays use memory that others have freed, which glibc would give back to the system and fetch again page by page."""
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if set_option is not None:
+        for number, value in _MEMORY.items():
+            set_option(number, value)
 
 
 def enable_x64(*, whole_loops: bool = True) -> None:

@@ -311,3 +311,31 @@ def test_a_superconducting_loop_has_no_data_sheet_of_a_magnet():
     found = values_of(hf.Record(h, currents, u_unit="T", y_unit="A/m", u_name="Field", y_name="M"))
     assert found["loop_area"].value > 0
     assert not {"HcJ", "HcB", "Br", "energy_product", "knee_field"} & found.keys()
+
+
+def test_a_loop_shifted_by_exchange_bias_has_its_offset_and_the_distribution_of_one_in_the_middle():
+    """Both branches cross zero at negative fields, further from it than the loop is wide."""
+    h = np.linspace(10.0, -10.0, 301)
+    side = lambda at: np.tanh((h - at) / 0.6)
+    y = np.append(side(-2.7), side(-0.9)[::-1]) + 0.005 * np.random.default_rng(3).normal(size=2 * h.size)
+    found = values_of(hf.Record(np.append(h, h[::-1]), y, u_unit="kOe", y_unit="emu", u_name="Field", y_name="Moment"))
+    assert found["offset_input"].value == pytest.approx(-1.8, abs=5 * found["offset_input"].stderr)
+    assert found["offset_input"].stderr < 0.01
+    exact = 2 * np.arccosh(np.sqrt(2)) * 0.6 / 0.9
+    assert found["switching_distribution"].value == pytest.approx(
+        exact, rel=0.1
+    )  # of a derivative smoothed over 7 samples
+    assert found["switching_distribution"].spread < 0.05 * exact
+
+
+def test_the_first_curve_of_loops_of_growing_amplitude_leaves_out_what_lies_inside():
+    """Inside the loops, the remanent induction over a small field is no permeability."""
+    phase = np.linspace(0, 2 * np.pi, 201)[:-1]
+    h = np.concatenate([a * np.sin(phase) for a in (5.0, 10.0, 20.0)])
+    p = np.zeros_like(h)
+    for k in range(1, h.size):
+        p[k] = min(max(p[k - 1], h[k] - 4.0), h[k] + 4.0)
+    y = MU0 * 5000 * p + 2e-4 * np.random.default_rng(5).normal(size=h.size)
+    found = values_of(hf.Record(h, y, u_unit="A/m", y_unit="T", u_name="H", y_name="B"))
+    assert found["mu_max"].value == pytest.approx(5000 * (1 - 4.0 / 20.0), rel=0.01)
+    assert found["mu_max"].stderr < 50

@@ -401,6 +401,7 @@ def test_simulation_at_z_equals_simulation_of_the_tree() -> None:
 WORDS = {
     "A_per_meter": "A/m", "kiloamperes per meter": "kA/m", "tesla": "T", "millitesla": "mT", "Gauss": "G", "oersted": "Oe",
     "Newton": "N", "volts": "V", "inches": "in", "microns": "um", "degrees": "deg", "pound": "lbf", "A m^2": "Am²",
+    "NewtonMeter": "Nm", "AmperePerMeter": "A/m", "KiloGauss": "kG",
 }  # fmt: skip
 
 

@@ -173,10 +173,19 @@ class TestWeights:
             (2.562, 1.566, 0.981, 0.784, 0.694, 0.384, 0.129, 0.296, 0.424),  # the same with symmetric cells
         ],
     )
-    def test_the_smoothness_is_the_best_of_all_where_weak_ones_have_minima_of_their_own(self, errors):
+    @pytest.mark.parametrize("strength", [None, SMOOTHNESS[0], SMOOTHNESS[4]])
+    def test_the_smoothness_is_the_best_of_all_where_weak_ones_have_minima_of_their_own(self, errors, strength):
         class Measured(_Trials):
+            likely = strength
+
             def __init__(self):
                 pass
+
+            def solved(self, strength):
+                pass
+
+            def fitted(self, strength):
+                return 0.5 * min(errors)  # rules out none
 
             def error(self, strength, *, refitted):
                 return errors[SMOOTHNESS.index(strength)]

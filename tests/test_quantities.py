@@ -279,6 +279,21 @@ def test_the_loss_is_an_energy_where_the_units_tell_it():
     assert measured_quantities(data)["loop_area"] == pytest.approx(1e-4 * np.pi * 150 * np.sin(0.5), rel=1e-3)
 
 
+def test_an_area_has_no_unit_where_one_column_has_none():
+    """That of the other column stays for heights and ranges, also where it is a ratio."""
+    x = np.linspace(0, 6 * np.pi, 1201)
+    data = hf.Dataset.of(hf.Record(15 * np.sin(x), 30 * np.sin(x - 0.5), u_name="Drive voltage", y_unit="uC/cm2"))
+    units = {name: one.units(data) for name, one in QUANTITIES.items()}
+    assert (units["loop_area"], units["stroke"], units["remanence"], units["coercive_input"]) == (
+        "",
+        "uC/cm2",
+        "uC/cm2",
+        "",
+    )
+    read = {one.name: one.unit for one in quantities(data).rows["record"]}
+    assert (read["loop_area"], read["stroke"]) == ("", "uC/cm2")
+
+
 def test_gaps_have_their_reason(fit):
     no_error = dataclasses.replace(fit, joint=None)
     assert {q.reason for q in no_error.quantities} == {Unknown.NO_ERRORS}
@@ -424,3 +439,73 @@ def test_a_small_loop_inside_a_measured_branch_does_not_change_its_width():
     dried = [main(parts[0], 1.5), inside(parts[1]), inside(parts[2]), main(parts[3], 1.5)]
     record = hf.Record(np.concatenate([*parts, wetting]), np.concatenate([*dried, main(wetting, 0.5)]), u_unit="kPa")
     assert measured_quantities(Dataset.of(record))["coercive_input"] == pytest.approx(0.5, rel=0.02)
+
+
+def test_an_even_output_has_no_width_and_no_loss() -> None:
+    """Magnetoresistance and strain: the branches end where they begin, and the lobes of the loop run in opposite directions."""
+    phase = np.linspace(0, 2 * np.pi, 401)
+    u, rises = 2.0 * np.cos(phase), np.sin(phase) < 0
+    polarization = np.tanh((u - np.where(rises, 0.6, -0.6)) / 0.2)
+    strain = 0.12 * polarization**2 + 1e-3 * np.random.default_rng(1).normal(size=u.size)
+    names = {row.name for row in quantities(hf.Record(u, strain, u_unit="kV/mm", y_unit="%")).rows["record"]}
+    assert not names & {"coercive_input", "remanence", "loop_area"}
+    measured = measured_quantities(hf.Dataset.of(hf.Record(u, strain)))
+    assert not {"coercive_input", "remanence", "loop_area"} & measured.keys()
+    widest = (
+        np.abs(np.diff(np.tanh((u[:201, None] + [0.6, -0.6]) / 0.2) ** 2, axis=1)).max() * 0.12
+    )  # of the two branches
+    assert measured["hysteresis_percent"] == pytest.approx(100 * widest / np.ptp(strain), abs=3)
+    odd = measured_quantities(hf.Dataset.of(hf.Record(u, polarization)))
+    assert odd["coercive_input"] == pytest.approx(0.6, abs=1e-3)
+    assert odd["remanence"] == pytest.approx(np.tanh(3.0), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "names"),
+    [
+        ("V", "um", {"half width", "half height", "hysteresis (of the stroke)", "stroke"}),
+        ("mm", "kN", {"half width", "half height", "hysteresis (of the range)", "range of the output"}),
+        ("A/m", "T", {"coercivity (half width)", "remanence (half height)", "range of the output"}),
+    ],
+)
+def test_quantities_have_the_names_of_their_field(u: str, y: str, names: set[str]) -> None:
+    data = hf.Dataset.of(hf.Record(u=np.array([0.0, 1.0]), y=np.array([0.0, 1.0]), u_unit=u, y_unit=y))
+    assert names <= {one.label_on(data) for one in QUANTITIES.values()}
+
+
+def test_the_report_says_how_long_a_cycle_lasts_where_time_matters() -> None:
+    t = np.linspace(0, 3.0, 601)
+    u = np.sin(4 * np.pi * t)
+    result = hf.fit("bouc-wen+viscous", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None) + 0.01 * np.gradient(u, t), t))
+    assert "fitted input range, one cycle in 0.5 s" in text_report(result)
+    assert "one cycle in" not in text_report(hf.fit("bouc-wen", hf.Record(u, hf.BoucWen.free_run(TRUTH, u, None), t)))
+
+
+def test_the_largest_height_of_a_noisy_loop_is_within_its_error() -> None:
+    """Noise widens a narrow loop where it is read at its widest: half the range of a backlash of half width 4 in 56."""
+    phase = np.linspace(-0.5 * np.pi, 3.5 * np.pi, 801)
+    u = 28 * np.sin(phase)
+    p = np.empty_like(u)
+    p[0] = u[0] + 4
+    for k in range(1, u.size):
+        p[k] = min(max(p[k - 1], u[k] - 4), u[k] + 4)
+    record = hf.Record(u, 0.2 * p + 0.035 * np.random.default_rng(7).normal(size=u.size), u_unit="deg", y_unit="deg")
+    result = hf.fit("prandtl-ishlinskii", record)
+    (height,) = (one for one in result.quantities if one.name == "hysteresis_percent")
+    exact = 100 * 0.2 * 8 / (0.2 * 48)
+    assert height.measured is not None
+    assert height.measured_stderr is not None
+    assert height.measured > exact + 0.5  # the bias by noise
+    assert abs(height.measured - exact) < 2 * height.measured_stderr
+    assert not height.differs
+
+
+def test_an_input_switched_between_two_values_has_no_quantities_of_a_loop() -> None:
+    """The heater of a thermostat drives the temperature through a lag: what it does in between was not measured."""
+    t = np.arange(0, 300.0)
+    heater = (np.sin(2 * np.pi * t / 80) > 0).astype(float)
+    data = hf.Dataset.of(hf.Record(heater, 20 + 3 * np.sin(2 * np.pi * t / 80), t, y_unit="degC"))
+    assert applicable(data, timed=True) == ("creep_percent_per_decade",)
+    assert not any(quantities(data).rows.values())
+    ramps = hf.Dataset.of(hf.Record(np.interp(t, [0, 75, 150, 225, 299], [0, 1, 0, 1, 0]), data[0].y, t, y_unit="degC"))
+    assert "coercive_input" in applicable(ramps, timed=True)

@@ -79,6 +79,34 @@ def test_the_suction_of_a_soil_drives_its_water(names: str, tmp_path: Path) -> N
     np.testing.assert_allclose(record.y, water)
 
 
+@pytest.mark.parametrize("names", ["s,w", "h,theta", "p_eff_kPa,VoidRatio"])
+@pytest.mark.parametrize("drives", CHANNELS)
+def test_symbols_of_suction_and_water_and_void_ratios(names: str, drives: bool, tmp_path: Path) -> None:
+    """A branch of drainage, or the steps of an oedometer: each load or suction is a multiple of the one before."""
+    suction = 3.0 * 1.7 ** np.arange(14)
+    water = 0.45 / (1 + (suction / 400) ** 0.7)
+    order = 1 if drives else -1
+    record = one(tmp_path, ",".join(names.split(",")[::order]) + "\n", *(suction, water)[::order])
+    np.testing.assert_allclose(record.u, suction)
+    np.testing.assert_allclose(record.y, water)
+
+
+def test_levels_in_decibels_are_no_forces(tmp_path: Path) -> None:
+    """A detector is calibrated by the gain of a transmitter, of which the letters RF are part of the name."""
+    gain = 2.0 * np.arange(24)
+    volts = 1.46 - 0.0215 * gain + 0.25 * np.exp((gain - 46) / 5)
+    power = (volts - 0.5) / -0.025
+    record = one(tmp_path, "HackRF_TX_dB,Detector_Voltage_V,Power_dBm\n", gain, volts, power)
+    assert (record.u_name, record.y_name) == ("HackRF_TX_dB", "Detector_Voltage_V")
+
+
+def test_names_of_suction_and_water_are_others_where_the_numbers_are_no_parts(tmp_path: Path) -> None:
+    record = one(tmp_path, "theta,h\n", 90 * WAY, FIELD)
+    assert (record.u_name, record.y_name) == ("h", "theta")
+    record = one(tmp_path, "w,s\n", FIELD, RESISTANCE + FIELD / 1e4)
+    assert (record.u_name, record.y_name) == ("w", "s")
+
+
 def test_pixels_of_a_digitized_plot_are_no_quantity_and_its_abscissa_no_time(tmp_path: Path) -> None:
     x = np.linspace(3.0, 97.0, N)
     y = np.sin(x / 30)

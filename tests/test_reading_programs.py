@@ -10,7 +10,7 @@ import scipy.io
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Severity
 from hystfit.reading import read
 from hystfit.reading.stated_interval import stated_interval
 
@@ -505,3 +505,22 @@ def test_a_sweep_of_the_temperature_is_no_part_of_the_loops_beside_it(loops: tup
     assert [record.u.size for record in records] == [161] * len(loops)
     assert all(np.ptp(record.u) == 1.4e5 for record in records)
     assert not any(note.code is Code.CONDITIONS for record in records for note in record.notes)
+
+
+def test_words_of_units_behind_the_numbers_of_a_simulator(tmp_path: Path) -> None:
+    """A motor turned by even steps, which its program numbers."""
+    torque = 12 * np.sin(2 * np.pi * np.arange(36) / 35)
+    lines = [f"{k + 1},{10 * k}deg,{value:.9g}NewtonMeter\n" for k, value in enumerate(torque)]
+    record = one(written(tmp_path, "Variation,rotation_phase,rotor_torque: None\n" + "".join(lines)))
+    np.testing.assert_allclose(record.u, 10.0 * np.arange(36))
+    np.testing.assert_allclose(record.y, torque, rtol=1e-8)
+    assert (record.u_unit, record.y_unit) == ("deg", "NewtonMeter")
+
+
+@pytest.mark.parametrize("starts", [1, 3])
+def test_a_time_that_starts_again_makes_no_clockwise_loop(starts: int, tmp_path: Path) -> None:
+    """A logger of one signal writes the time of each run from zero."""
+    t = np.tile(np.arange(60) / 10, starts)
+    data = read(written(tmp_path, rows(",", t, 98 + 12 * np.exp(-t))))
+    notes = (data if isinstance(data, Record) else data[0]).notes
+    assert not any(note.severity is Severity.WARNING for note in notes if note.code is Code.COLUMN_CHOICE)

@@ -11,7 +11,7 @@ import pytest
 import hystfit as hf
 from hystfit.batch.sources import sources_of
 from hystfit.cli import run
-from hystfit.errors import ParameterError
+from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.error_ratios import mean_error_ratio
 from hystfit.fitting.structure_search import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
@@ -19,6 +19,7 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.plays import play_positions
+from hystfit.quality.reversal_curves import reversal_curves
 from hystfit.quality.summary import summarize
 
 from .conftest import examined
@@ -168,6 +169,16 @@ def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None
         assert float(change) == pytest.approx(drift[-1], rel=0.1)
 
 
+def test_a_drift_that_a_fading_state_follows_is_named_and_no_first_half_cycle_is_blamed() -> None:
+    t = np.arange(800) / 20
+    u = 4 * np.sin(0.2 * np.pi * t)
+    steady = u - 0.4 * (u - plays(u, np.linspace(0.2, 1.5, 6)) / 6) + 0.01 * NOISE[:800]
+    warming = hf.Record(u, steady + 0.8 * (1 - np.exp(-t / 15)), t)
+    assert has(hf.fit("duhem", warming).notes, Code.DRIFT)
+    assert not has(hf.fit("duhem", warming).notes, Code.INITIAL_STATE)
+    assert not has(hf.fit("duhem", hf.Record(u, steady, t)).notes, Code.DRIFT)
+
+
 def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
     t = np.arange(1000) / 100
     for seed in range(3):
@@ -292,6 +303,46 @@ def test_a_load_that_was_controlled_drives(wanders: bool) -> None:
     assert not has(wandering.findings, Code.COLUMN_CHOICE)
 
 
+def test_displacements_that_grow_alike_to_both_sides_were_controlled() -> None:
+    """A concrete column: two cycles to each drift, whose force is limited by its strength."""
+    levels = np.repeat([10.3, 22.1, 34.4, 46.5, 60.3], 2)
+    ends = np.ravel(np.column_stack([levels, -levels])) + 0.03 * NOISE[:20]
+    part = np.linspace(0, 1, 20, endpoint=False)
+    u = np.concatenate([a + (b - a) * part for a, b in itertools.pairwise([0.0, *ends])])
+    strength = np.sign(ends) * (70 + NOISE[20:40])
+    y = np.concatenate([a + (b - a) * part**1.3 for a, b in itertools.pairwise([0.0, *strength])])
+    assert not summarize(hf.Record(u, y)).output_controlled
+
+
+def test_points_sorted_along_the_input_are_no_loop() -> None:
+    """A digitizing program gives the points of nested loops from left to right, roughly."""
+    u = sweep(400, 6)
+    y = 5 * u - plays(u, np.array([0.3, 1.0, 2.5, 5.0]))
+    order = np.argsort(u + 0.08 * NOISE[:400])
+    record = hf.Record(u[order], y[order])
+    assert has(examined(record).findings, Code.NO_LOOP)
+    assert hf.fit("prandtl-ishlinskii-stop:plays=8", record).status is Status.NO_LOOP
+
+
+def test_curves_from_one_input_are_of_no_family() -> None:
+    """Tensile tests of three specimens: reversal curves begin each at a reversal of its own."""
+    u = np.linspace(0.0, 1.0, 40)
+    tests = [hf.Record(u, size * np.sin(1.4 * u), name=f"specimen {size}") for size in (1.0, 1.3, 1.9)]
+    result = hf.fit("auto", hf.Dataset(tests))
+    assert result.status is Status.NO_LOOP
+    assert not result.model.from_saturation
+    with pytest.raises(DataError, match="begin at the same input"):
+        reversal_curves(tests)
+
+
+def test_what_no_sample_tests_is_no_answer() -> None:
+    """A table of four objects is described by any model of more parameters."""
+    record = hf.Record(np.array([33.3, 36.7, 100.2, 25.7]), np.array([210.0, 184.0, 55.0, 310.0]))
+    result = hf.fit("preisach:n=2", record)
+    assert result.status is Status.UNDETERMINED
+    assert not any("oercivity" in name for name, _ in result.answer)
+
+
 def test_the_advice_is_a_model_that_the_samples_determine() -> None:
     """A sensor calibration of 11 points up and 11 down, and 22 weights of the model for longer records."""
     u = np.concatenate([np.arange(0, 101, 10.0), np.arange(100, -1, -10.0)])
@@ -347,6 +398,20 @@ def test_backlash_and_a_device_in_saturation_are_not_clipped() -> None:
     assert not clipped_samples(u, plays(u, np.array([1.0]))).any()
     assert not saturated_samples(u, np.round(np.tanh(u), 3)).any()
     assert not saturated_samples(u, np.clip(plays(u, np.array([1.0])), -0.5, 0.5)).any()
+
+
+def test_a_plateau_without_noise_is_the_device() -> None:
+    """Drop on a surface: the contact angle advances at 110 deg, recedes at 40 deg, and is pinned between them."""
+    volume = np.concatenate([np.linspace(5, 15, 61), np.linspace(15, 5, 61)[1:]])
+    angle = np.empty_like(volume)
+    angle[0] = 60.0
+    for k in range(1, volume.size):
+        angle[k] = np.clip(angle[k - 1] + 8.0 * (volume[k] - volume[k - 1]), 40.0, 110.0)
+    angle = np.round(angle, 3)
+    assert clipped_samples(volume, angle).any()
+    assert not saturated_samples(volume, angle).any()
+    noisy = np.minimum(angle + 0.05 * NOISE[: angle.size], 100.0)
+    assert saturated_samples(volume, noisy).sum() == np.count_nonzero(noisy == 100.0)
 
 
 @pytest.mark.usefixtures("as_users_run")

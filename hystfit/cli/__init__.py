@@ -24,7 +24,7 @@ from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCl
 from hystfit.cli.help_text import WrappedHelp, examples
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
 from hystfit.cli.verbs import VERBS, as_options, place, verb_options
-from hystfit.config import PROGRAM_FOLDER, set_compiler_flags
+from hystfit.config import PROGRAM_FOLDER, keep_freed_memory, set_compiler_flags
 from hystfit.errors import HystfitError
 from hystfit.version import __version__
 
@@ -147,6 +147,7 @@ def main() -> None:
     leave = _Exit()
     atexit.register(leave)  # before JAX and the engines register theirs: the last to be called
     gc.set_threshold(_COLLECTION, *gc.get_threshold()[1:])
+    keep_freed_memory()
     keep_programs()
     set_compiler_flags()
     os.environ["JAX_ENABLE_X64"] = "1"  # read by JAX when a verb imports it

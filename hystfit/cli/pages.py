@@ -106,7 +106,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
     answer = []
     for row in posterior.derived_rows:
         interval = f"{number(row['median'])} (95 %: {number(row['lower'])} to {number(row['upper'])}) {row['unit']}"
-        answer.append((QUANTITIES[row["name"]].label.capitalize(), interval.rstrip()))
+        answer.append((QUANTITIES[row["name"]].label_on(posterior.result.data).capitalize(), interval.rstrip()))
     chains, draws, _ = posterior.draws.shape
     answer += [("Draws", f"{chains} chains of {draws} by {posterior.sampler}, noise {posterior.noise}")]
     at = lambda place: opened(posterior.result, shlex.quote(str(place)))

@@ -58,7 +58,7 @@ class Candidates:
         """
         before = "delay+" * delay + "negate+" * found.falls
         around = lambda name: f"{before}{name}" + "+linear" * found.line
-        lagged = (f"{before}lag+preisach",) if found.lag else ()
+        lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop
         return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)), self.last)
 
 

@@ -31,6 +31,7 @@ from hystfit.quality.equal_inputs import none_describes
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
+from hystfit.results.accuracy import NEGLIGIBLE
 from hystfit.runs.threads import Workers
 
 
@@ -211,7 +212,8 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     """From best to worst; among errors that do not differ, fits that converged and describe the loop, those without strong evidence
     against them by BIC, fewer determined parameters and an inverse come first.
 
-    A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better.
+    A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better. A fit that has
+    not converged is not first beside one that has, whose error is negligible.
 
     Args:
         rows: of the models.
@@ -223,6 +225,12 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     if not ranked or ranked[0].score_percent is None:
         return ranked
     least = _error(ranked[0])
+    ended = [row for row in ranked if row.status not in UNFIT]
+    if (
+        ranked[0].status is Status.NOT_CONVERGED and ended and 0 < _error(ended[0]) < NEGLIGIBLE
+    ):  # nothing is left to gain
+        first = _ranked(ended, purpose, floor, equal=equal)[0]
+        return [first, *(row for row in ranked if row is not first)]
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(equal * least, floor)
     alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and _error(row) <= most]

@@ -12,12 +12,13 @@ from hystfit.data.record import Record
 from hystfit.fitting.fitted import Fitted
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.quality.baselines import BLOCK
+from hystfit.quality.baselines import BLOCK, plays_residuals
 from hystfit.quality.damage import fails_at
+from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
 from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, place_of
 from hystfit.quality.load_control import controls_output
-from hystfit.quality.loops import clear_reversals
+from hystfit.quality.loops import APART, clear_reversals, cycles
 from hystfit.quality.summary import delay_of, outliers_of
 from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
 
@@ -38,11 +39,26 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
         _chattering(fitted),
-        None
-        if is_noise(fitted.train.rmse, fitted.baselines)
-        else drift_note(fitted.rows, fitted.data, fitted.baselines.span),
     )
-    return [note for note in found if note is not None]
+    notes = [note for note in found if note is not None]
+    drift = None if is_noise(fitted.train.rmse, fitted.baselines) else _drift(fitted)
+    return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
+
+
+def _drift(fitted: Fitted) -> Note | None:
+    """A warning of a drift that the residuals show, or those of plays where a model without time follows it by a state that fades."""
+    found = drift_note(fitted.rows, fitted.data, fitted.baselines.span)
+    hidden = fitted.thorough and found is None and fitted.model.rate_independent and fitted.baselines.plays is not None
+    if not hidden or any(
+        len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)
+    ):
+        return found
+    return drift_note(plays_residuals(fitted.data), fitted.data, fitted.baselines.span)
+
+
+def _means(data: Dataset) -> list[np.ndarray]:
+    """Mean outputs of the like cycles of each record, in the order of time."""
+    return [cycle_means(r.u, r.y, r.t, cycles(r.u, APART * float(np.ptp(r.u))))[0] for r in data]
 
 
 def _failed(fitted: Fitted) -> Note | None:
@@ -214,10 +230,11 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
         number = np.flatnonzero(record.used)[[min(first, stretch[0]), max(last, stretch[-1])]]
+        place = f"sample {number[0]}" if number[0] == number[1] else f"samples {number[0]} to {number[1]}"
         remedy = "mark them as missing" + ("" if robust else ", or use a robust loss (loss='huber')")
         note = warn(
             Code.SPIKES,
-            f"most of the squared error of {record.name!r} lies in samples {number[0]} to {number[1]} of {len(record)}, where the error "
+            f"most of the squared error of {record.name!r} lies in {place} of {len(record)}, where the error "
             f"is {ratio:.2g} times that of the others: if the sensor was disturbed there, {remedy}",
         )
         return note if robust else dataclasses.replace(note, option=ROBUST_LOSS)

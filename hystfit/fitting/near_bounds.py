@@ -158,13 +158,14 @@ def centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray
     back = np.eye(J.shape[1])
     if not offsets.any():
         return J, back
-    explained = np.linalg.lstsq(J[:, offsets], J[:, ~offsets], rcond=None)[0]
-    rest = J[:, ~offsets] - J[:, offsets] @ explained
-    explained[:, np.linalg.norm(rest, axis=0) <= _REST * np.linalg.norm(J[:, ~offsets], axis=0)] = 0.0
-    centered = J.copy()
-    centered[:, ~offsets] -= J[:, offsets] @ explained
-    back[np.ix_(offsets, ~offsets)] = -explained
-    return centered, back
+    some = J[:, offsets]
+    explained = np.linalg.pinv(some, ROUNDING * max(some.shape)) @ J
+    rest = J - some @ explained
+    explained[:, offsets | (np.linalg.norm(rest, axis=0) <= _REST * np.linalg.norm(J, axis=0))] = 0.0
+    kept = ~explained.any(axis=0)
+    rest[:, kept] = J[:, kept]
+    back[offsets] -= explained
+    return rest, back
 
 
 def centered_lengths(linear: Linearization, offsets: np.ndarray) -> np.ndarray:

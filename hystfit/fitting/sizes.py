@@ -22,6 +22,7 @@ from hystfit.params.param import leaves_of
 from hystfit.quality.held_out import GAIN
 
 _COARSE = SMOOTHNESS[::2]
+_NONE = LeftOutErrors(np.inf, np.inf)  # of a model that cannot be solved for
 _SAMPLES = 2048  # of all records together: two for each weight of 60 levels
 
 
@@ -98,13 +99,16 @@ class SizeSearch:
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
                 x = problem.space.vector(problem.model)
-                self._scores[name] = found = left_out_scores(problem, x, _COARSE, keep=self._whole, most=most)
+                likely = min(self._scores.values(), key=lambda score: score.overall, default=_NONE).smoothness
+                self._scores[name] = found = left_out_scores(
+                    problem, x, _COARSE, keep=self._whole, most=most, likely=likely
+                )
                 if found.beaten:
                     self._beaten.append((model, found))
                 if self._whole and found.overall <= min(most, *(score.overall for score in self._scores.values())):
                     self._best = name, problem
             except (HystfitError, np.linalg.LinAlgError):
-                self._scores[name] = LeftOutErrors(float("inf"), float("inf"))
+                self._scores[name] = _NONE
         return self._scores[name].overall
 
     def _bound(self, model: AbstractHysteresis, most: float) -> LeftOutErrors | None:

@@ -141,14 +141,16 @@ def left_out_scores(
     *,
     keep: bool = False,
     most: float = np.inf,
+    likely: float | None = None,
 ) -> LeftOutErrors:
     """Errors with the smoothness that the held-out groups choose, output units; lower bounds of them where these are above `most`.
 
-    The weights in x are solved for; `smoothness` has two or more strengths. With `keep` the equations stay with the problem for its fit,
-    where all free parameters are weights.
+    The weights in x are solved for; `smoothness` has two or more strengths, of which a similar model chose the `likely` one. With `keep`
+    the equations stay with the problem for its fit, where all free parameters are weights.
     """
     now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
     if keep and (now.place >= 0).all():
         problem.equations = now
-    size, found = now.system.size, left_out_errors(now.system, smoothness, now.fixed, most / now.system.size)
+    size = now.system.size
+    found = left_out_errors(now.system, smoothness, now.fixed, most / size, likely)
     return found._replace(held=size * found.held, overall=size * found.overall)

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_warnings import warnings_of
@@ -21,7 +20,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.faults import FEWEST_SAMPLES
-from hystfit.quality.loops import clear_reversals
+from hystfit.quality.loops import SAME_LEVEL, clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
@@ -42,7 +41,7 @@ _CYCLED = 4  # reversals: the half cycles after the first one that show whether 
 
 
 def turns_back(data: Iterable[Record]) -> bool:
-    """Whether any record's input reverses by more than 1 % of its range while samples count."""
+    """Whether any record's input reverses by more than 2 % of its range while samples count."""
     for record in data:
         first, last = np.flatnonzero(record.used)[[0, -1]]
         u = record.u[first : last + 1]
@@ -50,7 +49,7 @@ def turns_back(data: Iterable[Record]) -> bool:
         lowest, highest = np.minimum.accumulate(u), np.maximum.accumulate(u)
         risen = float(np.max(np.subtract(u, lowest, out=lowest)))
         fallen = float(np.max(np.subtract(highest, u, out=highest)))
-        if min(risen, fallen) > SLACK * span > 0:
+        if min(risen, fallen) > SAME_LEVEL * span > 0:
             return True
     return False
 
@@ -114,7 +113,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     one_way = fitted.model.from_saturation  # without branches to compare, and so without a known noise
     single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
     if single_valued or (percent <= VISIBLE and unexplained if one_way else _branches_coincide(fitted)):
-        text = "a single-valued curve describes the data as well: there is no hysteresis above the noise"
+        text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
@@ -243,7 +242,7 @@ def _no_loop(data: Dataset) -> Note:
         listed = ", ".join(dict.fromkeys(read))
         text = f"a curve in one direction, without a loop to fit: {listed} are read off the curve itself, see below"
     elif family is None:
-        text = "the input has no reversal of more than 1 % of its range: there is no loop in these data"
+        text = "the input has no reversal of more than 2 % of its range: there is no loop in these data"
     else:
         text = (
             f"{family.words()}; this model starts each of them in equilibrium at its reversal point: use preisach-forc, which starts from "

@@ -70,6 +70,8 @@ class Linearization:
     def triangle(self, which: Bool[np.ndarray, " p"] | None = None) -> Float[np.ndarray, "k k"]:
         """R of the derivatives Q R with respect to some parameters, or all."""
         if self.root is not None:
+            if (which is None or which.all()) and not np.tril(self.root, -1).any():
+                return self.root[:-1, :-1]
             columns = self.root[:, :-1] if which is None else self.root[:, :-1][:, which]
             return np.asarray(np.linalg.qr(columns, mode="r"))
         if which is None or which.all():

@@ -54,7 +54,7 @@ _ADVICE = {
     Status.ROUGH: (
         "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where such an error is acceptable"
     ),
-    Status.NO_LOOP: "there is no loop in these data: measure full cycles of a larger amplitude, or fit a curve instead",
+    Status.NO_LOOP: "no loop stands out of these data: fit a curve; where there should be a loop, measure more or larger whole cycles",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
     Status.INCOMPLETE: (
         "the residuals show that the model is incomplete, so that its parameters are biased by more than the intervals show: add "

@@ -201,7 +201,7 @@ def _plain(text: str) -> str:
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(_MARKS))
     plain = re.sub(r"[ _(]+STP\b\)?", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
-    plain = _HYPHEN.sub("*", re.sub(r"[ _]+per[ _]+", "/", plain))
+    plain = _HYPHEN.sub("*", re.sub(r"[ _]+[pP]er[ _]+", "/", plain))
     plain = re.sub(r"([A-Za-z]{3,})[ _]squared?\b", r"\1^2", plain)
     return re.sub(r"(?<=[A-Za-z0-9])_(?=[A-Za-z])", "*", plain) if "/" in plain or "_" in plain else plain
 
@@ -212,7 +212,11 @@ def parse_unit(text: str) -> Unit | None:
 
     lb is a force here, as in load cells.
     """
-    plain = _plain(text)
+    return _product(_plain(text)) or _product(_plain(re.sub(r"(?<=[a-z])(?=[A-Z][a-z]{2})", "_", text)))  # NewtonMeter
+
+
+def _product(plain: str) -> Unit | None:
+    """The unit of a plain text; None if it is not known."""
     factor, powers, place = 1.0, dict[str, float](), 0
     while place < len(plain):
         term = _TERM.match(plain, place)
@@ -310,11 +314,13 @@ MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multi
 def loop_energy(one: str, other: str) -> tuple[str, float]:
     """Unit of an area over two columns as an energy or energy density, and the factor to it; the product of both elsewhere.
 
+    Empty where one column has no unit: that of the other alone is not the unit of the area.
+
     Args:
         one, other: units of input and output.
     """
     first, second = parse_unit(one), parse_unit(other)
-    plain = f"{other} {one}".strip()
+    plain = f"{other} {one}" if one and other else ""
     if first is None or second is None:
         return plain, 1.0
     powers = dict(first.powers)

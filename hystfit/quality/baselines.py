@@ -73,6 +73,14 @@ class Baselines:
         return cls(float(span), _noise(outputs), line, curve, *(plays or [None]))
 
 
+def plays_residuals(data: Dataset) -> list[np.ndarray]:
+    """Prediction less measurement of ten plays and a cubic curve, which no slow change in time bends, at the samples that count."""
+    frame, kept = _Frame.of(data), range(len(data))
+    (theta,) = _least_squares([frame.parts(record) for record in data], (_PLAYED,))
+    missed = lambda k: [theta[:_ROWS] @ rows + theta[_ROWS + k] - measured for rows, measured in frame.parts(data[k])]
+    return [np.concatenate(missed(k)) for k in kept]
+
+
 @dataclasses.dataclass(frozen=True)
 class _Frame:
     """Range of the fitted inputs, on which columns are scaled."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -35,8 +35,13 @@ class Coverage:
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
         least = APART * (high - low)
         found = np.concatenate([strokes(u, least) for u in inputs])
-        switched = all(((u == low) | (u == high)).all() for u in inputs)
-        return cls(low, high, distinct(found[found > least], least), switched)
+        return cls(low, high, distinct(found[found > least], least), is_switched(inputs))
+
+
+def is_switched(inputs: Sequence[np.ndarray]) -> bool:
+    """Whether inputs, each of shape (T,), take no other values than the lowest and the highest of all: there is no loop between them."""
+    low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
+    return all(((u == low) | (u == high)).all() for u in inputs)
 
 
 def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> tuple[Note, ...]:

@@ -216,6 +216,8 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """The clipped samples of a sensor at its limit, shape (T,): a device approaches saturation slowly, a sensor at a slope.
 
+    Only noise shows a limit of the sensor: it ends there. Without noise a plateau may be the device (a contact angle, a saturated magnet).
+
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
@@ -223,6 +225,9 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     clipped = clipped_samples(u, y)
     if not clipped.any():
         return clipped
+    noise, is_bound = noise_rms(y[~clipped])
+    if noise is None or is_bound or noise <= (resolution(y) or 0.0):
+        return np.zeros_like(clipped)
     slope = np.abs(np.diff(y)) / np.maximum(np.abs(np.diff(u)), 1e-3 * np.ptp(u) / u.size)
     usual = float(np.nanmedian(slope[~clipped[1:] & ~clipped[:-1]]))
     for start, stop in runs(clipped):

@@ -108,7 +108,13 @@ def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
     noise, unit = record.y.known_noise, record.units["y"]
     if noise and span > 0 and noise > 0.02 * span:
         size = f"{noise:.3g} {unit}".rstrip()
-        yield warn(Code.OUTPUT_NOISE, f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range")
+        text = f"output noise: {size} rms, {100 * noise / span:.1f} % of the output range"
+        if record.motion.monotonic:
+            text += (
+                "; or these are points of several branches sorted along the input, as from a digitized plot, and the order in which they "
+                "were measured is lost"
+            )
+        yield warn(Code.OUTPUT_NOISE, text)
 
 
 def _response(record: RecordQuality) -> Iterator[Note]:
@@ -145,8 +151,9 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     shape = record.shape
     if record.motion.monotonic:
         text = "the input is monotonic, so there is no loop"
-        perhaps = "if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
-        yield warn(Code.NO_LOOP, text if quantity(record.units["u"]) not in ("", "time") else f"{text}; {perhaps}")
+        if quantity(record.units["u"]) in ("", "time"):
+            text += "; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
+        yield warn(Code.NO_LOOP, text)
     if shape is None:
         return
     if shape.crossing:

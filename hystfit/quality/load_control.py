@@ -17,12 +17,23 @@ _REPEATS = 0.2
 def controls_output(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> bool:
     """Whether the output turns at levels that repeat more closely than those of the input allow, at both ends.
 
+    An input of which each end is the mirror image of the other one more closely than the output repeats was commanded, however it grows.
+
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
         turns: turning points of u, see `loops.reversals`.
     """
-    return all(_repeats(u, y, turns[first:]) for first in (0, 1))
+    return all(_repeats(u, y, turns[first:]) for first in (0, 1)) and not _is_mirrored(u, y, turns)
+
+
+def _is_mirrored(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> bool:
+    """Whether the middle between neighboring ends of the input wanders less than the levels of the output, each of its own range."""
+    ends = turns[2:-1] if turns.size % 2 else turns[2:]
+    pairs = (ends[: ends.size // 2 * 2], ends[1 : 1 + (ends.size - 1) // 2 * 2])
+    middle = min(np.std(0.5 * (u[some[::2]] + u[some[1::2]])) for some in pairs)
+    repeat = max(np.std(y[turns[first::2]]) for first in (2, 3))
+    return bool(middle / np.ptp(u) < repeat / np.ptp(y[np.isfinite(y)]))
 
 
 def _repeats(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> bool:

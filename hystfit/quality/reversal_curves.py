@@ -64,6 +64,11 @@ def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
                 f"curve {r.name!r} reverses at sample {turn}: the input of a reversal curve is monotonic; split the curve there"
             )
     curves.sort(key=lambda r: r.u[0], reverse=rises[0])
+    if abs(curves[-1].u[0] - curves[0].u[0]) <= SLACK * np.ptp(np.concatenate([r.u for r in curves])):
+        raise DataError(
+            f"{len(curves)} curves begin at the same input, {curves[0].u[0]:.4g}: reversal curves begin each at a reversal of its own, and "
+            "what these differ by is not in their input"
+        )
     return ReversalFamily(tuple(curves), rises[0], tuple(_notes(curves, rises[0])))
 
 

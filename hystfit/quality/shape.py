@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ _LIKE_DURATION = 2.0  # factor between the durations of branches up to which the
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
 _CROSSING = 0.3  # net area over that between the branches below which these cross
+_LEAST_LOBES = 0.01  # area between branches that cross, over that of the box around the loop
 _LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
 _SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
 _LATE = 4  # late branches, whose median shows damage
@@ -89,8 +90,7 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     fullness = 100 * abs(area) / (stroke * largest)
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
-    lobes = max(0.01 * stroke * largest, _LOBES * noise * largest)
-    crossing = bool(abs(area) < _CROSSING * between and between > lobes)
+    crossing = bool(has_lobes(area, between, stroke * largest) and between > _LOBES * noise * largest)
     least = NARROWEST * max(bent, NARROWEST * stroke)
     # By area, and by the samples: with a last point far in saturation the box around the loop is nearly empty.
     by_chance = 2 * noise / np.sqrt(sum(b - a for a, b in chosen))
@@ -143,6 +143,17 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
     ]
     late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
     return float(np.median([_Measures.of(u[a : b + 1], y[a : b + 1]).pinching for a, b in late]))
+
+
+def has_lobes(area: Any, between: Any, box: Any) -> Any:
+    """Whether branches cross, so that lobes of a loop (a butterfly) run in opposite directions.
+
+    Args:
+        area: signed, of the loop.
+        between: of the branches, whichever is above.
+        box: around the loop.
+    """
+    return (abs(area) < _CROSSING * between) & (between > _LEAST_LOBES * box)
 
 
 def _area_between(u: np.ndarray, y: np.ndarray) -> float:

@@ -80,8 +80,9 @@ def column_quantity(name: str, unit: str = "") -> str:
         if strong in kinds and not (strong == "index" and (by_unit or len(kinds) > 1)):
             return strong if not (strong == "time" and by_unit not in ("", "time")) else by_unit
     named = WORDS.get(_joined(base)) or (kinds[-1] if kinds else "")
-    if named == "charge" and (unit or unit_of_name) and not by_unit:
-        return ""  # Q in m3/s is a flow
+    stated = unit or unit_of_name
+    if not by_unit and (stated.startswith("dB") or (stated and named == "charge")):
+        return ""  # a level is no force, and Q in m3/s is a flow
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     if named == "wavelength" and base.lower().startswith(("λ", "lambda")):

@@ -230,7 +230,8 @@ def _guess_pair(
     if nameless:  # nothing but signals and the order of the columns tells which drives the other
         swapped = f"if column {best.output} drives the device, set input='{best.output}' and output='{best.input}'"
         notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
-        if circulation(table.columns[best.input], table.columns[best.output]) < -OPEN:
+        driven = table.columns[best.input]
+        if _runs_both_ways(driven) and circulation(driven, table.columns[best.output]) < -OPEN:
             text = f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
             notes.append(warn(Code.COLUMN_CHOICE, text))
     _check_matrix(table, kinds, given)
@@ -240,6 +241,12 @@ def _guess_pair(
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
         notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+
+
+def _runs_both_ways(values: np.ndarray) -> bool:
+    """Whether a column rises for more than one row somewhere, and falls so elsewhere: that of times may start again."""
+    steps = np.diff(values)
+    return all(((way * steps[1:] > 0) & (way * steps[:-1] > 0)).any() for way in (1, -1))
 
 
 def _one_quantity(table: Table, free: Sequence[int], kinds: Mapping[int, str], best: Reading) -> set[int]:

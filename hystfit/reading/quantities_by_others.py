@@ -18,6 +18,7 @@ _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
+_RETENTION = (("h", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
@@ -36,6 +37,10 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     among = lambda *names: any(kinds[k] in names for k in free)
     if among("stress", "pressure"):  # of the water in a soil, by its saturation or its content
         kinds.update({k: "loading" for k in free if table.names[k] == "Sr"})
+    for names in _RETENTION:
+        pair = [k for name in names for k in free if table.names[k] == name]
+        if len(pair) == 2 and 0 <= np.nanmin(table.columns[pair[1]]) < np.nanmax(table.columns[pair[1]]) <= 1:
+            kinds.update(zip(pair, ("pressure", "loading"), strict=True))
     if among("loading") and not among("pressure"):
         kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
     "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8, "volume": 1.0,
-    "diameter": 0.8,    "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
+    "diameter": 0.8, "phase": -3.5, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,

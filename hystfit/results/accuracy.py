@@ -19,7 +19,7 @@ POOR = 10.0  # percent of range above which no fit is called usable, unless the 
 _LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
 _LASTING = 3  # samples; a shorter one is an outlier of the measurement
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
-_NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
+NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
 NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
 SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
 
@@ -105,7 +105,7 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
     """A warning where the error of ten plays is far smaller; None where it is not, or the noise explains that of the model."""
     if baselines.plays is None or is_noise(metrics.rmse, baselines) or metrics.rmse <= _BETTER * baselines.plays:
         return None
-    if metrics.nrmse_percent is None or metrics.nrmse_percent < _NEGLIGIBLE:
+    if metrics.nrmse_percent is None or metrics.nrmse_percent < NEGLIGIBLE:
         return None
     text = (
         f"the error of ten plays is {100 * baselines.plays / baselines.span:.2g} % of the range, and that of this model "

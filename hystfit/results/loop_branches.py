@@ -163,7 +163,7 @@ def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
 def crossing(
     level: np.ndarray, values: np.ndarray, sigma: float | None, of_values: float | None = None
 ) -> tuple[float, float | None] | None:
-    """Value where a level passes zero, and its standard error; None where it does not, or more than once beyond the noise.
+    """Value where a level passes zero, and its standard error; None where it ends on the side where it began, as an even output does.
 
     Args:
         level: along a branch, shape (n,).
@@ -171,7 +171,7 @@ def crossing(
         sigma: noise of the level; of_values: noise of the values; None where unknown. The error is then that between the samples.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
-    if not passed.size:
+    if passed.size % 2 == 0:
         return None
     k = int(passed[len(passed) // 2])
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
@@ -238,6 +238,11 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
         return None
+    level = 0.5 * (max(falling.y.max(), rising.y.max()) + min(falling.y.min(), rising.y.min()))
+    sides = [crossing(b.y - level, b.u, None) for b in (falling, rising)]
+    if sides[0] is not None and sides[1] is not None:  # exchange bias may shift a loop by more than its width
+        shift = 0.5 * (sides[0][0] + sides[1][0])
+        falling, rising = (Branch(b.u - shift, b.y) for b in (falling, rising))
     most = LARGEST * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
         return None

@@ -16,6 +16,7 @@ from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
+from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
@@ -38,7 +39,7 @@ from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
 from hystfit.results.measured_value import LoopValue
-from hystfit.results.polarization_values import centered, polarization_values
+from hystfit.results.polarization_values import centered, offset_of, polarization_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
@@ -155,7 +156,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     """Quantities, corrections and notes of a record."""
     kept = record.used
     u, y = record.u[kept], record.y[kept]
-    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
         return (), (), ()
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
     if kind is LoopKind.FERROELECTRIC:
@@ -178,6 +179,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
+    if kind is LoopKind.MAGNETIC:
+        found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
     closed = any(closes(*pair, y) for pair in pairs)
     rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)

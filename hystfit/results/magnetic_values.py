@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from hystfit.params.units import MU0
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.loop_branches import Branch, closes, crossing, loss
 from hystfit.results.magnetic_loop import MagneticLoop
@@ -177,11 +178,13 @@ def _of_branches(
     width = [found[0] for b in falling if (found := _coercivity(b, loop.noise)) is not None]
     hard = float(np.median(width) if width else np.abs(loop.h).max()) >= _HARD
     rows, sigma = [], loop.sigma
+    middle = _about_middle(falling, mirrored, loop.noise)
     magnet = loop.absolute and not any(_is_superconducting(b) for b in falling)
     for row in _ROWS:
         if (row.hard and not hard) or (row.absolute and not magnet):
             continue
-        found = [(side, one) for side, b in zip(mirrored, falling, strict=True) if (one := row.of_branch(b, sigma))]
+        of = middle if row.name == "switching_distribution" else falling
+        found = [(side, one) for side, b in zip(mirrored, of, strict=True) if (one := row.of_branch(b, sigma))]
         rows.extend(_mean(row.name, row.label, found, units[row.kind]))
     if any(one.name == "volume" for one in loop.corrections):
         rows.extend(_loss(loop))
@@ -189,6 +192,18 @@ def _of_branches(
     if magnet and not hard:
         rows.extend(_permeabilities(loop, width))
     return tuple(rows)
+
+
+def _about_middle(falling: list[Branch], mirrored: list[bool], noise: float | None) -> list[Branch]:
+    """Branches about the middle of a loop that is shifted along the field, as by exchange bias; as they are where it has one branch."""
+    opposing = lambda side: [
+        found[0] for b, m in zip(falling, mirrored, strict=True) if m == side and (found := _coercivity(b, noise))
+    ]
+    one, other = opposing(False), opposing(True)
+    if not one or not other:
+        return falling
+    shift = 0.5 * float(np.median(one) - np.median(other))  # of a falling branch to negative fields
+    return [Branch(b.u + (-shift if side else shift), b.y) for b, side in zip(falling, mirrored, strict=True)]
 
 
 def _is_superconducting(b: Branch) -> bool:
@@ -252,6 +267,8 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
     sign = 1.0 if rising > 0 else -1.0
     last = int(np.argmax(sign * loop.h)) + 1
     h, b = sign * loop.h[:last], sign * flux[:last]
+    first = h == np.maximum.accumulate(np.abs(h))  # beyond all fields before, also of a loop of growing amplitude
+    h, b, start = h[first], b[first], float(b[0])
     low = (h > 0) & (h <= _RAYLEIGH * float(np.median(width)))
     if low.sum() >= _NEIGHBORS:
         columns = np.column_stack([h[low], h[low] ** 2])
@@ -260,7 +277,10 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
         error = float(np.sqrt(variance * np.linalg.inv(columns.T @ columns)[0, 0])) / MU0
         yield LoopValue("mu_i", "initial permeability (Rayleigh law)", float(theta[0]) / MU0, error, "", int(low.sum()))
     away = h > 0
-    if away.any():
-        yield LoopValue(
-            "mu_max", "maximum permeability, first curve", float((b[away] / (MU0 * h[away])).max()), None, ""
-        )
+    if (
+        away.any()
+    ):  # near zero field, the noise and an induction that is left at the start are large beside the induction
+        error = float(np.hypot(loop.sigma or 0.0, start))
+        k = int(np.argmax((b[away] - CLEAR * error) / h[away]))
+        largest, error = (float(size / (MU0 * h[away][k])) for size in (b[away][k], error))
+        yield LoopValue("mu_max", "maximum permeability, first curve", largest, error or None, "")

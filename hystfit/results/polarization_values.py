@@ -33,6 +33,16 @@ def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
     return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)
 
 
+def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
+    """Half the sum of the coercivities of both branches: imprint, exchange bias, or an offset of the instrument."""
+    at = {row.name: row for row in rows}
+    sides = at.get("coercive_input_rising"), at.get("coercive_input_falling")
+    if sides[0] is not None and sides[1] is not None:
+        errors = [side.stderr for side in sides if side is not None]
+        error = None if None in errors else 0.5 * float(np.hypot(*errors))  # type: ignore[arg-type]
+        yield LoopValue("offset_input", label, 0.5 * (sides[0].value + sides[1].value), error, sides[0].unit)
+
+
 def polarization_values(record: Record, rows: list[LoopValue], noise: float | None) -> Iterator[LoopValue]:
     """The rows besides those of every loop.
 
@@ -41,13 +51,7 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
         rows: those of every loop.
         noise: standard deviation of the output's noise.
     """
-    at = {row.name: row for row in rows}
-    sides = at.get("coercive_input_rising"), at.get("coercive_input_falling")
-    if sides[0] is not None and sides[1] is not None:
-        errors = [side.stderr for side in sides if side is not None]
-        error = None if None in errors else 0.5 * float(np.hypot(*errors))  # type: ignore[arg-type]
-        value = 0.5 * (sides[0].value + sides[1].value)
-        yield LoopValue("offset_input", "offset (half sum of Vc+ and Vc-)", value, error, sides[0].unit)
+    yield from offset_of(rows, "offset (half sum of Vc+ and Vc-)")
     u, y = record.u[record.used], record.y[record.used]
     tips = {"rising": float(y[u.argmax()]), "falling": float(y[u.argmin()])}
     for side, which in (("rising", "largest"), ("falling", "lowest")):

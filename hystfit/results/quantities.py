@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.params.units import loop_energy
+from hystfit.quality.coverage import is_switched
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.steady_loops import SteadyLoops
 
@@ -24,6 +26,7 @@ class Quantity:
 
     Attributes:
         label: its name in a report.
+        named: kinds of loops that have a name of their own for it, and this name.
         doc: what it is.
         unit: with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop.
         of_loops: its value for each loop; None for the creep, which follows from a step.
@@ -37,13 +40,19 @@ class Quantity:
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
     kinds: frozenset[LoopKind] | None = None
     leads: frozenset[LoopKind] = frozenset()
+    named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
+
+    def label_on(self, data: Dataset) -> str:
+        """Its name on these records, in the words of their field."""
+        kinds, own = self.named
+        return own if LoopKind.of(data) in kinds else self.label
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
         u, y = data.units["u"], data.units["y"]
         force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
         text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
-        return text if (u and y) or "/" not in text else ""
+        return text if (u and y) or "/" not in self.unit else ""
 
 
 CREEP = "creep_percent_per_decade"
@@ -53,20 +62,22 @@ QUANTITIES: dict[str, Quantity] = {
         leads=REMANENT | STRUCTURAL,
     ),
     "coercive_input": Quantity(
-        "coercivity (half width)", "half the width of the loop, in input, at the middle of the output", "{u}",
+        "half width", "half the width of the loop, in input, at the middle of the output", "{u}",
         lambda loops: loops.coercive_input, leads=REMANENT | {LoopKind.OTHER},
+        named=(REMANENT, "coercivity (half width)"),
     ),
     "remanence": Quantity(
-        "remanence (half height)", "half the height of the loop, in output, at the middle of the input", "{y}",
-        lambda loops: loops.remanence, leads=REMANENT,
+        "half height", "half the height of the loop, in output, at the middle of the input", "{y}",
+        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"),
     ),
     "hysteresis_percent": Quantity(
-        "hysteresis (of the stroke)", "largest height of the loop in percent of the stroke", "%",
+        "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",
         lambda loops: 100 * loops.gap.max(1) / loops.stroke, leads=frozenset({LoopKind.ACTUATOR, LoopKind.OTHER}),
+        named=(frozenset({LoopKind.ACTUATOR}), "hysteresis (of the stroke)"),
     ),
     "stroke": Quantity(
-        "stroke", "range of the output over the steady loop", "{y}", lambda loops: loops.stroke,
-        leads=frozenset({LoopKind.ACTUATOR}),
+        "range of the output", "range of the output over the steady loop", "{y}", lambda loops: loops.stroke,
+        leads=frozenset({LoopKind.ACTUATOR}), named=(frozenset({LoopKind.ACTUATOR}), "stroke"),
     ),
     "secant_stiffness": Quantity(
         "secant stiffness", "force over displacement between the ends of the steady loop", "{force}/{path}",
@@ -84,16 +95,17 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have.
+    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
 
     Args:
         timed: whether the model depends on time, without which there is no creep.
     """
     kind = LoopKind.of(data)
+    looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
         name
         for name, one in QUANTITIES.items()
-        if (one.kinds is None or kind in one.kinds) and (one.of_loops is not None or timed)
+        if (one.kinds is None or kind in one.kinds) and (timed if one.of_loops is None else looped)
     )
 
 
@@ -102,6 +114,7 @@ class Unknown(enum.StrEnum):
 
     NOT_FINITE = "not-finite"
     NO_CROSSING = "no-crossing"
+    LOBES = "lobes"
     NOT_DETERMINED = "not-determined"
     NO_ERRORS = "no-errors"
 
@@ -113,7 +126,8 @@ class Unknown(enum.StrEnum):
 
 _REASONS = {
     Unknown.NOT_FINITE: "the model cannot be simulated on this loop",
-    Unknown.NO_CROSSING: "the branches do not cross the middle of the output",
+    Unknown.NO_CROSSING: "no branch passes from one side of the middle of the output to the other",
+    Unknown.LOBES: "the branches cross: the lobes run in opposite directions",
     Unknown.NOT_DETERMINED: "the data do not determine it",
     Unknown.NO_ERRORS: "the fit has no standard errors",
 }

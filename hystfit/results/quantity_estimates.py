@@ -30,6 +30,7 @@ _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
+_MISSING = {"coercive_input": Unknown.NO_CROSSING, "remanence": Unknown.LOBES, "loop_area": Unknown.LOBES}
 _BACK = 0.01  # of the input's range, by which a branch goes back by noise alone
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -57,8 +58,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
     read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
-    if "stroke" in part:  # the largest of noisy heights over that of noisy outputs
-        part["hysteresis_percent"] = float(np.sqrt(2)) * part["stroke"]
+    if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
+        part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
     between = _between_samples(result)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
@@ -66,6 +67,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
             change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural)
+        if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
+            one = dataclasses.replace(one, reason=_MISSING[name])
         if one.stderr is not None and name in between:
             one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
         value = measured.get(name)
@@ -107,7 +110,7 @@ def _estimate(
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
     if not np.isfinite(value):
-        return made(None, None, Unknown.NO_CROSSING if name == "coercive_input" else Unknown.NOT_FINITE)
+        return made(None, None, Unknown.NOT_FINITE)
     covariance = result.joint
     if covariance is None:
         return made(value, None, Unknown.NO_ERRORS)

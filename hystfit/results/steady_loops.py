@@ -12,7 +12,7 @@ import dataclasses
 import functools
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
@@ -20,6 +20,7 @@ from hystfit.models.slopes import CYCLES, POINTS
 from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
 from hystfit.quality.loops import LARGEST, cycles
+from hystfit.quality.shape import has_lobes
 from hystfit.results.loop_kinds import LoopKind
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
@@ -67,9 +68,14 @@ class SteadyLoops:
         return np.abs(np.trapezoid(self.falling - self.rising, self.inputs, axis=1))
 
     @property
+    def lobed(self) -> Bool[np.ndarray, " count"]:
+        """Whether the branches cross (a butterfly): lobes in opposite directions have no common height, and their areas cancel."""
+        return has_lobes(self.area, np.trapezoid(self.gap, self.inputs, axis=1), self.stroke * self.width)
+
+    @property
     def loss(self) -> Float[np.ndarray, " count"]:
-        """Energy of the enclosed area."""
-        return self.energy * self.area
+        """Energy of the enclosed area; NaN of a butterfly."""
+        return np.where(self.lobed, np.nan, self.energy * self.area)
 
     @property
     def travel(self) -> Float[np.ndarray, " count"]:
@@ -79,7 +85,7 @@ class SteadyLoops:
 
     @property
     def coercive_input(self) -> Float[np.ndarray, " count"]:
-        """Half the distance of the branches at the middle of the output."""
+        """Half the distance of the branches at the middle of the output; NaN where they do not pass from one side to the other."""
         middle = 0.5 * (
             np.maximum(self.rising.max(1), self.falling.max(1)) + np.minimum(self.rising.min(1), self.falling.min(1))
         )
@@ -88,11 +94,11 @@ class SteadyLoops:
 
     @property
     def remanence(self) -> Float[np.ndarray, " count"]:
-        """Half the height of the loop at the middle of the input."""
+        """Half the height of the loop at the middle of the input; NaN of a butterfly."""
         middle = 0.5 * (self.inputs[0] + self.inputs[-1])
         k = int(np.clip(np.searchsorted(self.inputs, middle), 1, self.inputs.size - 1))
         share = (middle - self.inputs[k - 1]) / (self.inputs[k] - self.inputs[k - 1])
-        return 0.5 * ((1 - share) * self.gap[:, k - 1] + share * self.gap[:, k])
+        return np.where(self.lobed, np.nan, 0.5 * ((1 - share) * self.gap[:, k - 1] + share * self.gap[:, k]))
 
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
@@ -101,13 +107,15 @@ class SteadyLoops:
 
 
 def _crossings(branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " count"]:
-    """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it does not (a butterfly)."""
+    """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it ends on its first side."""
     passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
     half = (passed.sum(axis=1, keepdims=True) + 1) // 2
     k, rows = np.argmax(passed & (np.cumsum(passed, axis=1) == half), axis=1), np.arange(len(branches))
     before, after = branches[rows, k], branches[rows, k + 1]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(passed.any(axis=1), inputs[k] - before * (inputs[k + 1] - inputs[k]) / (after - before), np.nan)
+        return np.where(
+            passed.sum(axis=1) % 2 == 1, inputs[k] - before * (inputs[k + 1] - inputs[k]) / (after - before), np.nan
+        )
 
 
 @dataclasses.dataclass(frozen=True)

@@ -137,7 +137,13 @@ class Posterior(WithStatus):
         numbers = [Column(head) for head in ("median", "2.5 %", "97.5 %")]
         columns = [Column("quantity"), *numbers, Column("unit", left=True)]
         keys = ("median", "lower", "upper", "unit")
-        return Table(columns, [[QUANTITIES[row["name"]].label, *(row[k] for k in keys)] for row in self.derived_rows])
+        return Table(
+            columns,
+            [
+                [QUANTITIES[row["name"]].label_on(self.result.data), *(row[k] for k in keys)]
+                for row in self.derived_rows
+            ],
+        )
 
     def _headline(self) -> str:
         chains, draws, _ = self.draws.shape

@@ -79,18 +79,25 @@ class LeftOutErrors(NamedTuple):
     """Root mean square errors on held-out groups, and on all samples: those in every fit count with the error of the fit.
 
     A choice by the first alone takes elements that describe these samples badly, such as the largest of several loops.
-    `beaten` says that both are lower bounds, which hold for weights of either sign too.
+    `beaten` says that both are lower bounds, which hold for weights of either sign too; `smoothness` is the strength of the penalty.
     """
 
     held: float
     overall: float
     beaten: bool = False
+    smoothness: float | None = None
 
 
 def left_out_errors(
-    system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float = np.inf
+    system: SmoothSystem,
+    strengths: Sequence[float],
+    fixed: np.ndarray,
+    most: float = np.inf,
+    likely: float | None = None,
 ) -> LeftOutErrors:
     """Errors of the strength that `fit_smooth` chooses in less time, for choices between systems; arguments as there.
+
+    `likely` is the strength that a similar system chose.
 
     Weights that the fit of all samples holds at zero stay there without a group too, except in the error of the strength chosen: this
     takes a third of the time, and prefers weaker penalties. Errors above `most` may be lower bounds, from the samples fitted: held out,
@@ -101,13 +108,15 @@ def left_out_errors(
         least = _Trials.of(free if system.bounded.any() else system, fixed).fitted(strengths[0])
         if least > most:
             return LeftOutErrors(least, least, beaten=True)
-    trials = _Trials.of(system, fixed)
+    trials = _Trials.of(system, fixed, likely)
     left_out = trials.left_out(strengths, refitted=False, most=most)
     if np.isinf(min(left_out)):
         return LeftOutErrors(trials.least, trials.least)
     best = trials.chosen(strengths, left_out)
-    found = LeftOutErrors(trials.error(strengths[best], refitted=True), trials.overall(strengths[best]))
-    return found if trials.least >= min(found.held, found.overall) else LeftOutErrors(trials.least, trials.least)
+    held, overall = trials.error(strengths[best], refitted=True), trials.overall(strengths[best])
+    if trials.least < min(held, overall):
+        return LeftOutErrors(trials.least, trials.least)
+    return LeftOutErrors(held, overall, smoothness=strengths[best])
 
 
 def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> bool:
@@ -134,9 +143,10 @@ class _Trials:
     Args:
         system: the equations.
         fixed: see `fit_smooth`.
+        likely: strength of a penalty that a similar system chose.
     """
 
-    def __init__(self, system: SmoothSystem, fixed: np.ndarray):
+    def __init__(self, system: SmoothSystem, fixed: np.ndarray, likely: float | None = None):
         self._grams, self.free = _reduced(system, fixed - system.origin * system.size)
         self._total, self.n = self._grams.sum(axis=0), float(system.counts.sum())
         self.rough, self._bounded = system.roughness[np.ix_(self.free, self.free)], system.bounded[self.free]
@@ -144,41 +154,59 @@ class _Trials:
         self._solved: dict[float, _Solved] = {}
         self._errors: dict[tuple[float, bool], float] = {}
         self._positive: np.ndarray | None = None
+        self._likely = likely
         self.least = np.inf  # lower bound of the errors with the strengths that the last choice left out
 
     @classmethod
-    def of(cls, system: SmoothSystem, fixed: np.ndarray) -> _Trials:
+    def of(cls, system: SmoothSystem, fixed: np.ndarray, likely: float | None = None) -> _Trials:
         """Those of a system, which keeps the last ones in `solved`: the choice of a size and the fit solve the same equations.
 
         Bounded weights that the data hardly determine depend on the solution that a solve starts from: a fit of them begins anew, so that
         it does not depend on what was solved before.
         """
         key = fixed.tobytes()
-        if system.bounded.any() or key not in system.solved:
+        known = system.solved.get(key)
+        if known is None or system.bounded.any():
             system.solved.clear()
-            system.solved[key] = cls(system, fixed)
+            system.solved[key] = cls(system, fixed, likely if known is None else known.likely)
         return system.solved[key]
+
+    @property
+    def likely(self) -> float | None:
+        """The strength with the smallest error on held-out groups so far."""
+        return min(self._errors, key=self._errors.__getitem__)[0] if self._errors else self._likely
 
     def left_out(self, strengths: Sequence[float], *, refitted: bool, most: float = np.inf) -> list[float]:
         """The error on held-out groups with each rising strength; infinite for those that are not tried, or above `most` by `fitted`.
 
         Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
-        samples hardly determine the weights, the error has several minima.
+        samples hardly determine the weights, the error has several minima. One whose fit errs more on all samples than another, such as the
+        likely one, on those held out is not tried: each of its solves is for one group.
         """
-        errors, self.least = [np.inf] * len(strengths), np.inf
+        errors, self.least, best = [np.inf] * len(strengths), np.inf, np.inf
+        every = range(len(strengths) - 1, -1, -2)
 
         def error(k: int) -> float:
-            if np.isfinite(most) and (least := self.fitted(strengths[k])) > most:
-                self.least = min(self.least, least)
+            nonlocal best
+            if min(most, best) < (least := self.fitted(strengths[k])):
+                self.least = min(self.least, least) if most < least else self.least
                 return np.inf
-            return self.error(strengths[k], refitted=refitted)
+            found = self.error(strengths[k], refitted=refitted)
+            best = min(best, found)
+            return found
 
-        for k in range(len(strengths) - 1, -1, -2):
+        likely = self.likely
+        if likely is not None and likely in strengths:
+            for k in every:  # each solution starts the next
+                if strengths[k] > likely:
+                    self.solved(strengths[k])
+            error(strengths.index(likely))
+        for k in every:
             errors[k] = error(k)
             if errors[k] > _EQUAL * min(errors):
                 break
-        best = int(np.argmin(errors))
-        for k in range(max(best - 1, 0), min(best + 2, len(strengths))):
+        at = int(np.argmin(errors))
+        for k in range(max(at - 1, 0), min(at + 2, len(strengths))):
             errors[k] = error(k)
         return errors
 

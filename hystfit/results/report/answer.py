@@ -19,7 +19,7 @@ from hystfit.quality.loops import clear_reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
 from hystfit.results.loop_kinds import LoopKind
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
 
@@ -117,7 +117,7 @@ def _error(result: FitResult) -> str:
 
 
 def _numbers(result: FitResult) -> list[tuple[str, str]]:
-    if result.status is Status.NO_LOOP:
+    if result.status in (Status.NO_LOOP, Status.UNDETERMINED):  # nothing tests the loop of the model
         read = next(iter(result.measured.rows.values()), ())
         return [
             (
@@ -129,15 +129,17 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     kind, rows = LoopKind.of(result.data), []
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if kind not in one.leads:
+        if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
             continue
         if q.value is None:
-            rows.append((_capital(one.label), "unknown" if q.reason is None else q.reason.text))
+            rows.append((_capital(one.label_on(result.data)), "unknown" if q.reason is None else q.reason.text))
             continue
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
-        beside = f"; {f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop" if q.differs else ""
-        rows.append((_capital(one.label), f"{value}{known} {q.unit}".rstrip() + beside))
+        text = f"{value}{known} {q.unit}".rstrip()
+        if q.differs:
+            text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
+        rows.append((_capital(one.label_on(result.data)), text))
     return rows
 
 

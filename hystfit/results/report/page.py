@@ -17,9 +17,9 @@ from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.report.text_report import (
     ERRORS,
-    QUANTITIES_OF,
     facts,
     headline,
+    quantities_of,
     remarks,
     text_report,
     verdict,
@@ -80,7 +80,7 @@ def html_report(result: FitResult, *, wording: Wording | None = None) -> str:
 def notebook_view(result: FitResult) -> str:
     """The report as notebooks show it: status, tables and notes, without pictures."""
     advice = "" if result.usable else result.advice
-    numbers = (QUANTITIES_OF, quantity_table(result))
+    numbers = (quantities_of(result), quantity_table(result))
     tables = (ERRORS, metrics_table(result), *numbers, parameter_table(result), fixed_words(result))
     return fragment(headline(result), (advice, *tables, result.notes))
 
@@ -95,7 +95,7 @@ def _page(result: FitResult, shown: dict[str, Picture], wording: Wording) -> str
     sections = [
         ("Verdict", [in_words(verdict(result))]),
         ("Plots", [list(shown.values())]),
-        *([(QUANTITIES_OF, [quantity_table(result, meaning=True)])] if result.quantities else []),
+        *([(quantities_of(result), [quantity_table(result, meaning=True)])] if result.quantities else []),
         *([(MEASURED, [result.measured.table()])] if any(result.measured.rows.values()) else []),
         (ERRORS, [metrics_table(result)]),
         ("Parameters", [parameter_table(result, meaning=True), *in_words([fixed_words(result), unit_words(result)])]),

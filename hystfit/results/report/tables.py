@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from hystfit.data.dataset import Dataset
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
 from hystfit.results.estimates import ParameterEstimate, grouped
@@ -25,14 +26,14 @@ def quantity_table(result: FitResult, *, meaning: bool = False) -> Table:
     """Engineering quantities with their standard errors, those of the measured loops, and the reason where one is unknown."""
     left = lambda head: Column(head, left=True)
     columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), Column("measured"), left("")]
-    rows = [_quantity_row(q) for q in result.quantities]
+    rows = [_quantity_row(q, result.data) for q in result.quantities]
     return Table([*columns, left("definition")], rows) if meaning else Table(columns, [row[:-1] for row in rows])
 
 
-def _quantity_row(q: QuantityEstimate) -> list[str]:
+def _quantity_row(q: QuantityEstimate, data: Dataset) -> list[str]:
     one = QUANTITIES[q.name]
     shown = ("-", "-") if q.value is None else rounded(q.value, q.stderr)
-    return [one.label, *shown, q.unit, number(q.measured), "" if q.reason is None else q.reason.text, one.doc]
+    return [one.label_on(data), *shown, q.unit, number(q.measured), "" if q.reason is None else q.reason.text, one.doc]
 
 
 def _row(name: str, family: list[ParameterEstimate]) -> list[str]:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -16,9 +17,9 @@ from hystfit.results.quantities import QUANTITIES, QuantityEstimate
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.result import FitResult
+from hystfit.results.steady_loops import Excitation
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
-QUANTITIES_OF = "Quantities of the steady loop over the fitted input range"
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}
 _VERDICT = frozenset(
     {
@@ -30,6 +31,7 @@ _VERDICT = frozenset(
         Code.OTHER_FAMILY,
         Code.MODEL_MISMATCH,
         Code.INITIAL_STATE,
+        Code.DRIFT,
         Code.LAST_HALF_CYCLE,
         Code.MINOR_LOOPS,
         Code.EXTRAPOLATION,
@@ -52,17 +54,27 @@ def headline(result: FitResult) -> str:
     return f"{result.name} fitted to {what}: {status}"
 
 
+def quantities_of(result: FitResult) -> str:
+    """Of which loop the quantities are; of a model that depends on time, how long a cycle lasts."""
+    text = "Quantities of the steady loop over the fitted input range"
+    first = result.data[0]
+    if result.model.rate_independent or first.t is None:
+        return text
+    loop = Excitation.of(result.data)
+    return f"{text}, one cycle in {f'{loop.points * loop.interval:.3g} {first.t_unit}'.rstrip()}"
+
+
 def verdict(result: FitResult) -> list[Note]:
     """The notes on which the status rests, and those that limit it: also quantities in which model and measured loop differ."""
     notes = [note for note in result.notes if note.code in _VERDICT]
-    return notes + [_difference(one) for one in result.quantities if one.differs]
+    return notes + [_difference(one, result.data) for one in result.quantities if one.differs]
 
 
-def _difference(one: QuantityEstimate) -> Note:
+def _difference(one: QuantityEstimate, data: Dataset) -> Note:
     """A warning that the model has another value of a quantity than the measured loop."""
     value, error = rounded(one.value, one.stderr)
     measured = f"{number(one.measured)} {one.unit}".rstrip()
-    text = f"{QUANTITIES[one.name].label}: {value} +- {error} {one.unit} by the model, {measured} in the measured loop"
+    text = f"{QUANTITIES[one.name].label_on(data)}: {value} +- {error} {one.unit} by the model, {measured} in the measured loop"
     return warn(Code.QUANTITY_DIFFERS, f"{text}; use the measured value")
 
 
@@ -150,7 +162,7 @@ def text_report(result: FitResult, wording: Wording | None = None, width: int = 
     lines += _section("Verdict", verdict(result))
     lines += ["", ERRORS, *metrics_table(result).lines("  ")]
     if result.quantities:
-        lines += ["", QUANTITIES_OF, *quantity_table(result).lines("  ")]
+        lines += ["", quantities_of(result), *quantity_table(result).lines("  ")]
     if any(result.measured.rows.values()):
         lines += ["", MEASURED, *shortened(result.measured.table().lines("  "), 60, "  and {} more (result.json)")]
     lines += ["", "Parameters", *parameter_table(result).lines("  ")]
