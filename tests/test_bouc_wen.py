@@ -14,7 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from hystfit.data import Dataset, Record
 from hystfit.errors import ModelError
+from hystfit.fitting.assessment import notes_of_model
 from hystfit.models import AsymmetricBoucWen, BoucWen, simulate
 from hystfit.models.bouc_wen import unit_hysteresis
 from hystfit.models.bouc_wen_steps import phi, trapezoid, zero_crossing
@@ -363,6 +365,22 @@ def test_coarse_sampling_is_warned_about_and_fine_is_not() -> None:
         assert kind(tau=2.0, rho=0.5).advice(fine) == ()
         assert "scheme='exact'" in kind(tau=2.0, rho=0.5).advice(coarse)[0]
         assert kind(tau=2.0, rho=0.5, scheme="exact").advice(coarse) == ()
+
+
+@pytest.mark.parametrize("count", [2, 12])
+def test_advice_for_many_records_is_one_note(count: int) -> None:
+    names = [f"curve={k}" for k in range(count)]
+    loops = [Record(u=np.linspace(0.0, 1.0 + 0.1 * k, 5), y=np.zeros(5), name=name) for k, name in enumerate(names)]
+    notes = notes_of_model(Dataset(tuple(loops)), BoucWen(tau=2.0, rho=0.5))
+    assert len(notes) == (2 if count == 2 else 1)
+    assert (f"'curve=0', and {count - 1} other records alike" in notes[0].text) == (count > 2)
+
+
+def test_samples_before_those_that_count_are_not_advised_on() -> None:
+    """The calibration point of a reversal curve is far from its first sample."""
+    u = np.concatenate([[10.0], np.linspace(0.0, 1.0, 100)])
+    weight = (np.arange(u.size) > 0).astype(float)
+    assert notes_of_model(Dataset((Record(u=u, y=np.zeros(u.size), weight=weight),)), BoucWen(tau=2.0, rho=0.5)) == []
 
 
 @pytest.mark.usefixtures("as_users_run")

@@ -270,6 +270,14 @@ def test_a_file_without_reversal_curves_is_refused(tmp_path, capsys):
     assert "two reversal curves or more are needed, got 1" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("open_by", [0.0, 0.2])
+def test_reversal_curves_on_one_line_are_no_loop(curves, open_by):
+    """A paramagnet, of which all curves are one, and a sample with a loop."""
+    tilted = [dataclasses.replace(record, y=record.u + open_by * record.y) for record in curves]
+    fit = hf.fit("preisach-forc:n=20", noisy(hf.Dataset(tuple(tilted)), 1e-3, 1))
+    assert (fit.status is Status.NO_LOOP) == (open_by == 0)
+
+
 def test_a_measured_family_has_its_published_coercivity():
     if not os.environ.get("HYSTFIT_DATA"):
         pytest.skip("HYSTFIT_DATA does not name the folder of measured data")

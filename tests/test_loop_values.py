@@ -8,6 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.stated import Stated
+from hystfit.results.loop_branches import crossing
 from hystfit.results.loop_values import quantities
 
 PHASE = np.linspace(0, 2 * np.pi, 2001)
@@ -264,3 +265,10 @@ def test_a_branch_that_begins_inside_the_loop_gives_no_width():
     u, y = np.concatenate([dry, wet, again, back]), np.concatenate([main(dry, 1.5), scanning, inside, main(back, 0.5)])
     found = values_of(hf.Record(u, y, u_unit="kPa", y_unit="", u_name="suction", y_name="saturation"))
     assert "coercive_input" not in found  # of the largest loop 0.5, and 0.4 where that branch counts
+
+
+def test_samples_near_other_crossings_do_not_count_in_the_middle_one():
+    x = np.linspace(-1, 1, 401)
+    noise = np.random.default_rng(2).normal(0, 0.02, x.size)
+    at, error = crossing(5 * x * (x - 0.6) * (x + 0.9) + noise, x, 0.02)
+    assert abs(at) < 4 * error < 0.02

@@ -553,6 +553,21 @@ def test_a_monotonic_record_determines_no_hysteresis_model():
     assert has(report.findings, Code.NO_LOOP)
 
 
+@pytest.mark.parametrize(("unit", "perhaps_time"), [("", True), ("s", True), ("mT", False)])
+def test_a_monotonic_input_may_be_a_time_unless_its_unit_is_another(unit, perhaps_time):
+    u = np.linspace(0, 1, 200)
+    (found,) = (note for note in examined(Record(u, u**2, u_unit=unit)).findings if note.code is Code.NO_LOOP)
+    assert ("if it is a time" in found.text) == perhaps_time
+
+
+def test_a_current_without_a_time_is_not_to_be_integrated():
+    u = 3 * np.sin(np.linspace(0, 12, 400))
+    record = Record(u, np.gradient(u) + 0.1 * u**3, u_unit="V", y_unit="A", u_name="U", y_name="I")
+    assert not has(examined(record).findings, Code.RATE)
+    timed = Record(u, record.y, np.linspace(0, 12, 400), u_unit="V", y_unit="A", u_name="U", y_name="I")
+    assert has(examined(timed).findings, Code.RATE)
+
+
 def test_one_amplitude_leaves_preisach_and_bouc_wen_open():
     t, u = signals.sine(10, 200)
     report = examined(Record(u, piezo(u), t=t))

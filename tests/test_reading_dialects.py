@@ -423,6 +423,18 @@ def test_rows_in_which_the_input_alone_reads_zero_are_left_out(tmp_path) -> None
     assert len(read(tmp_path / "pulsed.csv")) == len(read(tmp_path / "loop.csv")) == h.size
 
 
+@pytest.mark.parametrize("last", [0.0, 40.0])
+def test_a_last_row_of_zeros_far_from_the_loop_is_an_end_mark(tmp_path: Path, last: float) -> None:
+    h = np.concatenate([np.linspace(-50, 50, 80), np.linspace(49, last, 60)])
+    m = 3.0 + np.tanh(h / 20)
+    marked = np.append(h, 0.0), np.append(m, 0.0)
+    np.savetxt(tmp_path / "loop.csv", np.c_[marked], "%.8g", ",")
+    record = read(tmp_path / "loop.csv")
+    ends = last != 0.0  # a loop that ended near zero is left as it is
+    assert len(record) == h.size + (not ends)
+    assert any("end mark" in note.text for note in record.notes) == ends
+
+
 @pytest.mark.parametrize(
     ("names", "units"),
     [

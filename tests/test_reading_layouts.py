@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,49 @@ def test_a_magnetometer_writes_one_loop_raw_and_adjusted(
     record = one(path, adjusted=True)
     is_loop(record)
     assert (record.u_name, record.y_name, record.reading["adjusted"]) == ("Adjusted Field", "Adjusted Moment", "true")
+
+
+@pytest.mark.parametrize("digits", [7, 13])
+def test_the_table_of_segments_and_the_last_line_are_no_rows(digits: int, tmp_path: Path) -> None:
+    text = magnetometer(16, adjusted=True, units=False, extra=False)
+    text = re.sub(r"^0{6}(\d),", rf"{0:0{digits - 1}d}\1,", text, flags=re.MULTILINE)
+    text = text.replace("PROCESSING\n", "Gradient demagnetize?   Yes\nTemperature control     No\n\nPROCESSING\n")
+    record = one(written(tmp_path, text, "a.hys"))
+    is_loop(record, FIELD, MOMENT + 0.4 * FIELD)
+    assert (record.u_unit, record.y_unit) == ("T", "Am2")
+    assert not any("with text where numbers are expected" in note.text for note in record.notes)
+    assert record.metadata == {"Mass": "+12.50000E-03"}
+
+
+def test_reversal_curves_of_a_balance_have_units_of_its_settings(tmp_path: Path) -> None:
+    """The file of a VFTB: settings of a MicroMag file, of which most are missing, then blocks of numbers without names."""
+    head = "VFTB FORC Data File\nFirst-order reversal curves\nUnits of measure:  cgs\nN/A  N/A\n\nHSat = N/A\nNCrv = N/A\n\n"
+    rising = [np.linspace(a, 900.0, 12 + 2 * k) for k, a in enumerate(np.linspace(850.0, -900.0, 12))]
+    lines = [[f"{u:+.6E},{np.tanh(u / 300 - 0.01 * k):+.6E}\n" for u in field] for k, field in enumerate(rising)]
+    blocks = "\n".join("+9.000000E+02,+9.950000E-01\n\n" + "".join(block) for block in lines)
+    data = Dataset.of(read(written(tmp_path, head + blocks, "a.frc")))
+    assert len(data) == len(rising)
+    assert {(record.u_name, record.u_unit, record.y_name, record.y_unit) for record in data} == {
+        ("Field", "Oe", "Moment", "emu")
+    }
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_heating_and_cooling_below_each_other_are_one_loop(apart: bool, tmp_path: Path) -> None:
+    """Two tables with titles, of which the second goes on where the first ends, or does not."""
+    heating, cooling = np.linspace(25, 700, 50), np.linspace(700, 30, 48)
+    magnetization = lambda x: np.tanh((650 - x) / 90)
+    below = 1e-6 * (700 - cooling) * (cooling - 30) + apart
+    tables = [(heating, magnetization(heating)), (cooling, magnetization(cooling) - below)]
+    text = "sample 20080702\n" + "".join(
+        f"Set {k}:\ntemp / centigrade\tmag / emu / g\n"
+        + "".join(f"{u:.2f}\t{y:.5f}\n" for u, y in zip(*table, strict=True))
+        for k, table in enumerate(tables, 1)
+    )
+    data = Dataset.of(read(written(tmp_path, text, "a.rmp")))
+    assert [len(record) for record in data] == ([50, 48] if apart else [98])
+    assert (data[0].u_unit, data[0].y_unit) == ("centigrade", "emu / g")
+    assert sum(note.code is Code.CURVES for note in data[0].notes) == 1
 
 
 def test_remanence_curves_keep_what_the_magnetometer_states(tmp_path: Path) -> None:

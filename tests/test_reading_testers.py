@@ -86,3 +86,47 @@ def test_numbers_of_samples_and_settings_are_no_properties_of_the_sample(tmp_pat
     head = "Samples: 120\nStep size: 0.5\nheightMultiplier: 0.7\nSample height (mm): 12.5\n\nPosition (mm),Force (N)\n"
     record = one(tmp_path, head, U, Y)
     assert record.metadata == {"Sample height (mm)": "12.5"}
+
+
+def test_control_bandwidth_and_limits_are_no_properties_of_the_sample(tmp_path: Path) -> None:
+    head = "Temperature control: on\nTemperature max: 70 degC\nSample bandwidth: 1\nSample height (mm): 12.5\n\nPosition (mm),Force (N)\n"
+    assert one(tmp_path, head, U, Y).metadata == {"Sample height (mm)": "12.5"}
+
+
+@pytest.mark.parametrize("mark", [",", "\t"])
+def test_a_charge_that_falls_as_well_as_grows_is_the_charge_that_passed(mark: str, tmp_path: Path) -> None:
+    """Beside it stand the charge and energy of the cycle, which look like branches side by side."""
+    charge = np.concatenate([np.linspace(0, -2, 80), np.linspace(-2, 0, 80)])
+    volts = 3.6 + 0.3 * charge + 0.1 * np.repeat([-1, 1], 80) + 0.02 * charge**2
+    passed = np.abs(np.concatenate([charge[:80], charge[80:] + 2]))
+    number = np.arange(charge.size)
+    cycle = ["Ah-Cyc-Charge", "Ah-Cyc-Discharge", "Ah-Cyc-Charge-0", "Ah-Cyc-Discharge-0"]
+    names = mark.join(["~Time[s]", "DataSet", "t-Set[s]", "Line", "U[V]", "I[A]", "Ah[Ah]", *cycle])
+    up, down = np.where(number < 80, 0, passed), np.where(number < 80, passed, 2)
+    columns = (
+        60 * number,
+        number + 1,
+        60 * number,
+        0 * up + 3,
+        volts,
+        np.repeat([-1, 1], 80),
+        charge,
+        up,
+        down,
+        up,
+        down,
+    )
+    rows = [(*(f"{value:.6f}" for value in row),) for row in zip(*columns, strict=True)]
+    record = one(tmp_path, names + "\n", *zip(*rows, strict=True), mark=mark)
+    np.testing.assert_allclose(record.u, charge, atol=1e-6)
+    np.testing.assert_allclose(record.y, volts, atol=1e-6)
+    assert (record.u_unit, record.y_unit) == ("Ah", "V")
+
+
+def test_a_diagram_of_points_that_are_printed_twice_is_driven_by_its_coordinate(tmp_path: Path) -> None:
+    """Neither column has a name, and the curve goes up and down: a coordinate that only grows is no output."""
+    place = np.repeat(np.linspace(0, 8, 100), 2)
+    moment = np.interp(place, [0, 3, 8], [0, -63000, 45000]) + 500 * np.sin(place)
+    record = one(tmp_path, "", np.round(place, 6), np.round(moment, 2))
+    assert np.ptp(record.u) == pytest.approx(8)
+    assert np.ptp(record.y) > 1e5

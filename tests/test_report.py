@@ -335,6 +335,8 @@ def test_labels_show_a_unit_once():
     assert axis_label("H [Oe]", "Oe") == "H [Oe]"
     assert axis_label("V", "V") == "V [V]"
     assert axis_label("force", "") == "force"
+    assert axis_label("mag / emu / g", "emu / g") == "mag [emu / g]"
+    assert axis_label("Ewe/V", "V") == "Ewe [V]"
     assert axis_label("kappa_w", "[y]") == "kappa_w [y]"
     assert axis_label("Strom", "m") == "Strom [m]"
 

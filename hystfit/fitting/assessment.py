@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.preparation import CoarseClock
+from hystfit.data.record import Record
 from hystfit.fitting.covariance import Uncertainty
 from hystfit.fitting.estimate import Estimate
 from hystfit.inference.problem import Problem, Side
@@ -16,7 +17,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number
-from hystfit.outcome.wrapping import listed
+from hystfit.outcome.wrapping import NAMED, listed
 from hystfit.params.space import MANY, ParameterSpace
 from hystfit.quality.findings import WITHOUT_TIME
 from hystfit.quality.loops import APART
@@ -58,8 +59,20 @@ def notes_on_time(data: Dataset) -> list[Note]:
 def notes_of_model(data: Dataset, model: AbstractHysteresis) -> list[Note]:
     """What a fitted model says about the records."""
     advise = type(model).advice  # a bound method of an equinox module takes ten times as long to call
-    advice = dict.fromkeys(line for record in data for line in advise(model, record.u, record.dt))
-    return [warn(Code.MODEL_ADVICE, line) for line in advice]
+    said = {record.name: advise(model, *_counted(record)) for record in data}
+    speaking = [name for name, lines in said.items() if lines]
+    if len(speaking) <= NAMED:
+        return [
+            warn(Code.MODEL_ADVICE, line) for line in dict.fromkeys(line for lines in said.values() for line in lines)
+        ]
+    others = f"{speaking[0]!r}, and {len(speaking) - 1} other records alike"
+    return [warn(Code.MODEL_ADVICE, f"{others}: {line}") for line in said[speaking[0]]]
+
+
+def _counted(record: Record) -> tuple[np.ndarray, np.ndarray | None]:
+    """Input and time steps of a record from its first sample that counts: not from a calibration point before a reversal curve."""
+    first = int(np.argmax(record.used))
+    return record.u[first:], None if record.dt is None else record.dt[first:]
 
 
 class Unknown(NamedTuple):

@@ -110,8 +110,9 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
-    single_valued = percent <= POOR and _is_single_valued(train, baselines, unexplained)
-    if not fitted.model.from_saturation and (single_valued or _branches_coincide(fitted)):
+    one_way = fitted.model.from_saturation  # without branches to compare, and so without a known noise
+    single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
+    if single_valued or (percent <= VISIBLE and unexplained if one_way else _branches_coincide(fitted)):
         text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)

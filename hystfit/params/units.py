@@ -88,8 +88,8 @@ def axis_label(name: str, unit: str) -> str:
 
 
 def without_unit(name: str, unit: str) -> str:
-    """Name without a unit at its end, behind a space or an underscore, or in brackets."""
-    return re.sub(rf"(?:[\s_]+|[\s_]*[\[(（［]){re.escape(unit)}[\])）］]?$", "", name) or name
+    """Name without a unit at its end, behind a space, an underscore or a slash, or in brackets."""
+    return re.sub(rf"(?:\s*/\s*|[\s_]+|[\s_]*[\[(（［]){re.escape(unit)}[\])）］]?$", "", name) or name
 
 
 def with_unit(name: str, unit: str) -> str:
@@ -149,7 +149,7 @@ _SPELLINGS = {
     "joule": "J", "joules": "J", "watt": "W", "watts": "W", "hertz": "Hz", "coulomb": "C", "coulombs": "C", "gram": "g",
     "grams": "g", "gramme": "g", "henry": "H", "farad": "F", "weber": "Wb", "degree": "deg", "degrees": "deg", "radian": "rad",
     "radians": "rad", "inches": "in", "foot": "ft", "feet": "ft", "minute": "min", "minutes": "min", "hour": "h", "hours": "h",
-    "days": "day", "years": "year", "yr": "year",
+    "days": "day", "years": "year", "yr": "year", "centigrade": "degC",
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
     "mils": "mil", "thou": "mil", "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T",
     "dyne": "dyn", "dynes": "dyn",

@@ -136,12 +136,13 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         )
     if record.output_controlled:
         yield CONTROLLED
-    if y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
+    timed = record.sampling.rate is not None
+    if timed and y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
         yield Note(
             Code.RATE,
             f"the output is a {y_kind} against a {u_kind}: for a loop of charge or polarization, --integrate (integrate=True) "
             "integrates it over time",
-            option=("integrate", "true") if record.charges and record.sampling.rate is not None else None,
+            option=("integrate", "true") if record.charges else None,
         )
 
 

@@ -94,7 +94,7 @@ def table_of_arrays(
     notes = [*notes, Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
     clocks = [name for name in names if name in stamps]
     notes += [Note(Code.FILE_FORMAT, f"{name!r}: dates converted to seconds from the first one") for name in clocks]
-    if rest := [name for name in columns if name not in names]:
+    if rest := [name for name, array in columns.items() if name not in names and array.dtype.kind in "fiub"]:
         shown = ", ".join(rest[:8])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} columns of another length than {rows}: {shown}"))
     if odd:

@@ -26,7 +26,7 @@ from hystfit.reading.curves import divider_of, labels_of, restart_divider, selec
 from hystfit.reading.limits import MAJORITY, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
-from hystfit.reading.sentinels import failed_inputs, replaced_notes, without_codes, without_infinite
+from hystfit.reading.sentinels import ends_with_zeros, failed_inputs, replaced_notes, without_codes, without_infinite
 from hystfit.reading.stated_interval import unit_of_interval
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
@@ -241,6 +241,14 @@ def _records_of(
         notes.append(warn(Code.MISSING_VALUES, f"{text}; lines {', '.join(map(str, table.line[failed[:5]]))}"))
         kept = np.delete(np.arange(table.rows), failed)
         table, data = table.take(kept), {role: values[kept] for role, values in data.items()}
+    if ends_with_zeros(data.values()):
+        notes.append(
+            Note(
+                Code.LEFT_OUT,
+                "left out: the last row, which is 0 in all columns and far from the row before: an end mark",
+            )
+        )
+        table, data = table.take(np.arange(table.rows - 1)), {role: values[:-1] for role, values in data.items()}
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))

@@ -74,7 +74,7 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, int, str] |
     if charge is not None and discharge is not None:
         passed = _grown(table.columns[charge]) - _grown(table.columns[discharge])
         return passed, charge, f"{table.names[charge]!r} less {table.names[discharge]!r}"
-    signed = next((k for k, name in enumerate(names) if _SIGNED.fullmatch(name) and _is_number(table, k)), None)
+    signed = next((k for k, name in enumerate(names) if _is_signed(table, k, name)), None)
     if signed is not None:
         return table.columns[signed], signed, repr(table.names[signed])
     if step is None and _has_states(table):
@@ -94,14 +94,23 @@ def _is_number(table: Table, position: int) -> bool:
     )
 
 
-def _is_capacity(table: Table, position: int) -> bool:
-    """Whether a column holds a charge that only grows, apart from where it starts again."""
+def _is_charge(table: Table, position: int) -> bool:
     unit = table.units[position].replace(" ", "").replace("·", ".")
     named = not unit and _AMPERE_HOURS.fullmatch(table.names[position]) is not None
-    if not _is_number(table, position) or not (unit in _UNITS or named):
-        return False
+    return _is_number(table, position) and (unit in _UNITS or named)
+
+
+def _is_capacity(table: Table, position: int) -> bool:
+    """Whether a column holds a charge that only grows, apart from where it starts again."""
     steps = np.diff(table.columns[position])
-    return bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)
+    return _is_charge(table, position) and bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)
+
+
+def _is_signed(table: Table, position: int, name: str) -> bool:
+    """Whether a column is the charge that passed, by its name or because it falls as well as grows, in the log of a cycler."""
+    if _OF_STEP.fullmatch(name) and len(table.names) > 2:
+        return _is_charge(table, position) and not _is_capacity(table, position)
+    return bool(_SIGNED.fullmatch(name)) and _is_number(table, position)
 
 
 def _grown(capacity: np.ndarray) -> np.ndarray:

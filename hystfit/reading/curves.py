@@ -62,6 +62,11 @@ def split_curves(
     if divider is not None:
         return _of_several_rows(_by_column(table, divider, notes), table, choice, notes), True
     if table.part is not None:
+        pieces = _rows_of(table.part, len(table.parts))
+        stated = any(part.stated for part in table.parts)
+        if not stated and len(pieces) > 1 and (loop := _one_loop(table, choice, pieces, notes)) is not None:
+            notes[:] = [note for note in notes if note.code is not Code.CURVES or note is notes[-1]]
+            return [("", loop)], False
         return _by_part(table, choice, notes), True
     if table.calibration is not None:
         return calibrated_curves(table, choice, table.calibration, notes), True
@@ -97,13 +102,8 @@ def split_curves(
         raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
     if len(pieces) == 1:
         return [("", pieces[0])], False
-    if choice.time is None and _follow_each_other(table.columns[choice.input], table.columns[choice.output], pieces):
-        text = (
-            f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the previous one ends, and the input "
-            "reverses"
-        )
-        notes.append(Note(Code.CURVES, text))
-        return [("", np.concatenate(pieces))], False
+    if (loop := _one_loop(table, choice, pieces, notes)) is not None:
+        return [("", loop)], False
     if choice.time is None and len(pieces) == 2 and (loop := mirrored(table, choice, pieces)) is not None:
         text = "2 blocks are the branches of one loop, read as one record: each is the other one mirrored through the origin"
         notes.append(Note(Code.CURVES, text))
@@ -113,6 +113,19 @@ def split_curves(
             Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")
         )
     return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+
+
+def _one_loop(table: Table, choice: Choice, pieces: Sequence[np.ndarray], notes: list[Note]) -> np.ndarray | None:
+    """Rows of blocks that are branches of one loop without a clock, each beginning where the previous one ends; None of others."""
+    u, y = table.columns[choice.input], table.columns[choice.output]
+    if choice.time is not None or not _follow_each_other(u, y, pieces):
+        return None
+    text = (
+        f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the previous one ends, and the input "
+        "reverses"
+    )
+    notes.append(Note(Code.CURVES, text))
+    return np.concatenate(pieces)
 
 
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:

@@ -14,12 +14,12 @@ from hystfit.reading.unit_case import in_case, is_symbol
 
 _SAMPLE = re.compile(  # "Temperature in" has a unit
     r"(?!.*(?:rate|interval|freq|period|number|samples|step|setting|multiplier|offset|record|block|buffer|bin_?size|window|file|array"
-    r"|\bin$))"
+    r"|control|bandwidth|\bmax|\bin$))"
     r".*(?:mass|weight|volume|size|length|width|height|thickness|area|diameter|radius|gauge|density|mole|shape|material|sample"
     r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
-_NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "-", "--", "unknown"})
+_NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "yes", "-", "--", "unknown"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
     re.compile(r"\"(?P<key>[^\"]{2,40})\"\s*[,;\t]\s*(?P<value>\S.{0,99}?)[,;\s]*"),

@@ -1,4 +1,4 @@
-"""Text files of MicroMag and Lake Shore magnetometers (VSM, AGM): sections in capitals, a table of segments, field and moment.
+"""Text files of MicroMag, Lake Shore (VSM, AGM) and VFTB magnetometers: sections in capitals, a table of segments, field and moment.
 
 Units of moment and field follow from the line of units, or else from "Units of measure". The segments of a loop, of which the first may
 have no data, follow each other and are one record. A segment without data between two others is a ramp that was not measured: the curve
@@ -25,12 +25,13 @@ from hystfit.reading.stated_results import stated_in
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
 
-_FIRST_LINE = re.compile(r'"?(?:MicroMag|Model) (?:2900|3900|\d+/\d+).*Data File|"?MicroMag', re.IGNORECASE)
+_FIRST_LINE = re.compile(r'"?(?:MicroMag|Model (?:2900|3900|\d+/\d+).*Data File|VFTB.*Data File)', re.IGNORECASE)
+_LAST_LINE = re.compile(r'"?(?:MicroMag|Model) [\d/]+ Data File ends"?\s*', re.IGNORECASE)
 _SECTIONS = frozenset(
     "INSTRUMENT SAMPLE SETTINGS MEASUREMENT PROCESSING ADJUSTMENTS CHARACTERIZATION VIEWPORT SCRIPT".split()
 )
 _SYSTEMS = {"cgs": ("Oe", "emu"), "hybrid si": ("T", "Am2"), "si": ("A/m", "Am2")}
-_SEGMENT = re.compile(r"\s*\d{7},")
+_SEGMENT = re.compile(r"\s*\d{7,},")
 _DATA = re.compile(r"\s*[+-]?[\d.]+(?:[eE][+-]?\d+)?\s*,")
 _SYMBOLS = re.compile(r"\(([^)]*)\)")
 _TESLA = 20.0  # largest field of these magnets in T, with a margin: in Oe no loop is as small
@@ -42,6 +43,7 @@ def read_micromag(text: TextFile) -> Table | None:
     sections = len(_SECTIONS.intersection(line.strip() for line in text.head))
     if not (old or sections >= FEW or any(_FIRST_LINE.match(line) for line in text.head[:3])):
         return None
+    text = text.without(k for k, line in enumerate(text.lines) if _LAST_LINE.fullmatch(line))
     if old:  # one quoted line with all settings; the field in Oe, the moment in counts of the instrument
         table = plain_text(text.without([0]))
         names, units = ("Field", "Moment", *table.names[2:]), ("Oe", "", *table.units[2:])

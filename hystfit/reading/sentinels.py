@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -88,3 +89,10 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     around = np.interp(rows, rows[(u != 0.0) & np.isfinite(u)], others)
     goes_on = (y[1:-1] - y[:-2]) * (y[2:] - y[1:-1]) > 0
     return rows[1:-1][inner & goes_on & (np.abs(around[1:-1]) > np.abs(np.diff(others)).max())]
+
+
+def ends_with_zeros(columns: Iterable[np.ndarray]) -> bool:
+    """Whether the last row is 0 in all columns, each time over a step twice as large as any other step: an end mark."""
+    rows = np.column_stack([*columns])
+    steps = np.abs(np.diff(rows, axis=0))
+    return len(rows) * ODD > 1 and not rows[-1].any() and bool((steps[-1] > 2 * steps[:-1].max(axis=0)).all())

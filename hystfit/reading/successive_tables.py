@@ -67,7 +67,7 @@ def read_tables(text: TextFile) -> Table | None:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
         lines = listed([f"line {piece.first + 1}" for piece in rest])
-        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} tables of other columns ({lines})"))
+        notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns: {lines}"))
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
     table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)

@@ -176,6 +176,8 @@ def crossing(
     k = int(passed[len(passed) // 2])
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
     near = np.flatnonzero(np.abs(level) <= CLEAR * (sigma or 0.0))
+    runs = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)  # those at other crossings are apart
+    near = next((run for run in runs if k in run), near[:0])
     if near.size < 5 or abs(step) > CLEAR * (sigma or 0.0):
         noise = of_values if sigma is None else sigma * abs(run / step)
         chord = (level, values, k) if of_values is not None else (values, level, k)
