@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
@@ -138,6 +139,25 @@ def test_a_quantity_that_the_model_misses_is_named_with_the_measured_one():
     assert coercive.differs == (abs(coercive.value - 0.5) > 2 * coercive.stderr)
     assert coercive.differs
     assert "0.5 A/m in the measured loop" in text_report(fit)
+
+
+def test_the_coercivity_of_a_loop_with_an_offset_is_read_where_it_passes_zero():
+    """Two phases of half widths 1 and 0.2, and an offset of 0.4 in the output, where the loop is narrower than in its middle."""
+    inputs = np.linspace(-3, 3, 121)
+    falling = lambda u: np.tanh((u + 1.0) / 0.3) + 0.6 * np.tanh((u + 0.2) / 0.3) + 0.9
+    rising = lambda u: np.tanh((u - 1.0) / 0.3) + 0.6 * np.tanh((u - 0.2) / 0.3) + 0.9
+    u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), 2)
+    y = np.tile(np.concatenate([rising(inputs)[:-1], falling(inputs[:0:-1])]), 2)
+    fit = hf.fit(
+        "preisach:n=24", hf.Record(u, y + np.random.default_rng(0).normal(0, 0.005, y.size), u_unit="A/m", y_unit="T")
+    )
+    want = [0.5 * (brentq(rising, -2, 2) - brentq(falling, -2, 2))]
+    level = lambda branch: lambda u: branch(u) - 0.9
+    want.append(0.5 * (brentq(level(rising), -2, 2) - brentq(level(falling), -2, 2)))
+    text = dict(fit.answer)["Coercivity (half width)"]
+    assert "where the measured loop passes zero" in text
+    assert [float(part.split()[0]) for part in text.split("; ")] == pytest.approx(want, rel=0.03)
+    assert abs(want[0] - want[1]) > 0.1 * want[1]
 
 
 def test_errors_are_the_spread_of_draws_from_the_covariance(fit):

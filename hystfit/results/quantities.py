@@ -162,6 +162,10 @@ class QuantityEstimate:
         apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
+    def beside(self, value: float, stderr: float | None) -> QuantityEstimate:
+        """The same beside another measured value."""
+        return dataclasses.replace(self, measured=value, measured_stderr=stderr)
+
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
         return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"} | {"differs": self.differs}

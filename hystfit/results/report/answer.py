@@ -127,6 +127,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             for one in read
         ]
     kind, rows = LoopKind.of(result.data), []
+    at_zero = {one.name: one for one in next(iter(result.measured.rows.values()), ())} if len(result.data) == 1 else {}
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
@@ -137,8 +138,14 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
         text = f"{value}{known} {q.unit}".rstrip()
+        read = at_zero.get(q.name)
         if q.differs:
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
+        elif read is not None and read.unit == q.unit and q.beside(read.value, read.stderr).differs:
+            zero = " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
+            text = (
+                f"{zero} {q.unit}".rstrip() + f" where the measured loop passes zero; {text} by the model at the middle"
+            )
         rows.append((_capital(one.label_on(result.data)), text))
     return rows
 
