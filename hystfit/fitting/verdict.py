@@ -112,7 +112,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
     one_way = fitted.model.from_saturation  # without branches to compare, and so without a known noise
     single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
-    if single_valued or (percent <= VISIBLE and unexplained if one_way else _branches_coincide(fitted)):
+    on_one_line = len(data) > 1 and percent <= VISIBLE and unexplained  # one branch alone is always a curve
+    if single_valued or (on_one_line if one_way else _branches_coincide(fitted)):
         text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
