@@ -32,6 +32,7 @@ class Quantity:
         of_loops: its value for each loop; None for the creep, which follows from a step.
         kinds: of loops for which it is defined; None for all.
         leads: kinds in whose reports it comes first, in the order of the registry.
+        at_middle: whether it is read at the middle of the loop, where instruments read it at zero.
     """
 
     label: str
@@ -41,6 +42,7 @@ class Quantity:
     kinds: frozenset[LoopKind] | None = None
     leads: frozenset[LoopKind] = frozenset()
     named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
+    at_middle: bool = False
 
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
@@ -64,11 +66,11 @@ QUANTITIES: dict[str, Quantity] = {
     "coercive_input": Quantity(
         "half width", "half the width of the loop, in input, at the middle of the output", "{u}",
         lambda loops: loops.coercive_input, leads=REMANENT | {LoopKind.OTHER},
-        named=(REMANENT, "coercivity (half width)"),
+        named=(REMANENT, "coercivity (half width)"), at_middle=True,
     ),
     "remanence": Quantity(
         "half height", "half the height of the loop, in output, at the middle of the input", "{y}",
-        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"),
+        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"), at_middle=True,
     ),
     "hysteresis_percent": Quantity(
         "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",

@@ -18,7 +18,7 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import clear_reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits
-from hystfit.results.loop_kinds import LoopKind
+from hystfit.results.loop_kinds import REMANENT, LoopKind
 from hystfit.results.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
@@ -127,7 +127,10 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             for one in read
         ]
     kind, rows = LoopKind.of(result.data), []
-    at_zero = {one.name: one for one in next(iter(result.measured.rows.values()), ())} if len(result.data) == 1 else {}
+    crossed = (
+        kind in REMANENT and len(result.data) == 1
+    )  # fields that read coercivity and remanence where the loop passes zero
+    at_zero = {one.name: one for one in next(iter(result.measured.rows.values()), ()) if crossed}
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
@@ -138,7 +141,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
         text = f"{value}{known} {q.unit}".rstrip()
-        read = at_zero.get(q.name)
+        read = at_zero.get(q.name) if one.at_middle else None
         if q.differs:
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
         elif read is not None and read.unit == q.unit and q.beside(read.value, read.stderr).differs:
