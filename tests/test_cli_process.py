@@ -328,7 +328,7 @@ print(faults() / before)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="a setting of glibc")
 def test_arrays_of_a_command_use_memory_that_others_freed():
+    """By page faults: none where the C library has the setting, and no more than before elsewhere."""
     ended = subprocess.run([sys.executable, "-c", _FAULTS], capture_output=True, text=True, check=True)
-    assert float(ended.stdout) < 0.1
+    assert float(ended.stdout) < (0.1 if sys.platform == "linux" else 1.1)

@@ -121,7 +121,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         "rank": "Ranks of the draws of each chain; flat histograms mean that the chains agree",
     }
     wide = ("corner", "bands")
-    shown = [Picture(posterior.plot(kind), caption, kind in wide, kind) for kind, caption in captions.items()]
+    shown = [Picture(posterior.plot(kind), caption, wide=kind in wide, name=kind) for kind, caption in captions.items()]
     sections = [
         ("Parameters", [posterior.summary(), CHECKS]),
         ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),

@@ -226,9 +226,8 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
         return ranked
     least = _error(ranked[0])
     ended = [row for row in ranked if row.status not in UNFIT]
-    if (
-        ranked[0].status is Status.NOT_CONVERGED and ended and 0 < _error(ended[0]) < NEGLIGIBLE
-    ):  # nothing is left to gain
+    unfinished = ranked[0].status is Status.NOT_CONVERGED
+    if unfinished and ended and 0 < _error(ended[0]) < NEGLIGIBLE:  # nothing is left to gain
         first = _ranked(ended, purpose, floor, equal=equal)[0]
         return [first, *(row for row in ranked if row is not first)]
     kind = _rank(ranked[0], purpose)[:-1]

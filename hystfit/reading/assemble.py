@@ -83,9 +83,7 @@ def assemble(
     read = lambda label, rows: _records_of(
         table.take(rows), choice, label if several else stem, notes, gaps, spread, treatment
     )
-    records = (
-        _readable(groups, read, unread) if unread is not None else [one for group in groups for one in read(*group)]
-    )
+    records = _readable(groups, read, unread)
     if not several and len(records) == 1:
         return records[0]
     # A column separates measurements, whose numbers may be equal.
@@ -128,22 +126,25 @@ def _with_choice(
 def _readable(
     groups: Sequence[tuple[str, np.ndarray]],
     read: Callable[[str, np.ndarray], list[Record]],
-    unread: dict[str, str],
+    unread: dict[str, str] | None,
 ) -> list[Record]:
     """The records of the curves that can be read; `unread` takes the reasons why others cannot.
 
     Raises:
-        DataError: no curve can be read.
+        DataError: no curve can be read, or one cannot and there is no `unread`.
     """
     records, failed = list[Record](), dict[str, DataError]()
     for label, rows in groups:
         try:
             records += read(label, rows)
         except DataError as error:
+            if unread is None:
+                raise
             failed[label] = error
     if failed and not records:
         raise next(iter(failed.values()))
-    unread |= {label: str(error) for label, error in failed.items()}
+    if unread is not None:
+        unread |= {label: str(error) for label, error in failed.items()}
     return records
 
 

@@ -173,9 +173,8 @@ class ColumnFacts:
         times = (columns[k] for k, kind in self.kinds.items() if kind == "time" or k in self.table.stamps)
         clocks = (time for time in times if not (np.diff(time) < 0).any())
         logged = any(not is_even(clock) for clock in clocks)  # at each change of a value, by one digit of a sensor
-        moved = np.any(
-            [np.diff(columns[k], prepend=np.nan) != 0 for k in self.kinds], axis=0
-        )  # not a row printed twice
+        # Not rows that are printed twice
+        moved = np.any([np.diff(columns[k], prepend=np.nan) != 0 for k in self.kinds], axis=0)
         return ByColumn(lambda k: not logged and by_equal_steps(columns[k][moved]))
 
     @functools.cached_property

@@ -277,9 +277,8 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
         error = float(np.sqrt(variance * np.linalg.inv(columns.T @ columns)[0, 0])) / MU0
         yield LoopValue("mu_i", "initial permeability (Rayleigh law)", float(theta[0]) / MU0, error, "", int(low.sum()))
     away = h > 0
-    if (
-        away.any()
-    ):  # near zero field, the noise and an induction that is left at the start are large beside the induction
+    if away.any():
+        # Near zero field, the noise and an induction that is left at the start are large beside the induction.
         error = float(np.hypot(loop.sigma or 0.0, start))
         k = int(np.argmax((b[away] - CLEAR * error) / h[away]))
         largest, error = (float(size / (MU0 * h[away][k])) for size in (b[away][k], error))

@@ -95,11 +95,9 @@ class Page:
 
     def write(self, folder: Path) -> None:
         """Write report.html, and the pictures that have names as PNG."""
-        for _, blocks in self.sections:
-            for block in blocks:
-                for item in block if isinstance(block, Sequence) else ():
-                    if isinstance(item, Picture) and item.name:
-                        item.write_png(folder)
+        lists = [block for _, blocks in self.sections for block in blocks if isinstance(block, Sequence)]
+        for picture in (item for items in lists for item in items if isinstance(item, Picture) and item.name):
+            picture.write_png(folder)
         (folder / "report.html").write_text(self.render(), encoding="utf-8")
 
     def render(self) -> str:
