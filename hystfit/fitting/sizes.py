@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -61,8 +60,21 @@ class SizeSearch:
         groups = model.choices(list(self._data))
         if not groups:
             return None
-        best = min(groups[0], key=functools.partial(self._score, most=most))
+        best = self._best_of(groups[0], most)
         return best, self._scores[model_name(best)].held
+
+    def _best_of(self, models: Sequence[AbstractHysteresis], most: float) -> AbstractHysteresis:
+        """The model with the smallest error: another one is done once it is known to be above `most` [y] or the smallest so far."""
+
+        def order(model: AbstractHysteresis) -> tuple[bool, float]:
+            score = self._scores[model_name(model)]
+            return not score.known, score.overall
+
+        least = most
+        for model in models:
+            error = self._score(model, least)
+            least = min(least, error) if self._scores[model_name(model)].known else least
+        return min(models, key=order)
 
     def chosen(self, model: AbstractHysteresis) -> tuple[AbstractHysteresis, tuple[Note, ...]]:
         """The model with the choices that describe the data best, and a note on them; without choices the model itself."""
@@ -73,8 +85,7 @@ class SizeSearch:
         best = first[0]
         for number in range(1, len(best.choices(records))):
             while True:
-                score = functools.partial(self._score, most=GAIN * self._score(best))
-                other = min(best.choices(records)[number], key=score, default=best)
+                other = self._best_of([*best.choices(records)[number], best], GAIN * self._score(best))
                 if not self._score(other) < GAIN * self._score(best):
                     break
                 best = other
@@ -99,17 +110,20 @@ class SizeSearch:
             try:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
                 x = problem.space.vector(problem.model)
-                likely = min(self._scores.values(), key=lambda score: score.overall, default=_NONE).smoothness
+                likely = min(self._known(), key=lambda score: score.overall, default=_NONE).smoothness
                 self._scores[name] = found = left_out_scores(
                     problem, x, _COARSE, keep=self._whole, most=most, likely=likely
                 )
                 if found.beaten:
                     self._beaten.append((model, found))
-                if self._whole and found.overall <= min(most, *(score.overall for score in self._scores.values())):
+                if self._whole and found.known and found.overall == min(score.overall for score in self._known()):
                     self._best = name, problem
             except (HystfitError, np.linalg.LinAlgError):
                 self._scores[name] = _NONE
         return self._scores[name].overall
+
+    def _known(self) -> list[LeftOutErrors]:
+        return [score for score in self._scores.values() if score.known]
 
     def _bound(self, model: AbstractHysteresis, most: float) -> LeftOutErrors | None:
         """The lower bound of a model with the same elements, whose bounds alone differ and which a bound does not know."""

@@ -69,8 +69,8 @@ class SmoothWeights(AbstractEstimator):
         if others.size:
             x, evaluations, converged, message = self._search(problem, split, now, starts[0], others)
             now = split(x)
-        if np.isfinite(self.most) and errs_more(now.system, self.smoothness, now.fixed, self.most / now.system.size):
-            fit = fit_smooth(now.system, self.smoothness[:1], fixed=now.fixed)
+        most = self.most / now.system.size
+        if np.isfinite(most) and (fit := errs_more(now.system, self.smoothness, now.fixed, most)) is not None:
             found = self.of_fit(fit, now, x, problem.scales.y)
             return dataclasses.replace(found, converged=False, message="not finished")
         fit = fit_smooth(now.system, self.smoothness, fixed=now.fixed)

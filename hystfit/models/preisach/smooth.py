@@ -63,29 +63,41 @@ def fit_smooth(
     trials = _Trials.of(system, fixed)
     left_out = trials.left_out(strengths, refitted=True) if len(strengths) > 1 else []
     best = trials.chosen(strengths, left_out)
-    v, _, rss = trials.solved(strengths[best])
-    strength = strengths[best] * trials.n
-    cost = (rss + strength * float(v @ trials.rough @ v)) * system.size**2
+    found = _fit(system, trials, fixed, strengths[best])
+    if not left_out:
+        return found
+    effective = trials.effective(strengths[best])
+    return dataclasses.replace(found, left_out=np.array(left_out), error=left_out[best], effective=effective)
+
+
+def _fit(system: SmoothSystem, trials: _Trials, fixed: np.ndarray, smoothness: float) -> SmoothFit:
+    """The solution with a penalty of some strength, without errors on held-out groups."""
+    v, _, rss = trials.solved(smoothness)
+    strength, size = smoothness * trials.n, system.size
+    cost = (rss + strength * float(v @ trials.rough @ v)) * size**2
     weights = fixed.copy()
-    weights[trials.free] = (v + system.origin[trials.free]) * system.size
+    weights[trials.free] = (v + system.origin[trials.free]) * size
     penalty = strength * np.diag(system.roughness)
-    error, effective = (left_out[best], trials.effective(strengths[best])) if left_out else (None, None)
-    return SmoothFit(
-        weights, strengths[best], np.array(left_out), error, rss * system.size**2, cost, effective, penalty, system.size
-    )
+    return SmoothFit(weights, smoothness, np.array([]), None, rss * size**2, cost, None, penalty, size)
 
 
 class LeftOutErrors(NamedTuple):
     """Root mean square errors on held-out groups, and on all samples: those in every fit count with the error of the fit.
 
     A choice by the first alone takes elements that describe these samples badly, such as the largest of several loops.
-    `beaten` says that both are lower bounds, which hold for weights of either sign too; `smoothness` is the strength of the penalty.
+    `beaten` says that both are lower bounds, which hold for weights of either sign too; `smoothness` is the strength of the penalty, None
+    for bounds.
     """
 
     held: float
     overall: float
     beaten: bool = False
     smoothness: float | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether they are the errors, not bounds of them."""
+        return self.smoothness is not None
 
 
 def left_out_errors(
@@ -100,8 +112,8 @@ def left_out_errors(
     `likely` is the strength that a similar system chose.
 
     Weights that the fit of all samples holds at zero stay there without a group too, except in the error of the strength chosen: this
-    takes a third of the time, and prefers weaker penalties. Errors above `most` may be lower bounds, from the samples fitted: held out,
-    a group adds at least as much to the sum of squares.
+    takes a third of the time, and prefers weaker penalties. Errors above `most` may be lower bounds: from the samples fitted, because a
+    group held out adds at least as much to the sum of squares, or from the first groups.
     """
     if np.isfinite(most):
         free = dataclasses.replace(system, bounded=np.zeros_like(system.bounded))
@@ -113,20 +125,23 @@ def left_out_errors(
     if np.isinf(min(left_out)):
         return LeftOutErrors(trials.least, trials.least)
     best = trials.chosen(strengths, left_out)
+    if np.isinf(trials.error(strengths[best], refitted=True, most=trials.bar(strengths[best], most))):
+        least = min(trials.least, np.nextafter(most, np.inf))
+        return LeftOutErrors(least, least)
     held, overall = trials.error(strengths[best], refitted=True), trials.overall(strengths[best])
     if trials.least < min(held, overall):
         return LeftOutErrors(trials.least, trials.least)
     return LeftOutErrors(held, overall, smoothness=strengths[best])
 
 
-def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> bool:
-    """Whether the fits of all samples err more than `most` on those that are held out in turn; arguments as for `fit_smooth`.
+def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> SmoothFit | None:
+    """The fit with the weakest penalty where those of all samples err more than `most` on samples that are held out in turn, else None.
 
-    From the strongest penalty to the weakest, which leaves the smallest error: each solution starts the next.
+    From the strongest penalty to the weakest, which leaves the smallest error: each solution starts the next. Arguments as for `fit_smooth`.
     """
     trials, count = _Trials.of(system, fixed), system.counts[:-1].sum()
     squares = (trials.fitted_squares(strength, slice(0, -1)) for strength in strengths[::-2])
-    return all(rss > most**2 * count for rss in squares)
+    return _fit(system, trials, fixed, strengths[0]) if all(rss > most**2 * count for rss in squares) else None
 
 
 class _Solved(NamedTuple):
@@ -153,6 +168,7 @@ class _Trials:
         self._own, self._counts = system.offsets[self.free], system.counts
         self._solved: dict[float, _Solved] = {}
         self._errors: dict[tuple[float, bool], float] = {}
+        self._above: dict[tuple[float, bool], float] = {}  # what errors that were not finished exceed
         self._positive: np.ndarray | None = None
         self._likely = likely
         self.least = np.inf  # lower bound of the errors with the strengths that the last choice left out
@@ -181,41 +197,63 @@ class _Trials:
 
         Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
         samples hardly determine the weights, the error has several minima. One whose fit errs more on all samples than another, such as the
-        likely one, on those held out is not tried: each of its solves is for one group.
+        likely one, on those held out is not tried, and one whose first groups tell that it is not as good is not finished: each of its
+        solves is for one group.
         """
         errors, self.least, best = [np.inf] * len(strengths), np.inf, np.inf
         every = range(len(strengths) - 1, -1, -2)
+        certain = refitted or not self._bounded.any()  # errors that may be compared with those of other systems
 
         def error(k: int) -> float:
             nonlocal best
-            if min(most, best) < (least := self.fitted(strengths[k])):
-                self.least = min(self.least, least) if most < least else self.least
-                return np.inf
-            found = self.error(strengths[k], refitted=refitted)
-            best = min(best, found)
-            return found
+            least = self.fitted(strengths[k])
+            if least <= min(most, best):
+                bar = self.bar(strengths[k], most) if certain else np.inf
+                found = self.error(strengths[k], refitted=refitted, most=min(bar, _EQUAL * best))
+                best = min(best, found)
+                if found < np.inf or bar > _EQUAL * best:
+                    return found
+                least = float(np.nextafter(most, np.inf))
+            self.least = min(self.least, least) if most < least else self.least
+            return np.inf
 
-        likely = self.likely
-        if likely is not None and likely in strengths:
+        likely = self.likely if self.likely in strengths else None
+        if likely is not None:
             for k in every:  # each solution starts the next
                 if strengths[k] > likely:
                     self.solved(strengths[k])
-            error(strengths.index(likely))
+            known = error(strengths.index(likely))
         for k in every:
             errors[k] = error(k)
             if errors[k] > _EQUAL * min(errors):
                 break
+        if likely is not None:
+            errors[strengths.index(likely)] = known
         at = int(np.argmin(errors))
-        for k in range(max(at - 1, 0), min(at + 2, len(strengths))):
+        # Where some are above `most`, their order does not tell which way the error falls.
+        near = (max(at - 1, 0), min(at + 2, len(strengths))) if np.isinf(self.least) else (0, len(strengths))
+        for k in range(*near):
             errors[k] = error(k)
         return errors
 
-    def error(self, strength: float, *, refitted: bool) -> float:
-        """Root mean square error on the held-out groups; `refitted` says whether each fit decides which weights are zero."""
-        refitted &= bool(self._bounded.any())
-        if (strength, refitted) not in self._errors:
-            self._errors[strength, refitted] = self._error(strength, refitted=refitted)
-        return self._errors[strength, refitted]
+    def error(self, strength: float, *, refitted: bool, most: float = np.inf) -> float:
+        """Root mean square error on the held-out groups; `refitted` says whether each fit decides which weights are zero.
+
+        Infinite where it is above `most`, unless it is known.
+        """
+        key = strength, refitted and bool(self._bounded.any())
+        if key not in self._errors and self._above.get(key, -np.inf) < most:
+            found = self._error(strength, refitted=key[1], most=most)
+            if found <= most:
+                self._errors[key] = found
+            else:
+                self._above[key] = most
+        return self._errors.get(key, np.inf)
+
+    def bar(self, strength: float, most: float) -> float:
+        """The error on the held-out groups from which both errors of `LeftOutErrors` are above `most`."""
+        fixed, held = self.fitted_squares(strength, slice(-1, None)), self._counts[:-1].sum()
+        return float(np.sqrt(max(most**2, (most**2 * self._counts.sum() - fixed) / held)))
 
     def overall(self, strength: float) -> float:
         """Root mean square error of all samples: see `LeftOutErrors`."""
@@ -233,29 +271,31 @@ class _Trials:
         r = np.append(-self.solved(strength).weights, 1.0)
         return sum(max(float(r @ gram @ r), 0.0) for gram in self._grams[groups])
 
-    def _error(self, strength: float, *, refitted: bool) -> float:
+    def _error(self, strength: float, *, refitted: bool, most: float) -> float:
         positive = self.solved(strength).positive
         bounded = self._bounded if refitted else np.zeros_like(self._bounded)
         at = np.arange(self.free.size) if refitted else np.flatnonzero(positive)
         rows = np.append(at, self.free.size)
         total, rough = submatrix(self._total, rows), submatrix(self.rough, at)
+        squares, held = np.zeros(self._counts.size - 1), self._counts[:-1].sum()
 
-        def squares(groups: slice) -> list[float]:
-            others, penalty, found = np.empty_like(total), np.empty_like(rough), []  # memory that all groups use
-            for gram, count in zip(self._grams[:-1][groups], self._counts[:-1][groups], strict=True):
-                own = submatrix(gram, rows)
+        def solve(groups: Sequence[int]) -> None:
+            others, penalty = np.empty_like(total), np.empty_like(rough)  # memory that all groups use
+            for group in groups:
+                if squares.sum() > most**2 * held:
+                    return
+                own, count = submatrix(self._grams[group], rows), self._counts[group]
                 np.subtract(total, own, out=others)
                 absent = self._own[at] & (np.diag(others)[:-1] == 0)
                 np.multiply(rough, strength * (self.n - count), out=penalty)
                 v, _ = _solve(others, penalty, bounded[at], positive[at])
                 r = np.append(-with_own_offsets(own[:-1, :-1], own[None, :-1, -1], v[None], absent)[0], 1.0)
-                found.append(max(float(r @ own @ r), 0.0))
-            return found
+                squares[group] = max(float(r @ own @ r), 0.0)
 
         workers = Workers(None if total.size > NUMBERS else 1)
-        parts = workers.run([functools.partial(squares, slice(k, None, workers.count)) for k in range(workers.count)])
-        every = [parts[k % workers.count][k // workers.count] for k in range(self._counts.size - 1)]
-        return float(np.sqrt(sum(every) / self._counts[:-1].sum()))
+        parts = (range(k, squares.size, workers.count) for k in range(workers.count))
+        workers.run([functools.partial(solve, part) for part in parts])
+        return float(np.sqrt(sum(squares.tolist()) / held))
 
     def effective(self, strength: float) -> float:
         """Number of weights that the data determine."""
