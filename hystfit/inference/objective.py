@@ -90,7 +90,7 @@ class Objective(eqx.Module):
     @property
     def apart(self) -> bool:
         """Whether no record depends on all parameters, as where each has its own offset."""
-        return self.coordinates.own.shape[1] < len(self.coordinates.kinds)
+        return self.coordinates.own_count < len(self.coordinates.kinds)
 
     def _all_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
         """`residual` and its derivatives with respect to x."""

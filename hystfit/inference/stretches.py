@@ -40,7 +40,7 @@ class Stretch(NamedTuple):
 
 def in_stretches(objective: Objective) -> bool:
     """Whether the derivatives are too many to be computed at once, records are long, and the simulation can be resumed."""
-    batch, own = objective.batch, objective.coordinates.own.shape[1]
+    batch, own = objective.batch, objective.coordinates.own_count
     if batch.u.size * own <= NUMBERS or batch.u.shape[1] < _length(own):
         return False
     return bool(objective.coordinates.assemble(np.asarray(objective.coordinates.lower)).causal)

@@ -85,6 +85,11 @@ class Coordinates(eqx.Module):
     ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
     @property
+    def own_count(self) -> int:
+        """Number m of the parameters that each record depends on, see `own`."""
+        return sum(len(positions) for _, positions, _ in self.layout)
+
+    @property
     def own(self) -> np.ndarray:
         """Positions in x of the m parameters that each of R records depends on, shape (R, m)."""
         columns, start = [np.zeros((self.n_records, 0), dtype=int)], 0

@@ -126,7 +126,7 @@ def left_out_errors(
         return LeftOutErrors(trials.least, trials.least)
     best = trials.chosen(strengths, left_out)
     if np.isinf(trials.error(strengths[best], refitted=True, most=trials.bar(strengths[best], most))):
-        least = min(trials.least, np.nextafter(most, np.inf))
+        least = min(trials.least, float(np.nextafter(most, np.inf)))
         return LeftOutErrors(least, least)
     held, overall = trials.error(strengths[best], refitted=True), trials.overall(strengths[best])
     if trials.least < min(held, overall):
@@ -137,7 +137,7 @@ def left_out_errors(
 def errs_more(system: SmoothSystem, strengths: Sequence[float], fixed: np.ndarray, most: float) -> SmoothFit | None:
     """The fit with the weakest penalty where those of all samples err more than `most` on samples that are held out in turn, else None.
 
-    From the strongest penalty to the weakest, which leaves the smallest error: each solution starts the next. Arguments as for `fit_smooth`.
+    From the strongest penalty to the weakest, which leaves the smallest error: each solution starts the next; see `fit_smooth`.
     """
     trials, count = _Trials.of(system, fixed), system.counts[:-1].sum()
     squares = (trials.fitted_squares(strength, slice(0, -1)) for strength in strengths[::-2])
