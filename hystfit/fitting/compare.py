@@ -12,7 +12,7 @@ from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row, handicap
-from hystfit.fitting.comparison_run import WHITE, ComparisonRun, correlation_of, score_of
+from hystfit.fitting.comparison_run import NO_LOOP, WHITE, ComparisonRun, correlation_of, score_of
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
@@ -40,7 +40,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
 
     Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
     would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
-    they need no time, because a lag or creep would show in the residuals.
+    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out.
     """
     first, *others = chosen.closed
     run.run((first,))
@@ -66,6 +66,9 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         run.skip(
             [name for name in chosen.iterated if name not in iterated], "the search found no term that depends on time"
         )
+    if not white and run.shows_no_loop(iterated):
+        run.skip(iterated, NO_LOOP)
+        iterated = ()
     if not rings:
         run.skip(chosen.resonant, "the response shows no resonance")
     chosen = dataclasses.replace(chosen, iterated=iterated, resonant=chosen.resonant if rings else ())

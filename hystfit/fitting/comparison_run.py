@@ -23,7 +23,7 @@ from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
-from hystfit.fitting.verdict import residuals_are_white
+from hystfit.fitting.verdict import residuals_are_white, show_no_loop
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
@@ -37,6 +37,7 @@ from hystfit.runs.threads import Workers
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
 WHITE = "the residuals of the best model are noise"
+NO_LOOP = f"{WHITE}, out of which no loop stands"
 _FIRST_STARTS = 2  # starting points of a first fit
 # Error of a fit that descends over that of its first fit, at least: 0.983 to 1.007 in 35 fits of six measured files.
 _LOWERED = 0.95
@@ -342,6 +343,14 @@ class ComparisonRun:
         if best is None or best.score_percent is None:
             return False
         return leaves_noise(self.fits[best.asked])
+
+    def shows_no_loop(self, names: Sequence[str]) -> bool:
+        """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
+        best = self.best_row
+        if best is None or not names:
+            return False
+        fit, fewest = self.fits[best.asked], min(weights_of(make_model(name)) for name in names)
+        return show_no_loop(_residuals_of(fit), fit.baselines.curve, fewest)
 
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""

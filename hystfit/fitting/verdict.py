@@ -60,11 +60,22 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: in
     `plain` is the RMSE of the best single-valued curve. The loop must be worth the model's number of parameters by the Bayesian
     information criterion.
     """
-    count = sum(row.size for row in rows)
-    rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
-    if min(row.size for row in rows) < _ENOUGH or any(is_correlated(row) for row in rows) or not 0 < rmse < plain:
-        return False
-    return bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
+    return _are_white(rows) and _stands_out(rows, plain, parameters)
+
+
+def show_no_loop(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+    """Whether residuals are white, and no loop that takes as many parameters or more stands out of them; see `residuals_are_white`."""
+    return _are_white(rows) and not _stands_out(rows, plain, parameters)
+
+
+def _are_white(rows: Sequence[np.ndarray]) -> bool:
+    return min(row.size for row in rows) >= _ENOUGH and not any(is_correlated(row) for row in rows)
+
+
+def _stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+    every = np.concatenate(rows)
+    rmse = float(np.sqrt(np.mean(every**2)))
+    return 0 < rmse < plain and bool(2 * every.size * np.log(plain / rmse) > parameters * np.log(every.size))
 
 
 def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
