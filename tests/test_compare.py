@@ -22,7 +22,7 @@ from hystfit.fitting import sizes, smooth_weights
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.comparison_run import ComparisonRun
+from hystfit.fitting.comparison_run import NO_LOOP, ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
@@ -37,6 +37,7 @@ from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Code, Status, progress
 from hystfit.outcome.progress import ShownProgress
@@ -478,7 +479,7 @@ def test_a_thinned_search_of_sizes_has_no_equations_of_all_samples():
 
 
 @pytest.mark.parametrize("signed", [True, False])
-def test_reversal_curves_are_fitted_with_free_masses_first_which_stop_bounded_ones_that_cannot_win(signed):
+def test_reversal_curves_are_fitted_with_free_masses_first_which_stop_bounded_ones_that_cannot_win(monkeypatch, signed):
     """Four thousand relays by a plain sum, of which wide ones switch against the input or none do."""
     rng, curves = np.random.default_rng(3), []
     low = -0.6 * rng.random(4000) + 0.1
@@ -489,7 +490,11 @@ def test_reversal_curves_are_fitted_with_free_masses_first_which_stop_bounded_on
         state = np.where(back <= low, -1.0, 1.0)
         y = [float(mass @ np.where(value >= high, 1.0, state)) + 0.01 * rng.normal() for value in u]
         curves.append(hf.Record(u, np.array(y), name=f"{back:.2f}"))
+    collected, split = [], smooth_weights.Split.of
+    watched = lambda space, *rest, **held: collected.append(type(space.template)) or split(space, *rest, **held)
+    monkeypatch.setattr(smooth_weights.Split, "of", watched)
     found = hf.compare(curves, workers=1)
+    assert set(collected) == {SignedPreisach}  # bounded masses take the equations
     rows = {row.asked: row for row in found.rows}
     bounded, free = rows["preisach-forc"], rows["preisach-forc-signed"]
     assert free.score_percent is not None
@@ -497,6 +502,21 @@ def test_reversal_curves_are_fitted_with_free_masses_first_which_stop_bounded_on
     assert (bounded.score_percent is None) == signed
     if signed:
         assert hf.fit(bounded.name, curves).left_out > 5 * found.winner.left_out
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.4])
+def test_records_without_a_loop_that_leave_noise_need_no_model_that_iterates(noise):
+    """A loop of the same size in less noise needs them."""
+    rng, phase = np.random.default_rng(4), np.linspace(0, 6 * np.pi, 300, endpoint=False)
+    u, loop = 5 * np.sin(phase), np.zeros(300)
+    for k, value in enumerate(u[1:], 1):
+        loop[k] = np.clip(loop[k - 1], value - 0.5, value + 0.5)
+    found = hf.compare(hf.Record(u, 2 * u + 0.05 * loop + noise * rng.normal(size=u.size)), workers=1)
+    rows = {row.asked: row for row in found.rows}
+    skipped = {name for name, row in rows.items() if NO_LOOP in (row.note or "")}
+    assert ("duhem" in skipped) == (noise == 0.4)
+    assert (found.winner.status is Status.NO_LOOP) == (noise == 0.4)
+    assert found.rows[0].asked not in skipped
 
 
 def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(monkeypatch):

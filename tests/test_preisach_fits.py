@@ -15,7 +15,15 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.fitting.smooth_weights import SmoothWeights
 from hystfit.models.nonnegative import solve_nonnegative
-from hystfit.models.preisach import EverettTable, check_preisach, fit_forc, forc_diagram, higher_order, stack_inverse
+from hystfit.models.preisach import (
+    EverettTable,
+    check_preisach,
+    fit_forc,
+    forc_diagram,
+    higher_order,
+    smooth,
+    stack_inverse,
+)
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.everett import cells, second_differences
 from hystfit.models.preisach.levels import sharp_levels, steep_levels
@@ -195,6 +203,26 @@ class TestWeights:
                 return found if found <= most else np.inf
 
         assert min(Measured().left_out(SMOOTHNESS, refitted=True)) == min(errors)
+
+    @pytest.mark.parametrize("nonnegative", [True, False])
+    def test_groups_are_solved_until_the_error_is_above_what_is_asked(self, monkeypatch, nonnegative):
+        model = truth("negative", n=6)
+        u = hf.signals.random_reversals(duration=60, rate=20, speed=1.0, seed=2)[1]
+        y = output(model, u) + 0.05 * np.random.default_rng(1).normal(size=u.size)
+        system = SmoothSystem.of([model.design_matrix(u)], [Record(u, y)], nonnegative=nonnegative)
+        fixed, strength = np.full(system.roughness.shape[0], np.nan), 1e-3
+        whole = _Trials(system, fixed).error(strength, refitted=True)
+        solved, solve = [], smooth._solve
+        monkeypatch.setattr(smooth, "_solve", lambda *args: solved.append(1) or solve(*args))
+        trials, groups = _Trials(system, fixed), system.counts.size - 1
+        assert trials.error(strength, refitted=True, most=0.5 * whole) == np.inf
+        assert len(solved) < 1 + groups
+        assert trials.error(strength, refitted=True, most=0.4 * whole) == np.inf  # as it is known to be
+        assert len(solved) < 1 + groups
+        assert trials.error(strength, refitted=True, most=1.01 * whole) == whole
+        held, bar = system.counts[:-1].sum(), trials.bar(strength, whole)
+        every = bar**2 * held + trials.fitted_squares(strength, slice(-1, None))
+        assert min(bar, np.sqrt(every / system.counts.sum())) == pytest.approx(whole)
 
     def test_held_parameters_stay_and_the_others_fit_around_them(self):
         model = truth("negative", n=6)

@@ -12,11 +12,12 @@ from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates
 from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row, handicap
-from hystfit.fitting.comparison_run import NO_LOOP, WHITE, ComparisonRun, correlation_of, score_of
+from hystfit.fitting.comparison_run import NO_LOOP, WHITE, ComparisonRun, score_of
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
+from hystfit.fitting.remains import correlation_of
 from hystfit.fitting.structure import Structure, structure_of
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.verdict import turns_back

@@ -16,20 +16,22 @@ from hystfit.fitting.comparison import MARGIN, Obstacles, Purpose, Row, handicap
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.fit_setup import choose_method, solve, started_problem
+from hystfit.fitting.fit_setup import choose_method, set_up_fit, solve, started_problem
 from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.remains import correlation_of, leaves_noise, without_loop
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
-from hystfit.fitting.verdict import residuals_are_white, show_no_loop
+from hystfit.inference.problem import Problem
+from hystfit.inference.weights import Split
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
-from hystfit.quality.held_out import HeldOut, Scheme, correlation_length, equal_errors, held_out, inner_loops
+from hystfit.quality.held_out import HeldOut, Scheme, equal_errors, held_out, inner_loops
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
@@ -48,21 +50,6 @@ _Work = Callable[[Candidate, Callable[[str], object]], None]
 def score_of(row: Row) -> float:
     """Error on held-out data [percent of range]; infinite where it is not known."""
     return np.inf if row.score_percent is None else row.score_percent
-
-
-def correlation_of(fit: FitResult) -> int:
-    """Samples over which the residuals of a fit are correlated."""
-    return max(map(correlation_length, _residuals_of(fit)))
-
-
-def _residuals_of(fit: FitResult) -> list[np.ndarray]:
-    """Prediction less measurement at the samples of each record that count [y]."""
-    return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
-
-
-def leaves_noise(fit: FitResult) -> bool:
-    """Whether the residuals of a fit are white, and its loop stands out of them."""
-    return residuals_are_white(_residuals_of(fit), fit.baselines.curve, len(fit.free_names))
 
 
 class ComparisonRun:
@@ -95,6 +82,8 @@ class ComparisonRun:
         self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
         self._errors: list[Exception] = []
         self._early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
+        # Of the last fit, which the next one takes where its bounds alone differ.
+        self._equations: tuple[Problem, Split] | None = None
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -225,14 +214,21 @@ class ComparisonRun:
         model = make_model(given)
         # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
         sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
+        (known, self._equations), ready = (self._equations, None), None
         if not sized and (alike := self._alike(model)) is not None:
             given = type(model).of(**alike.model.settings())
+            if known is not None:  # of the same cells
+                ready = set_up_fit(given, self.data, self.options, held=True)
+                ready.problem.equations = known[1].beside(known[0].space, ready.problem.space, len(self.data))
         elif not sized:
             one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress)
             chosen, one.choices = one.sizes.chosen(model)
             given = chosen if one.choices else given
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
-        ready = one.sizes.setup(given) if one.sizes is not None and isinstance(given, AbstractHysteresis) else None
+        if one.sizes is not None and isinstance(given, AbstractHysteresis):
+            ready = one.sizes.setup(given)
+            if ready is not None and ready.problem.equations is not None:
+                self._equations = ready.problem, ready.problem.equations
         one.sizes = None  # with its equations
         one.solved = early or solve_model(given, self.data, self.options, self._worth(_LOWERED, model), ready)
 
@@ -349,8 +345,7 @@ class ComparisonRun:
         best = self.best_row
         if best is None or not names:
             return False
-        fit, fewest = self.fits[best.asked], min(weights_of(make_model(name)) for name in names)
-        return show_no_loop(_residuals_of(fit), fit.baselines.curve, fewest)
+        return without_loop(self.fits[best.asked], min(weights_of(make_model(name)) for name in names))
 
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""
@@ -363,6 +358,7 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
+        self._equations = None
         known, result = self.fits[name], self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)

@@ -54,10 +54,30 @@ class Split:
         if space.ties:
             raise ParameterError("tied parameters need another method than 'preisach': choose method='lm'")
         system = SmoothSystem.of(_designs(space, records, x), records, held=held, offsets=offsets)
-        place, record = _placed(space, system.layout, len(records))
+        return cls._split(space, system, len(records))
+
+    @classmethod
+    def _split(cls, space: ParameterSpace, system: SmoothSystem, records: int) -> Split:
+        place, record = _placed(space, system.layout, records)
         fixed = _fixed(space, system.layout)
         fixed[place[place >= 0]] = np.nan
         return cls(system, place, record, fixed)
+
+    def beside(self, own: ParameterSpace, space: ParameterSpace, records: int) -> Split | None:
+        """The same equations for weights with other bounds, such as masses of either sign; None where the columns may differ.
+
+        Args:
+            own: parameters of these equations.
+            space: of the other model.
+            records: number of both.
+        """
+        mine, others = (jax.tree_util.tree_leaves(one.template) for one in (own, space))
+        weights = {block.leaf for block in self.system.layout.blocks}
+        pairs = enumerate(zip(mine, others, strict=False))
+        alike = all(np.shape(a) == np.shape(b) and (k in weights or np.array_equal(a, b)) for k, (a, b) in pairs)
+        if len(mine) != len(others) or not alike or own.template.settings() != space.template.settings():
+            return None
+        return self._split(space, self.system.bounded_by({leaf.index: leaf.info for leaf in space.leaves}), records)
 
     def gram(self, x: np.ndarray, unit: float) -> Float[np.ndarray, "p1 p1"]:
         """Normal matrix of [derivatives of the misfit, misfit], where all free parameters are weights: no pass over the samples is needed.

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from hystfit.data.record import Record
 from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
 from hystfit.params.host_arrays import NUMBERS
+from hystfit.params.param import ParamInfo
 from hystfit.quality.held_out import HeldOut, held_out
 from hystfit.runs.threads import Workers
 
@@ -196,6 +197,14 @@ class SmoothSystem:
                     low, high = np.minimum(low, part.min(axis=0)), np.maximum(high, part.max(axis=0))
             reach[start : start + penalty.cells.size] = np.clip((high - low) / (2 * penalty.cells), 0.0, 1.0)
         return reach
+
+    def bounded_by(self, infos: Mapping[int, ParamInfo]) -> SmoothSystem:
+        """The same equations with other declarations of the weights, by the numbers of their leaves: the bounds alone may differ."""
+        blocks, bounded = [], self.bounded.copy()
+        for block, start, end in zip(self.layout.blocks, self.layout.starts, self.layout.starts[1:], strict=False):
+            blocks.append(dataclasses.replace(block, info=infos[block.leaf]))
+            bounded[start:end] = infos[block.leaf].bounds[0] == 0.0
+        return dataclasses.replace(self, layout=dataclasses.replace(self.layout, blocks=tuple(blocks)), bounded=bounded)
 
     def of_outputs(
         self, design: DesignMatrix, record: Record, y: Float[np.ndarray, "N T"], held: HeldOut
