@@ -11,9 +11,6 @@ _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before few 
 # equations of 1891 weights ended after 25, 24 and 34 exchanges, where one by one they did not.
 _WORST = 0.3
 _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
-# Unknowns up to which they are then exchanged one by one, at most as often as there are: 62 ended after 49 exchanges, 2 ms, where the
-# fallback and the import of its solver take 80 ms.
-_FEW = 100
 
 
 def solve_nonnegative(
@@ -88,17 +85,15 @@ def _last(wrong: np.ndarray) -> np.ndarray:
 
 
 def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    fewest, patience = b.size + 1, _PATIENCE
-    for exchange in range(_LIMIT + (b.size if b.size <= _FEW else 0)):
+    fewest, patience, best = b.size + 1, _PATIENCE, active
+    for _ in range(_LIMIT):
         w, dual = _solve_on(A, b, active)
         wrong = _wrong(w, dual, b, bounded, active)
         count = int(wrong.sum())
         if count == 0:
             return np.where(bounded, np.maximum(w, 0.0), w), active
-        if exchange >= _LIMIT:
-            wrong = _last(wrong)
-        elif count < fewest:
-            fewest, patience = count, _PATIENCE
+        if count < fewest:
+            fewest, patience, best = count, _PATIENCE, active
         elif patience:
             patience -= 1
         else:  # whole blocks go in circles
@@ -106,7 +101,37 @@ def _pivot(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray
                 worst = np.max(size, where=wrong & side, initial=0.0)
                 wrong &= ~side | (size >= _WORST * worst)
         active = active ^ wrong
-    return _by_root(A, b, bounded)
+    return _descend(A, b, bounded, best)
+
+
+def _descend(A: np.ndarray, b: np.ndarray, bounded: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """From the feasible point next to a solution that few unknowns are wrong in, by one unknown at a time (Lawson and Hanson 1974).
+
+    Rounding of nearly singular equations may send an unknown back at once that its gradient sets free: it stays at zero.
+    """
+    w = _solve_on(A, b, active)[0]
+    w[bounded & (w < 0)] = 0.0
+    stays = np.zeros(b.size, dtype=bool)
+    for _ in range(2 * b.size):
+        active = ~bounded | (w > 0)
+        goal, dual = _solve_on(A, b, active)
+        while (back := bounded & active & (goal < 0)).any():
+            share = float(np.min(w[back] / (w[back] - goal[back])))
+            w += share * (goal - w)
+            active &= ~bounded | (w > 0)
+            active[back & (w <= np.finfo(float).eps * np.abs(w).max())] = False
+            w[~active] = 0.0
+            goal, dual = _solve_on(A, b, active)
+        w = goal
+        free = _wrong(w, dual, b, bounded, active) & ~stays
+        if not free.any():
+            break
+        k = int(np.argmin(np.where(free, dual, 0.0)))
+        active[k] = True
+        goal = _solve_on(A, b, active)[0]
+        stays[k] = goal[k] <= 0
+        w[k] = 0.0 if stays[k] else np.finfo(float).tiny
+    return w, ~bounded | (w > 0)
 
 
 def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
