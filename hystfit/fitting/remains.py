@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.fitting.verdict import residuals_are_white, show_no_loop
+from hystfit.fitting.verdict import are_white, residuals_are_white, stands_out
 from hystfit.quality.held_out import correlation_length
 from hystfit.results.result import FitResult
 
@@ -26,4 +26,5 @@ def leaves_noise(fit: FitResult) -> bool:
 
 def without_loop(fit: FitResult, parameters: int) -> bool:
     """Whether the residuals of a fit are white, and no loop that takes as many parameters or more stands out of them."""
-    return show_no_loop(_residuals_of(fit), fit.baselines.curve, parameters)
+    rows = _residuals_of(fit)
+    return are_white(rows) and not stands_out(rows, fit.baselines.curve, parameters)

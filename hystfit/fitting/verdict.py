@@ -60,19 +60,16 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: in
     `plain` is the RMSE of the best single-valued curve. The loop must be worth the model's number of parameters by the Bayesian
     information criterion.
     """
-    return _are_white(rows) and _stands_out(rows, plain, parameters)
+    return are_white(rows) and stands_out(rows, plain, parameters)
 
 
-def show_no_loop(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
-    """Whether residuals are white, and no loop that takes as many parameters or more stands out of them; see `residuals_are_white`."""
-    return _are_white(rows) and not _stands_out(rows, plain, parameters)
-
-
-def _are_white(rows: Sequence[np.ndarray]) -> bool:
+def are_white(rows: Sequence[np.ndarray]) -> bool:
+    """Whether enough residuals of each record are uncorrelated."""
     return min(row.size for row in rows) >= _ENOUGH and not any(is_correlated(row) for row in rows)
 
 
-def _stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+    """Whether a loop stands out of residuals that is worth a number of parameters; arguments as for `residuals_are_white`."""
     every = np.concatenate(rows)
     rmse = float(np.sqrt(np.mean(every**2)))
     return 0 < rmse < plain and bool(2 * every.size * np.log(plain / rmse) > parameters * np.log(every.size))

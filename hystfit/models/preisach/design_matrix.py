@@ -161,8 +161,12 @@ def _moves(value: np.ndarray, parent: np.ndarray, nodes: np.ndarray, first: Move
     """What each extremum or state adds to the one before it: those without one, and the others."""
     count = int(np.count_nonzero(parent < 0))
     now, before = value[count:], nodes[parent[count:]]
-    sign = scipy.sparse.diags_array(np.where(now > before, 2.0, -2.0))
-    return first(value[:count]), sign @ pair(np.maximum(now, before), np.minimum(now, before))
+    sign, moved = np.where(now > before, 2.0, -2.0), pair(np.maximum(now, before), np.minimum(now, before))
+    if scipy.sparse.issparse(moved):  # a product with a diagonal matrix takes as long as all the rest for short records
+        moved.data *= np.repeat(sign, np.diff(moved.indptr))
+    else:
+        moved = sign * moved
+    return first(value[:count]), moved
 
 
 def _host_tables(model: AbstractPlane, code: Code | None, read: Moves) -> tuple[Any, Moves, Pairs]:

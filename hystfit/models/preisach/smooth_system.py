@@ -157,7 +157,7 @@ class SmoothSystem:
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
             few = None if product is None else design.blocks[layout.kept[product]].columns.rows
-            for fold in range(-1, held.count):
+            for fold in range(-1, number_of - 1):
                 if (mask := record.used & (folds == fold)).any():
                     index = design.index[mask]
                     y = (record.y[mask] - design.rest[index]) / size - (A @ origin[others[:-1]])[index]
