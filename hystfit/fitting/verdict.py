@@ -70,9 +70,9 @@ def are_white(rows: Sequence[np.ndarray]) -> bool:
 
 def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
     """Whether a loop stands out of residuals that is worth a number of parameters; arguments as for `residuals_are_white`."""
-    every = np.concatenate(rows)
-    rmse = float(np.sqrt(np.mean(every**2)))
-    return 0 < rmse < plain and bool(2 * every.size * np.log(plain / rmse) > parameters * np.log(every.size))
+    count = sum(row.size for row in rows)
+    rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
+    return 0 < rmse < plain and bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
 
 
 def verdict_of(fitted: Fitted) -> tuple[Status, list[Note]]:
