@@ -31,6 +31,7 @@ _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
+_READ, _MOVING = 1.0, 2.0  # stages of the start: the first sample is read, and its velocity is known
 _DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
 
 
@@ -48,13 +49,16 @@ class Damper(AbstractHysteresis):
     Saturating forces are the yield force of a magnetorheological damper, stops of x friction and the elasticity before it slips. Stops of
     w are forces that differ between rising and falling speed: the compressibility of the fluid and the inertia of a valve. `viscous`,
     `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve. A
-    damper that was moved before the record rests with its stops strained: p_j = x - strain r_j at the first sample.
+    damper that was moved before the record rests with its stops strained: p_j = x - strain r_j at the first sample. It has
+    moved at the velocity of the first interval before the record, so that w has no transient; for one at rest use `Record.resting_on`
+    with the first displacement.
     """
 
     no_inverse: ClassVar[str] = (
         "a damper has no inverse: its force depends on the velocity, and its spring may have either sign"
     )
     rate_independent: ClassVar[bool] = False
+    takes_rate: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(time=True, rate=True, direction="clockwise", regularized=True)
@@ -101,24 +105,26 @@ class Damper(AbstractHysteresis):
                 raise ModelError(f"{name} must have shape {shape}, got {value.shape}")
 
     def init(self, u0: Scalar) -> State:
-        """State at rest on u0: the plays of x and of w, and w, shape (29,)."""
+        """State at rest on u0: the plays of x and of w, w, and a stage of the start, shape (30,)."""
         x = (u0 - self.center) / self.half
-        return jnp.concatenate([x - self.strain * jnp.asarray(_STROKES), jnp.zeros(len(_LAGS) + 1) * u0])
+        return jnp.concatenate([x - self.strain * jnp.asarray(_STROKES), jnp.zeros(len(_LAGS) + 2) * u0])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the velocity, the plays, and the sum of all forces."""
+        before, stage = state[-2], state[-1]
         rate = (u1 - u0) / jnp.where(dt > 0, dt, 1.0) / self.speed
-        left = jnp.exp(-dt / self.tau)
-        w = jnp.where(dt > 0, left * state[-1] + (1.0 - left) * rate, state[-1])
+        left = jnp.where(stage == _READ, 0.0, jnp.exp(-dt / self.tau))
+        w = jnp.where(dt > 0, left * before + (1.0 - left) * rate, before)
+        stage = jnp.where((stage == 0) & (u1 == u0), _READ, jnp.where((stage == _READ) & (dt <= 0), _READ, _MOVING))
         x = (u1 - self.center) / self.half
-        p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -1], w, _LAGS)
+        p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -2], w, _LAGS)
         y = self.offset + jnp.dot(self.spring, x ** jnp.asarray(_SPRING)) + self.viscous * w
         y += self.bent @ jnp.stack([w * jnp.abs(w), w**3, w**2])
         y += self.coupling @ jnp.stack([x * jnp.abs(w), x * w, x**2 * w, x**2 * jnp.abs(w)])
         part = jnp.clip(0.5 * (1.0 + x), 0.0, 1.0)
         y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
         y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
-        return jnp.concatenate([p, q, w[None]]), y
+        return jnp.concatenate([p, q, jnp.stack([w, stage])]), y
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
@@ -146,6 +152,7 @@ class Damper(AbstractHysteresis):
         """w at every sample, shape (T,)."""
         with np.errstate(divide="ignore", invalid="ignore"):  # without a lag, the velocity is that of the sample
             left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
+        left[1 + np.flatnonzero(dt[1:] > 0)[:1]] = 0.0  # no transient in the first interval
         driven = (1.0 - left) * np.diff(u, prepend=u[0]) / np.where(dt > 0, dt, 1.0) / float(self.speed)
         w, last = np.empty(u.size), 0.0
         for k, (kept, added) in enumerate(zip(left.tolist(), driven.tolist(), strict=True)):

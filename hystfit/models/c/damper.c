@@ -1,8 +1,9 @@
-/* Damper. State: plays of the displacement, plays of the velocity, the velocity. */
+/* Damper. State: plays of the displacement, plays of the velocity, the velocity, and the stage of the start: nothing read, the first
+   sample read, moving. */
 static void @f@_init(double *s, double u0)
 {
     int j;
-    for (j = 0; j < @M@_STROKES_SIZE + @M@_LAGS_SIZE + 1; j++)
+    for (j = 0; j < @M@_STROKES_SIZE + @M@_LAGS_SIZE + 2; j++)
         s[j] = j < @M@_STROKES_SIZE ? (u0 - @M@_CENTER) / @M@_HALF - @M@_STRAIN * @f@_strokes[j] : 0;
 }
 
@@ -19,7 +20,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     double w = s[end], size, y;
     int j;
     if (dt > 0) {
-        const double left = exp(-dt / @M@_TAU);
+        const double left = s[end + 1] == 1 ? 0 : exp(-dt / @M@_TAU);
         w = left * w + (1 - left) * ((u1 - u0) / dt / @M@_SPEED);
     }
     size = fabs(w);
@@ -40,7 +41,9 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
         if (next)
             next[@M@_STROKES_SIZE + j] = play;
     }
-    if (next)
+    if (next) {
         next[end] = w;
+        next[end + 1] = s[end + 1] == 0 && u1 == u0 ? 1 : s[end + 1] == 1 && dt <= 0 ? 1 : 2;
+    }
     return y;
 }
