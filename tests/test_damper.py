@@ -34,12 +34,15 @@ def plain(model: hf.Damper, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """The definition, sample by sample."""
     start = (u[0] - float(model.center)) / float(model.half)
     p, q, w, out = [start - float(model.strain) * r for r in _STROKES], [0.0] * len(_LAGS), 0.0, []
-    started = 0.0
+    started = last = 0.0
     for k, now in enumerate(u):
-        if k and dt[k] > 0:  # the exact answer of tau w' + w = v to a constant v over the interval, after a long first interval
-            v = (now - u[k - 1]) / dt[k] / float(model.speed)
+        if (
+            k and dt[k] > 0
+        ):  # the exact answer of tau w' + w = v to a constant v over the interval, after a long first interval
+            rate = (now - u[k - 1]) / dt[k] / float(model.speed)
+            v = rate + float(model.lead) * (rate - last) * started
             w = v + (w - v) * math.exp(-dt[k] / float(model.tau)) * started
-            started = 1.0
+            started, last = 1.0, rate
         x = (now - float(model.center)) / float(model.half)
         p = [min(max(old, x - r), x + r) for old, r in zip(p, _STROKES, strict=True)]
         q = [min(max(old, w - h), w + h) for old, h in zip(q, _LAGS, strict=True)]
@@ -58,7 +61,7 @@ def test_a_damper_follows_its_definition() -> None:
     u, dt = sweep(1.0), np.random.default_rng(1).uniform(0.5, 1.5, int(RATE)) / RATE
     dt[[0, 50]] = 0.0
     u[50] = u[49]
-    model = random_damper(0, center=0.3, offset=0.2, strain=0.7)
+    model = random_damper(0, center=0.3, offset=0.2, strain=0.7, lead=0.5)
     expected = plain(model, u, dt)
     np.testing.assert_allclose(np.asarray(hf.simulate(model, u, dt)[0]), expected, atol=1e-10)
     np.testing.assert_allclose(model.free_run(u, dt), expected, atol=1e-10)
