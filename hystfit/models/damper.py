@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
@@ -36,7 +37,14 @@ _LEADS = (
     0.0,
     0.5,
 )  # of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample
-_DELAYS = (0.35, 0.7, 1.4, 2.8, 5.6)  # sampling intervals: time constants of the velocity from which a fit may start
+_DELAYS = (
+    0.35,
+    0.7,
+    1.4,
+    2.8,
+    5.6,
+    11.2,
+)  # sampling intervals, each twice the one before: lags from which a fit may start
 
 
 class Damper(AbstractHysteresis):
@@ -179,9 +187,22 @@ class Damper(AbstractHysteresis):
         ranges = {"center": place.center, "half": place.half, "speed": speed(records, LARGE)}
         model = dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
         heads = [record.segment(0, min(len(record), SAMPLES)) for record in records]
-        starts = itertools.product(_STRAINS, _LEADS, interval * np.array(_DELAYS))
-        tried = [dataclasses.replace(model, strain=strain, lead=lead, tau=tau) for strain, lead, tau in starts]
-        return min(tried, key=lambda one: one._misfit(heads))
+        pairs = itertools.product(_STRAINS, _LEADS)
+        starts = [
+            dataclasses.replace(model, strain=strain, lead=lead)._with_lag(heads, interval) for strain, lead in pairs
+        ]
+        return min(starts, key=lambda start: start[1])[0]
+
+    def _with_lag(self, records: Sequence[Record], interval: float) -> tuple[Damper, float]:
+        """The same damper with the lag that leaves the smallest misfit, and that misfit."""
+        lagging = lambda log_tau: dataclasses.replace(self, tau=float(np.exp(log_tau)))
+        logs = np.log(interval * np.array(_DELAYS))
+        best = int(np.argmin([lagging(log_tau)._misfit(records) for log_tau in logs]))
+        around = logs[max(best - 1, 0)], logs[min(best + 1, logs.size - 1)]
+        found = scipy.optimize.minimize_scalar(
+            lambda log_tau: lagging(log_tau)._misfit(records), bounds=around, method="bounded", options={"xatol": 0.01}
+        )
+        return lagging(found.x), float(found.fun)
 
     def _misfit(self, records: Sequence[Record]) -> float:
         """Least sum of squared errors that the weights reach, with an offset for each record."""
