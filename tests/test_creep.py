@@ -213,8 +213,7 @@ def test_a_record_knows_where_the_device_rested() -> None:
     longer = record.window(10.0, 20.0).resting_on(-3.0)
     assert longer.u[0] == -3
     assert np.isnan(longer.y[0])
-    np.testing.assert_array_equal(longer.u[1:], record.u[: len(longer) - 1])  # as far as the window
-    assert longer.t[-1] == pytest.approx(20.0, abs=0.011)  # type: ignore[index]
+    np.testing.assert_array_equal(longer.u[1:], record.u)
     np.testing.assert_allclose(np.diff(longer.t)[:3], 0.01, rtol=1e-9)  # type: ignore[arg-type]
     assert longer.used.sum() == 1000
     assert longer.notes[-1].code is Code.PREPARED

@@ -205,9 +205,8 @@ def _without_window(record: Record, start: float | None, stop: float | None) -> 
     """The record in which the samples of a window have no weight."""
     import numpy as np
 
-    window, weight = record.window(start, stop), np.array(record.weight)
-    weight[: len(window)][window.used] = 0.0
-    outside = record.replace(weight=weight)
+    inside = record.window(start, stop).weight > 0
+    outside = record.replace(weight=np.where(inside, 0.0, record.weight))
     if not outside.used.any():
         raise DataError(f"record {record.name!r}: the test window leaves no sample to fit")
     return outside
@@ -222,10 +221,8 @@ def _named_apart(test: Dataset, train: Dataset) -> Dataset:
 def _refuse_overlap(train: Dataset, test: Dataset | None) -> None:
     for one in train:
         for other in test or ():
-            count = min(len(one), len(other))  # windows of one record end at different samples
-            first, second = one.segment(0, count), other.segment(0, count)
-            shared = int((first.used & second.used).sum())
-            if shared and _same_samples(first, second):
+            shared = int((one.used & other.used).sum()) if _same_samples(one, other) else 0
+            if shared:
                 raise DataError(
                     f"training and test data share {shared} samples of {other.name!r}: make --window and --test-window (or "
                     "the curves) disjoint"

@@ -133,10 +133,9 @@ class Record:
         return self if note in self.notes else self.replace(notes=(*self.notes, note))
 
     def window(self, start: float | None = None, stop: float | None = None) -> Record:
-        """The same record up to a time, in which only samples with start <= t < stop count.
+        """The same record in which only samples with start <= t < stop count.
 
-        The input before the window still drives the model, so that its state is right where the window begins. Samples after the window
-        are left out.
+        The input before the window still drives the model, so that its state is right where the window begins.
         Limits are in t_unit where the record has time, sample numbers where it has none; None leaves a side open.
 
         Raises:
@@ -151,7 +150,7 @@ class Record:
                 f"record {self.name!r}: no usable sample between {start} and {stop} {unit}; "
                 f"the record runs from {axis[0]:g} to {axis[-1]:g}"
             )
-        return self.replace(weight=weight).segment(0, int(np.flatnonzero(inside)[-1]) + 1)
+        return self.replace(weight=weight)
 
     def resting_on(self, u0: float) -> Record:
         """Prepend an unmeasured sample: the device is in equilibrium at the input `u0` before the record begins.
