@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.limits import LONGEST
+from hystfit.reading.limits import FEW, LONGEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
 
@@ -207,9 +207,11 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
-        known = [is_unit(unit) for unit in units if unit]
-        if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
-            if all(quantity(unit) == "time" for unit in units):
+        known = [unit for unit in units if is_unit(unit)]  # "TTL" is that of no quantity
+        enough = len(known) > 1 and 2 * len(known) >= len([*filter(None, units)])
+        if re.search("unit", title, re.IGNORECASE) and enough and len(units) < width:
+            units = [unit if unit in known else "" for unit in units]
+            if all(quantity(unit) == "time" for unit in known):
                 continue
             return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
     return [""] * width
@@ -227,7 +229,7 @@ def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> 
     zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
     if any(zeros):
         return ["V"] * len(units)
-    return [unit if scale == 1.0 else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)]
+    return [unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)]
 
 
 def _bare(parts: Sequence[str]) -> list[str]:
@@ -304,6 +306,30 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
     ]
 
 
+def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
+    """Names over columns of fixed width that go on below, and units below some of them; None where every line has all columns."""
+    rows: list[dict[int, str]] = []
+    for used, line in enumerate(reversed(above), start=1):
+        if not line.strip(" -="):  # a rule
+            if rows:
+                return None
+            continue
+        rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
+        if len(rows[0]) >= width or len(rows) > FEW:
+            break
+    else:
+        return None
+    top, *below = rows
+    if len(top) != width or not below or any(row.keys() - top.keys() for row in below):
+        return None
+    stacks = [[row[start] for row in rows if start in row] for start in top]
+    is_last = [len(stack) > 1 and re.fullmatch(r"[\[(].*[\])]", stack[-1]) is not None for stack in stacks]
+    if 2 * sum(is_last) < width:
+        return None
+    names = [" ".join(stack[:-1] if last else stack) for stack, last in zip(stacks, is_last, strict=True)]
+    return names, [stack[-1][1:-1] if last else "" for stack, last in zip(stacks, is_last, strict=True)], used
+
+
 def read_header(
     above: Sequence[str], width: int, delimiter: str | None, decimal: str, split: dict[int, list[str]]
 ) -> tuple[list[str], list[str], int]:
@@ -313,6 +339,8 @@ def read_header(
         delimiter, decimal: those of the data; None is any white space.
         split: cells of lines that are split already (quoted cells), by position in `above`.
     """
+    if delimiter is None and (aligned := _aligned(above, width)) is not None:
+        return aligned
     headers: list[tuple[int, list[str]]] = []
     for position in range(len(above) - 1, max(-1, len(above) - 7), -1):
         if not above[position].strip(" \t,;"):
