@@ -23,10 +23,17 @@ from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.conditions import changed_conditions, without_turns
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
-from hystfit.reading.limits import MAJORITY, RARE
+from hystfit.reading.limits import FEW, MAJORITY, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
-from hystfit.reading.sentinels import ends_with_zeros, failed_inputs, replaced_notes, without_codes, without_infinite
+from hystfit.reading.sentinels import (
+    ends_with_zeros,
+    failed_inputs,
+    replaced_notes,
+    shifted_marks,
+    without_codes,
+    without_infinite,
+)
 from hystfit.reading.stated_interval import unit_of_interval
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
@@ -237,6 +244,12 @@ def _records_of(
     for role in ("input", "output"):
         data[role], coded = without_codes(data[role], role)
         notes += coded
+        if (shifted := shifted_marks(data[role])).size >= FEW and gaps == "error":
+            lines = ", ".join(map(str, table.line[shifted[:5]]))
+            raise DataError(
+                f"{table.source}: {shifted.size} numbers of the {role} are a tenth of those around them, or ten times these "
+                f"(lines {lines}): decimal marks were lost when the file was written; export it again (gaps='drop' reads it as it is)"
+            )
     if (failed := failed_inputs(data["input"], data["output"])).size:
         text = f"left out: {failed.size} rows in which the input alone reads 0, as that of a sensor that failed"
         notes.append(warn(Code.MISSING_VALUES, f"{text}; lines {', '.join(map(str, table.line[failed[:5]]))}"))

@@ -229,7 +229,9 @@ def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> 
     zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
     if any(zeros):
         return ["V"] * len(units)
-    return [unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)]
+    return [
+        unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)
+    ]
 
 
 def _bare(parts: Sequence[str]) -> list[str]:
@@ -309,25 +311,18 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
     """Names over columns of fixed width that go on below, and units below some of them; None where every line has all columns."""
     rows: list[dict[int, str]] = []
-    for used, line in enumerate(reversed(above), start=1):
-        if not line.strip(" -="):  # a rule
-            if rows:
-                return None
-            continue
-        rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
-        if len(rows[0]) >= width or len(rows) > FEW:
-            break
-    else:
+    lines = list(above)
+    while lines and (not rows or len(rows[0]) < width) and len(rows) <= FEW:
+        line = lines.pop()
+        if line.strip(" -="):
+            rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
+        elif rows:
+            return None
+    if len(rows) < 2 or len(rows[0]) != width or any(row.keys() - rows[0].keys() for row in rows):
         return None
-    top, *below = rows
-    if len(top) != width or not below or any(row.keys() - top.keys() for row in below):
-        return None
-    stacks = [[row[start] for row in rows if start in row] for start in top]
-    is_last = [len(stack) > 1 and re.fullmatch(r"[\[(].*[\])]", stack[-1]) is not None for stack in stacks]
-    if 2 * sum(is_last) < width:
-        return None
-    names = [" ".join(stack[:-1] if last else stack) for stack, last in zip(stacks, is_last, strict=True)]
-    return names, [stack[-1][1:-1] if last else "" for stack, last in zip(stacks, is_last, strict=True)], used
+    names = [" ".join(row[start] for row in rows if start in row) for start in rows[0]]
+    units = [split_unit(name, names)[1] for name in names]
+    return (names, units, len(above) - len(lines)) if 2 * sum(map(bool, units)) >= width else None
 
 
 def read_header(

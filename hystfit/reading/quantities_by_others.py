@@ -18,6 +18,7 @@ _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
+_CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
 _RETENTION = (("h", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
@@ -62,6 +63,8 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
         kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
+    if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
+        kinds.update({k: "stress" for k in free if kinds[k] == "pressure"})
     fields = [k for k in free if kinds[k] == "field"]
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field

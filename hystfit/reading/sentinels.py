@@ -91,6 +91,21 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     return rows[1:-1][inner & goes_on & (np.abs(around[1:-1]) > np.abs(np.diff(others)).max())]
 
 
+def shifted_marks(values: np.ndarray) -> np.ndarray:
+    """Rows whose number is a tenth of one between its neighbors, or ten times one: a program cut off a zero behind a comma.
+
+    The neighbors differ by less than a factor of two, the numbers run on from one to the other, as no pulse does, and both steps are large.
+    """
+    before, after, steps = values[:-2], values[2:], np.abs(np.diff(values))
+    if not steps.size:
+        return np.arange(0)
+    low, high = np.minimum(before, after), np.maximum(before, after)
+    run_on = (low * high > 0) & (np.maximum(np.abs(low), np.abs(high)) < 2 * np.minimum(np.abs(low), np.abs(high)))
+    between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
+    far = np.minimum(steps[:-1], steps[1:]) > JUMP * np.nanmedian(steps)
+    return np.flatnonzero(run_on & far & (between[0] | between[1])) + 1
+
+
 def ends_with_zeros(columns: Iterable[np.ndarray]) -> bool:
     """Whether the last row is 0 in all columns, each time over a step twice as large as any other step: an end mark."""
     rows = np.column_stack([*columns])
