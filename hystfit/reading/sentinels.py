@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.limits import JUMP, MAJORITY, ODD
+from hystfit.reading.limits import FEW, JUMP, MAJORITY, ODD
 from hystfit.reading.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
@@ -96,12 +96,12 @@ def shifted_marks(values: np.ndarray) -> np.ndarray:
 
     The neighbors differ by less than a factor of two, the numbers run on from one to the other, as no pulse does, and both steps are large.
     """
-    before, after, steps = values[:-2], values[2:], np.abs(np.diff(values))
-    if not steps.size:
+    if values.size < FEW or not np.isfinite(steps := np.abs(np.diff(values))).any():
         return np.arange(0)
-    low, high = np.minimum(before, after), np.maximum(before, after)
-    run_on = (low * high > 0) & (np.maximum(np.abs(low), np.abs(high)) < 2 * np.minimum(np.abs(low), np.abs(high)))
-    between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
+    low, high = np.minimum(values[:-2], values[2:]), np.maximum(values[:-2], values[2:])
+    with np.errstate(over="ignore"):  # of numbers near the largest
+        run_on = ((low > 0) & (high < 2 * low)) | ((high < 0) & (low > 2 * high))
+        between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
     far = np.minimum(steps[:-1], steps[1:]) > JUMP * np.nanmedian(steps)
     return np.flatnonzero(run_on & far & (between[0] | between[1])) + 1
 
