@@ -309,20 +309,25 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
 
 
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
-    """Names over columns of fixed width that go on below, and units below some of them; None where every line has all columns."""
+    """Names over columns of fixed width that go on below, with units in brackets below some; None where every line has all columns."""
     rows: list[dict[int, str]] = []
-    lines = list(above)
+    lines = [*above]
     while lines and (not rows or len(rows[0]) < width) and len(rows) <= FEW:
         line = lines.pop()
         if line.strip(" -="):
             rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
         elif rows:
             return None
-    if len(rows) < 2 or len(rows[0]) != width or any(row.keys() - rows[0].keys() for row in rows):
+    units = [*rows[-1].values()] if len(rows) > 1 else []
+    if (
+        not units
+        or {*_bare(units)} & {*units}
+        or any(row.keys() - rows[0].keys() for row in rows)
+        or len(rows[0]) != width
+    ):
         return None
     names = [" ".join(row[start] for row in rows if start in row) for start in rows[0]]
-    units = [split_unit(name, names)[1] for name in names]
-    return (names, units, len(above) - len(lines)) if 2 * sum(map(bool, units)) >= width else None
+    return names, [split_unit(name, names)[1] for name in names], len(above) - len(lines)
 
 
 def read_header(

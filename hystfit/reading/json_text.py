@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
 
@@ -18,7 +17,7 @@ from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.header import MOST_METADATA
+from hystfit.reading.header import MOST_METADATA, unit_key
 from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
@@ -230,9 +229,8 @@ def _array(items: list[Any]) -> np.ndarray | None:
 def _unit_texts(tree: Any) -> Iterator[tuple[str, str]]:
     """Units anywhere in the tree, with the name of their column where the text gives it, else ""."""
     for key, item in tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ():
-        named = re.fullmatch(r"(\w+?)(?:_u|U)nits?", str(key))
-        if named and isinstance(item, str):  # "pressure_unit": "bar", "pressureUnits": "bar"
-            yield named[1], item
+        if isinstance(item, str) and (title := unit_key(str(key))):  # "pressure_unit": "bar", "pressureUnits": "bar"
+            yield title, item
         elif str(key).lower() in _UNITS:
             pairs = (
                 item.items()
@@ -252,11 +250,8 @@ def _with_units(arrays: Mapping[str, np.ndarray], known: Collection[tuple[str, s
     for name, array in arrays.items():
         last = name.rpartition(".")[2]
         kind = column_quantity(last)
-        titled = [(title, unit) for title, unit in known if title]
-        units = {unit for title, unit in titled if title == last}
-        units = units or {
-            unit for title, unit in titled if title in words_of(last)
-        }  # total_adsorption: adsorptionUnits
+        units = {unit for title, unit in known if title in (last, last.lower())}
+        units = units or {unit for title, unit in known if title in words_of(last)}  # adsorption of total_adsorption
         units = units or {unit for title, unit in known if not title and kind and quantity(unit) == kind}
         found[f"{name} [{units.pop()}]" if len(units) == 1 and not split_unit(last)[1] else name] = array
     return found
