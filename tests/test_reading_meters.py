@@ -129,3 +129,21 @@ def test_times_in_turkish_and_czech(names: str, tmp_path: Path) -> None:
     record = one(tmp_path, f"{names}\n" + rows(";", 0.5 * np.arange(N), Y, U).replace(".", ","))
     is_pair(record)
     np.testing.assert_allclose(record.t, 0.5 * np.arange(N))
+
+
+def test_a_temperature_drives_where_the_load_is_held(tmp_path: Path) -> None:
+    """Shape memory alloys are loaded, and then heated and cooled at constant load."""
+    load = np.r_[np.linspace(3, 120, 20), 120 + 0.2 * np.cos(np.arange(N))].round(3)
+    warm = np.r_[np.full(20, 49.5), 1.5 * U]
+    stretch = np.r_[np.linspace(0, 0.3, 20), 0.3 + Y / 50].round(4)
+    columns = np.arange(N + 20) * 0.5, load, stretch, warm, (2.19 * load).round(3)
+    record = one(
+        tmp_path, "Time (s),Load (N),Extension (mm),Temperature Chamber (C),Stress (MPa)\n" + rows(",", *columns)
+    )
+    is_pair(record, warm, stretch)
+    swept = columns[0], np.r_[np.linspace(3, 120, 20), 3 * Y], np.r_[np.linspace(0, 0.3, 20), U / 50], warm
+    is_pair(
+        one(tmp_path, "Time (s),Load (N),Extension (mm),Temperature Chamber (C)\n" + rows(",", *swept)),
+        swept[2],
+        swept[1],
+    )

@@ -333,20 +333,15 @@ def _as_option(table: Table, position: int) -> str:
 
 def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[int]:
     """The columns without the extremes of the readings that each row sums up, and one alone of their mean and the readings."""
-    words = {k: words_of(split_unit(table.names[k])[0]) for k in free}
+    columns, words = table.columns, {k: words_of(split_unit(table.names[k])[0]) for k in free}
     for low, high in itertools.permutations(free, 2):
         if not (words[low] & _LEAST and words[high] & _MOST and words[low] - _LEAST == words[high] - _MOST):
             continue
-        least, most = table.columns[low], table.columns[high]
-        within = [
-            k for k in free if k not in (low, high) and ((least <= table.columns[k]) & (table.columns[k] <= most)).all()
-        ]
-        if within:
+        ordered = lambda k, low=low, high=high: np.diff([columns[low], columns[k], columns[high]], axis=0).min() >= 0
+        if within := [k for k in free if k not in (low, high) and ordered(k)]:
             left = {low, high, *within[1:]}
             shown = ", ".join(repr(table.names[k]) for k in sorted(left))
-            text = (
-                f"{shown}: the extremes and means of the readings {table.names[within[0]]!r} of each row are not used"
-            )
+            text = f"{shown}: extremes and means of the readings {table.names[within[0]]!r} of each row, not used"
             notes.append(Note(Code.LEFT_OUT, text))
             return [k for k in free if k not in left and not table.counts(k)]  # the readings are numbered
     return free

@@ -101,9 +101,8 @@ def _columnar(value: Any, depth: int = 0) -> Any:
 
 def _title(column: Any) -> str:
     """The name of a column with its unit, where a mapping describes it."""
-    if not isinstance(column, Mapping):
-        return str(column)
-    label, unit = (next((column[key] for key in keys if column.get(key)), "") for keys in (_LABELS, _UNITS))
+    described = column if isinstance(column, Mapping) else {"name": column}
+    label, unit = (next((described[key] for key in keys if described.get(key)), "") for keys in (_LABELS, _UNITS))
     return f"{label} [{unit}]" if unit else str(label)
 
 

@@ -92,15 +92,12 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def shifted_marks(values: np.ndarray) -> np.ndarray:
-    """Rows whose number is a tenth of one between its neighbors, or ten times one: a program cut off a zero behind a comma.
-
-    The neighbors differ by less than a factor of two, the numbers run on from one to the other, as no pulse does, and both steps are large.
-    """
+    """Rows far from their neighbors with a tenth of a number between these, or ten times one: a zero behind a comma was cut off."""
     if values.size < FEW or not np.isfinite(steps := np.abs(np.diff(values))).any():
         return np.arange(0)
     low, high = np.minimum(values[:-2], values[2:]), np.maximum(values[:-2], values[2:])
     with np.errstate(over="ignore"):  # of numbers near the largest
-        run_on = ((low > 0) & (high < 2 * low)) | ((high < 0) & (low > 2 * high))
+        run_on = ((low > 0) & (high < 2 * low)) | ((high < 0) & (low > 2 * high))  # as no pulse does
         between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
     far = np.minimum(steps[:-1], steps[1:]) > JUMP * np.nanmedian(steps)
     return np.flatnonzero(run_on & far & (between[0] | between[1])) + 1
