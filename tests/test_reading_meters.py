@@ -147,3 +147,12 @@ def test_a_temperature_drives_where_the_load_is_held(tmp_path: Path) -> None:
         swept[2],
         swept[1],
     )
+
+
+@pytest.mark.parametrize("title", ["102 (C)", "_COM1 (C)", "Chamber (C)"])
+def test_channels_in_c_are_temperatures(title: str, tmp_path: Path) -> None:
+    record = one(tmp_path, f"Scan,101 (VDC),103 (OHM),{title}\n" + rows(",", np.arange(N), 5 + 0 * U, Y, U))
+    is_pair(record)
+    assert record.u_unit == "degC"
+    charge = one(tmp_path, "Voltage (V),Charge (C)\n" + rows(",", U, Y))
+    assert charge.y_unit == "C"

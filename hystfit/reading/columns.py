@@ -338,11 +338,13 @@ def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[
         if not (words[low] & _LEAST and words[high] & _MOST and words[low] - _LEAST == words[high] - _MOST):
             continue
         ordered = lambda k, low=low, high=high: np.diff([columns[low], columns[k], columns[high]], axis=0).min() >= 0
-        if within := [k for k in free if k not in (low, high) and ordered(k)]:
+        alike = [k for k in free if k not in (low, high) and table.units[k] == table.units[low] == table.units[high]]
+        if within := [k for k in alike if ordered(k)]:
             left = {low, high, *within[1:]}
             shown = ", ".join(repr(table.names[k]) for k in sorted(left))
-            text = f"{shown}: extremes and means of the readings {table.names[within[0]]!r} of each row, not used"
-            notes.append(Note(Code.LEFT_OUT, text))
+            notes.append(
+                Note(Code.LEFT_OUT, f"{shown}: extremes and means of {table.names[within[0]]!r} in each row, not used")
+            )
             return [k for k in free if k not in left and not table.counts(k)]  # the readings are numbered
     return free
 
