@@ -334,17 +334,15 @@ def _as_option(table: Table, position: int) -> str:
 def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[int]:
     """The columns without the extremes of the readings that each row sums up, and one alone of their mean and the readings."""
     columns, words = table.columns, {k: words_of(split_unit(table.names[k])[0]) for k in free}
-    for low, high in itertools.permutations(free, 2):
-        if not (words[low] & _LEAST and words[high] & _MOST and words[low] - _LEAST == words[high] - _MOST):
+    for low, high in itertools.product(*([k for k in free if words[k] & ends] for ends in (_LEAST, _MOST))):
+        if words[low] - _LEAST != words[high] - _MOST:
             continue
         ordered = lambda k, low=low, high=high: np.diff([columns[low], columns[k], columns[high]], axis=0).min() >= 0
         alike = [k for k in free if k not in (low, high) and table.units[k] == table.units[low] == table.units[high]]
         if within := [k for k in alike if ordered(k)]:
             left = {low, high, *within[1:]}
             shown = ", ".join(repr(table.names[k]) for k in sorted(left))
-            notes.append(
-                Note(Code.LEFT_OUT, f"{shown}: extremes and means of {table.names[within[0]]!r} in each row, not used")
-            )
+            notes.append(Note(Code.LEFT_OUT, f"{shown}: extremes and means of each row, not used"))
             return [k for k in free if k not in left and not table.counts(k)]  # the readings are numbered
     return free
 

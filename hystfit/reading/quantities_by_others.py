@@ -68,10 +68,9 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
     if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
         kinds.update({k: "stress" for k in free if kinds[k] == "pressure"})
-    for k, of in itertools.product(free, repeat=2):  # a load that is held while the temperature goes up and down
-        held = (
-            is_near_median(table.columns[k]) if kinds[k] in LOADS and kinds[of] == "temperature" else np.array([False])
-        )
+    loads, warm = ([k for k in free if kinds[k] in names] for names in (LOADS, ("temperature",)))
+    for k, of in itertools.product(loads, warm):  # a load that is held while the temperature goes up and down
+        held = is_near_median(table.columns[k])
         if np.mean(held) > MAJORITY and np.ptp(table.columns[of][held]) > HEATED:
             kinds[k] = "status"
     fields = [k for k in free if kinds[k] == "field"]
