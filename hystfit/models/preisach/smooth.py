@@ -202,20 +202,15 @@ class _Trials:
         """
         errors, self.least, best = [np.inf] * len(strengths), np.inf, np.inf
         every = range(len(strengths) - 1, -1, -2)
-        certain = refitted or not self._bounded.any()  # errors that may be compared with those of other systems
 
         def error(k: int) -> float:
             nonlocal best
-            least = self.fitted(strengths[k])
-            if least <= min(most, best):
-                bar = self.bar(strengths[k], most) if certain else np.inf
-                found = self.error(strengths[k], refitted=refitted, most=min(bar, _EQUAL * best))
-                best = min(best, found)
-                if found < np.inf or bar > _EQUAL * best:
-                    return found
-                least = float(np.nextafter(most, np.inf))
-            self.least = min(self.least, least) if most < least else self.least
-            return np.inf
+            if min(most, best) < (least := self.fitted(strengths[k])):
+                self.least = min(self.least, least) if most < least else self.least
+                return np.inf
+            found = self.error(strengths[k], refitted=refitted, most=_EQUAL * best)
+            best = min(best, found)
+            return found
 
         likely = self.likely if self.likely in strengths else None
         if likely is not None:
@@ -230,9 +225,7 @@ class _Trials:
         if likely is not None:
             errors[strengths.index(likely)] = known
         at = int(np.argmin(errors))
-        # Where some are above `most`, their order does not tell which way the error falls.
-        near = (max(at - 1, 0), min(at + 2, len(strengths))) if np.isinf(self.least) else (0, len(strengths))
-        for k in range(*near):
+        for k in range(max(at - 1, 0), min(at + 2, len(strengths))):
             errors[k] = error(k)
         return errors
 
