@@ -99,7 +99,6 @@ def fit_plain(
     """Fit loops in groups of one input each; None where they cannot be solved together.
 
     Args:
-        model: that is fitted.
         groups: records with the same labels, and lengths of one bucket; outputs with NaN where one is missing.
         options: of each fit, without a robust loss or a noise model of its own.
         held: parameters in `fix` without a value keep that of the model.

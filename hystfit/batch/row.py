@@ -71,11 +71,7 @@ class Row(WithStatus):
 
 
 def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
-    """The row of a fitted loop.
-
-    Args:
-        file: that it was read from; "" for a record.
-    """
+    """The row of a fitted loop."""
     free = [p for p in result.parameters if not p.fixed]
     converted = [note for note in record.notes if note.code is Code.UNITS]
     notes = [*result.notes, *converted]

@@ -63,12 +63,7 @@ class Work:
         options: Mapping[str, Any],
         reading: Mapping[str, Any],
     ) -> Work:
-        """Settings checked before any work, with the defaults of those that are not given.
-
-        Args:
-            options: of `hystfit.fit`.
-            reading: of `hystfit.read`.
-        """
+        """Settings checked before any work, with the defaults of those that are not given."""
         known = [field.name for field in dataclasses.fields(FitOptions)]
         if unknown := [name for name in options if name not in known]:
             raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(known)}")
@@ -174,8 +169,6 @@ def fit_alone_rows(
     """Rows of named records, none of which is plain.
 
     Args:
-        work: what is done with every loop.
-        records: the loops.
         solved: fits of some of them, by their number, that need judgment alone.
     """
     loops = [_Loop(Source(name, "", record), name, record) for name, record in records]

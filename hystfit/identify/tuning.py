@@ -88,7 +88,6 @@ def parameter_root(
     """Root of the prior covariance of z, shape (p, p).
 
     Args:
-        space: the free parameters.
         prior: one standard deviation, standard deviations by name, a covariance of shape (p, p), or None for the default.
         near: whether the start is close, which makes the default smaller.
 

@@ -125,8 +125,6 @@ def join_c_parts(
     """C code of a composition.
 
     Args:
-        parts: models.
-        doc: comment.
         lines: for the number of a part, the place of its state and the states of all: lines of `init` after its own, and of `step`.
         between: number of signals that the state holds after the states of the parts.
     """

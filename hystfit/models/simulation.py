@@ -198,7 +198,6 @@ def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
 
     Args:
         model: any whose `step` needs no later sample.
-        u, dt: as in `simulate`.
     """
     u, dt = (np.asarray(values) for values in checked_drive(model, u, dt))
     extra = bucket(u.size) - u.size  # records of similar length share one program

@@ -83,7 +83,6 @@ def ties_of(expressions: Mapping[str, str], named: NamedLeaves) -> tuple[Tie, ..
 
     Args:
         expressions: such as {"gamma[1]": "gamma[0]", "k2": "2*k1"}; an array is tied to an array of the same size or to one element.
-        named: the parameters by name.
 
     Raises:
         ParameterError: an unknown name, sizes that do not agree, a parameter tied to itself or to one that is tied.

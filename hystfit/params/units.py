@@ -290,10 +290,6 @@ def quantity(unit: str) -> str:
 def conversion(source: str, target: str) -> float | None:
     """Factor from values in one unit to values in another; None where the units differ and one of them is not known.
 
-    Args:
-        source: unit of the values.
-        target: desired unit.
-
     Raises:
         DataError: they are units of different quantities.
     """
@@ -315,9 +311,6 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     """Unit of an area over two columns as an energy or energy density, and the factor to it; the product of both elsewhere.
 
     Empty where one column has no unit: that of the other alone is not the unit of the area.
-
-    Args:
-        one, other: units of input and output.
     """
     first, second = parse_unit(one), parse_unit(other)
     plain = f"{other} {one}" if one and other else ""

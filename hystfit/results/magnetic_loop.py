@@ -82,7 +82,6 @@ class MagneticLoop:
         Args:
             record: input a field in A/m, Oe or T (mu0 H); output a moment, a magnetization, a polarization or a flux density.
             sample: what is known of the sample, beside the header of the file.
-            noise: standard deviation of the output's noise.
             correct: which of `ON_REQUEST` to apply.
 
         Raises:

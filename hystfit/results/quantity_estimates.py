@@ -105,7 +105,6 @@ def _estimate(
 
     Args:
         change: derivative by each free parameter in units of its size, shape (p,).
-        size: of the parameters, shape (p,).
     """
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
@@ -130,8 +129,6 @@ def values_of_outputs(
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
-        data: the records, whose units tell which quantities there are.
-        excitation: the inputs.
         outputs: gives the outputs over a record, shape (count, T).
         timed: whether the model depends on time.
     """

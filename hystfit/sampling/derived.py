@@ -56,9 +56,6 @@ def sampled_density(posterior: Posterior, count: int = 200, seed: int = 0, *, ri
 
     Args:
         posterior: of a Preisach model with cells, such as that of a fit of "preisach-forc".
-        count: number of draws, chosen at random.
-        seed: of the choice.
-        rising: see `density_of`.
 
     Raises:
         ParameterError: a posterior of another model.

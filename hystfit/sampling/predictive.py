@@ -112,12 +112,6 @@ def _error_beyond(
 
     Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and otherwise of the error on the groups that
     the fit held out, if it did; the errors of a group have one cause. It is known from few values: the draws are those of Student's t.
-
-    Args:
-        posterior: of the parameters.
-        record: in its units.
-        y, noise: predictions without noise, and noise, shape (count, T) [y].
-        seed: of the draws.
     """
     rng, result, beyond = np.random.default_rng(seed), posterior.result, posterior.beyond
     problem, shape = result.problem, y - y.mean(axis=1, keepdims=True)

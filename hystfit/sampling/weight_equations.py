@@ -112,10 +112,7 @@ def weight_equations(
     """The equations of a problem whose free parameters are all linear weights.
 
     Args:
-        problem: model and data.
         x: estimate, shape (p,).
-        grid: of noises.
-        priors: see `weight_priors`.
         size: of the output, by which it is divided.
 
     Raises:

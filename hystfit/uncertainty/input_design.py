@@ -100,11 +100,7 @@ class Design(WithStatus):
         return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
 
     def families(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-        """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]".
-
-        Args:
-            names: of parameters.
-        """
+        """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]"."""
         rows = grouped([self.result[name] for name in names])
         many = lambda name, family: name if len(family) == 1 else f"{name}[{len(family)}]"
         return {many(name, family): tuple(p.name for p in family) for name, family in rows}
@@ -264,13 +260,7 @@ def _score(covariance: Array, counted: Array) -> Array:
 
 
 def input_families(low: float, high: float, samples: int, seed: int) -> dict[str, np.ndarray]:
-    """Signals within the limits, by name.
-
-    Args:
-        low, high: limits of the input.
-        samples: length.
-        seed: of the random one.
-    """
+    """Signals within the limits, by name."""
     phase = np.arange(samples) / samples
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     wave = lambda cycles: np.sin(2 * np.pi * cycles * phase)
@@ -326,11 +316,7 @@ def _optimize(
 
 
 def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str]:
-    """Combinations that the present data do not determine (a relative error above one half) and the new input does.
-
-    Args:
-        before, after: covariances in relative size with the present data alone, and with the input.
-    """
+    """Combinations that the present data do not determine (a relative error above one half) and the new input does."""
     p = len(names)
     values, vectors = np.linalg.eigh(before[:p, :p])
     return [

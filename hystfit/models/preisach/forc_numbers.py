@@ -70,11 +70,7 @@ class ForcNumbers:
     profiles: dict[str, Profile]
 
     def numbers(self, units: Mapping[str, str]) -> dict[str, tuple[str, float | None, float | None, str]]:
-        """Label, value, standard error and unit of each number, by name.
-
-        Args:
-            units: of the input "u" and the output "y".
-        """
+        """Label, value, standard error and unit of each number, by name."""
         unit = {**units, "%": "%"}
         return {
             name: (NUMBERS[name][0], value, self.stderr.get(name), unit[NUMBERS[name][1]])

@@ -26,7 +26,6 @@ def choose_levels(
     """Levels over the range of measured inputs, as many as are given.
 
     Args:
-        inputs: inputs of the records, each of shape (T,).
         levels: the present ones; "given" returns them.
         center: of the demagnetized state; None takes the middle of the range.
         spacing: "quantile", equal shares of the samples; "square", distances from the center that grow as squares; or "uniform".
@@ -69,8 +68,6 @@ def steep_levels(records: Sequence[Record], n: int, center: float | None, *, rel
     """Levels over the range of measured inputs, denser where the rising or the falling branches are steep, and the center.
 
     Args:
-        records: measured loops.
-        n: cells, or relay levels, along each axis.
         center: about which the levels are symmetric; None spreads them over the range, whose middle is the center.
         relays: n levels in the middle of intervals; else n + 1 edges of cells.
 
@@ -111,8 +108,6 @@ def levels_of_family(family: ReversalFamily, n: int, *, relays: bool) -> np.ndar
     """Levels for reversal curves, denser where the output is steep on them or on the branch that their reversal points are samples of.
 
     Args:
-        family: reversal curves.
-        n: cells, or relay levels, along each axis.
         relays: n levels in the middle of intervals with equal shares of the output; else n + 1 edges of cells.
     """
     # No curve shows the branch on which the field left saturation.
@@ -142,7 +137,6 @@ def sharp_levels(
 
     Args:
         branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
-        n: number of intervals.
         power: of the slope.
         even: size of the even part relative to the mean of the other.
 

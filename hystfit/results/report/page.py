@@ -115,9 +115,6 @@ def write(
 ) -> Path:
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
 
-    Args:
-        folder: made if it does not exist.
-
     Raises:
         HystfitError: the folder cannot be made or written.
     """
