@@ -172,41 +172,18 @@ def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
 def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mapping[int, Row]) -> Columns:
     """Columns of loops that were judged together, and of those that were fitted alone."""
     columns: Columns = {"alone": ~plain}
-    nan = lambda value: np.nan if value is None else float(value)
-
-    def put(name: str, together: np.ndarray | None, of_row: Callable[[Row], Any]) -> None:
-        column = np.full(count, np.nan)
-        if together is not None:
-            column[plain] = together[plain]
-        for k, row in rows.items():
-            column[k] = nan(of_row(row))
-        columns[name] = column
-
-    judged = None if fits is None else fits.judged
-    names = [] if fits is None else list(fits.names)
-    names = list(dict.fromkeys([*names, *(name for row in rows.values() for name in row.values)]))
-    for k, name in enumerate(names):
-        put(f"value {name}", None if judged is None else judged.x[:, k], lambda row, name=name: row.values.get(name))
-        put(
-            f"stderr {name}",
-            None if judged is None else judged.stderr[:, k],
-            lambda row, name=name: row.stderr.get(name),
-        )
-    put("rmse", None if judged is None else judged.rmse, lambda row: row.rmse)
-    put("error_percent", None if judged is None else judged.percent, lambda row: row.error_percent)
-    put("max_error_percent", None if judged is None else judged.largest_percent, lambda row: row.max_error_percent)
-    together = {} if fits is None else fits.quantities
-    for name in dict.fromkeys([*together, *(name for row in rows.values() for name in row.quantities)]):
-        put(f"quantity {name}", together.get(name), lambda row, name=name: row.quantities.get(name))
+    together, alone = {} if fits is None else fits.columns(), {k: row.numbers() for k, row in rows.items()}
+    for name in dict.fromkeys([*together, *(name for one in alone.values() for name in one)]):
+        column = columns[name] = np.full(count, np.nan)
+        if name in together:
+            column[plain] = together[name][plain]
+        for k, one in alone.items():
+            column[k] = np.nan if one.get(name) is None else one[name]
     columns["status"], columns["codes"] = _texts(plain, fits, rows)
     numbers = sorted(rows)
-    columns["reason_of"], columns["reason"] = (
-        np.array(numbers, int),
-        np.array([rows[k].reason for k in numbers], dtype=str),
-    )
-    example = None if fits is None else fits.example
-    known = [row.units for row in rows.values() if row.units] if example is None else [example.units]
-    units = known[0] if known else {}
+    columns["reason_of"], columns["reason"] = np.array(numbers, int), np.array([rows[k].reason for k in numbers], str)
+    with_units = [] if fits is None or fits.example is None else [fits.example]
+    units = next((row.units for row in [*with_units, *rows.values()] if row.units), {})
     columns["unit_of"], columns["unit"] = np.array(list(units), dtype=str), np.array(list(units.values()), dtype=str)
     return columns
 

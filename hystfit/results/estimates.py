@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
 
 
@@ -55,7 +56,7 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
     fixed_ones = ((*row, True, None) for row in space.fixed())
     rows = []
     for name, value, info, fixed, tie in (*free, *tied, *fixed_ones):
-        lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
+        lower, upper = map(or_none, info.bounds)
         unit = space.scales.label(info.unit)
         rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc, tie))
     return tuple(rows)

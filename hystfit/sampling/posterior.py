@@ -17,6 +17,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
+from hystfit.outcome.table import or_none
 from hystfit.registry import attribute
 from hystfit.results.estimates import MANY
 from hystfit.results.exchange import arviz_data
@@ -29,14 +30,10 @@ SCHEMA = "hystfit.sample/4"
 CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
 
 
-def _finite(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _quantiles(values: np.ndarray) -> dict[str, Any]:
     """Median and 95 % interval."""
     levels = {"lower": 0.025, "median": 0.5, "upper": 0.975}
-    return dict(zip(levels, map(_finite, np.quantile(values, list(levels.values()))), strict=True))
+    return dict(zip(levels, map(or_none, np.quantile(values, list(levels.values()))), strict=True))
 
 
 def _arrays(rows: Sequence[dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]]:
@@ -120,8 +117,8 @@ class Posterior(WithStatus):
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             flat = self.draws[:, :, k].ravel()
-            moments = {"mean": _finite(flat.mean()), "sd": _finite(flat.std(ddof=1))}
-            checks = {check: _finite(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
+            moments = {"mean": or_none(flat.mean()), "sd": or_none(flat.std(ddof=1))}
+            checks = {check: or_none(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
             rows.append({"name": name, "unit": unit} | moments | _quantiles(flat) | checks)
         return rows
 

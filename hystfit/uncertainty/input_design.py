@@ -22,6 +22,7 @@ from hystfit.inference.priors import LOG_WIDE
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import or_none
 from hystfit.params.units import with_unit
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
@@ -108,8 +109,7 @@ class Design(WithStatus):
     @staticmethod
     def median(errors: Mapping[str, float | None], names: Sequence[str]) -> float | None:
         """Median of the standard errors of these parameters; None where the data do not determine one half of them."""
-        value = float(np.median([np.inf if (error := errors[name]) is None else error for name in names]))
-        return value if np.isfinite(value) else None
+        return or_none(np.median([np.inf if (error := errors[name]) is None else error for name in names]))
 
     def table(self) -> Table:
         """Predicted standard errors with the present data alone, and together with each candidate; the median of many weights."""
@@ -225,7 +225,7 @@ def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) ->
     """Standard errors in physical units from a covariance in relative size; None where the error is that of the prior."""
     relative = np.sqrt(np.diag(np.asarray(covariance)))[: len(names)]
     known = np.where(relative < _UNKNOWN * LOG_WIDE, relative * np.asarray(plan.size), np.nan)
-    return {name: float(error) if np.isfinite(error) else None for name, error in zip(names, known, strict=True)}
+    return {name: or_none(error) for name, error in zip(names, known, strict=True)}
 
 
 def _notes(
