@@ -95,11 +95,7 @@ def fit_map(
 
 
 def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Record:
-    """A record with the input, the time and the units of all loops.
-
-    Raises:
-        DataError: columns that do not fit each other.
-    """
+    """A record with the input, the time and the units of all loops."""
     shape = np.shape(y)
     if len(shape) < 2 or 0 in shape:
         raise DataError(f"the outputs must have shape (..., T) with at least one loop, got {shape}")

@@ -339,7 +339,6 @@ def regression_of(
         start: "zero", the values of the "model", or "data" by `Duhem.start`.
 
     Raises:
-        ParameterError: an unknown start or basis.
         ModelError, DataError: see `DuhemRegressor.of`; too few samples.
     """
     if start not in STARTS:

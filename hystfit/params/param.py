@@ -53,11 +53,7 @@ class ParamInfo:
 
 
 def as_array(value: Any) -> Any:
-    """A number or array as a floating array; other leaves of a tree (tracers, placeholders) unchanged.
-
-    Raises:
-        ParameterError: text, complex numbers, ragged lists.
-    """
+    """A number or array as a floating array; other leaves of a tree (tracers, placeholders) unchanged."""
     # Python numbers in a module are static for jit: one compilation for each value, and no gradient (nor for integer arrays).
     if type(value) is float:
         return _number(value, math.copysign(1.0, value), _float_type())

@@ -99,7 +99,6 @@ def write_table(path: str | Path, frames: Callable[[], Iterable[Any]], dataset: 
         dataset: makes the xarray data set of the others.
 
     Raises:
-        DataError: another ending.
         HystfitError: it cannot be written.
         MissingExtraError: the package for this kind of file is not installed.
     """

@@ -49,11 +49,7 @@ class Ensemble(AbstractSampler):
             raise ParameterError(f"walkers must be even, got {self.walkers}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
-        """Draw, or continue from the chunks in a folder.
-
-        Raises:
-            ParameterError: too few walkers or too many parameters.
-        """
+        """Draw, or continue from the chunks in a folder."""
         target, d = setup.target, setup.target.center.shape[0]
         if self.walkers < 2 * d + 2:
             raise ParameterError(f"{d} parameters need at least {2 * d + 2} walkers, got {self.walkers}")

@@ -46,9 +46,6 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
 
     x has shape (count, p), physical. Where the record is not a fitted one, `seed` chooses the fitted record whose own parameters
     (its offset) a draw takes.
-
-    Raises:
-        ModelError: no time for a model that needs it.
     """
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")

@@ -126,9 +126,6 @@ def prepare(
         noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
         priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
         by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
-
-    Raises:
-        ParameterError: an unknown name, a prior that is flat or excludes the fit, too many parameters.
     """
     problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:

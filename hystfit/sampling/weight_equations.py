@@ -114,9 +114,6 @@ def weight_equations(
     Args:
         x: estimate, shape (p,).
         size: of the output, by which it is divided.
-
-    Raises:
-        ParameterError: a parameter that is not a linear weight, a bound other than zero, a prior of another kind.
     """
     space = problem.space
     if not space.linear.all():

@@ -79,11 +79,7 @@ class ForcNumbers:
 
 
 def forc_numbers(diagram: ForcDiagram) -> ForcNumbers:
-    """Numbers and profiles of a diagram, with standard errors where it has repeats.
-
-    Raises:
-        DataError: the density is nowhere positive.
-    """
+    """Numbers and profiles of a diagram, with standard errors where it has repeats."""
     if not (diagram.mass > 0).any():
         raise DataError("the FORC density is nowhere positive: use more curves, or a smaller smoothing factor")
     peak, edges = _peak(diagram), _edges(diagram)

@@ -34,9 +34,6 @@ def choose_levels(
 
     Returns:
         Levels, strictly rising, and the center.
-
-    Raises:
-        DataError: a constant input.
     """
     u = np.concatenate(list(inputs))
     low, high = float(u.min()), float(u.max())
@@ -70,9 +67,6 @@ def steep_levels(records: Sequence[Record], n: int, center: float | None, *, rel
     Args:
         center: about which the levels are symmetric; None spreads them over the range, whose middle is the center.
         relays: n levels in the middle of intervals; else n + 1 edges of cells.
-
-    Raises:
-        DataError: a constant input.
     """
     low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
     if low == high:
@@ -157,11 +151,7 @@ def sharp_levels(
 
 
 def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
-    """Refuse levels that do not rise, or that are not symmetric where they should be.
-
-    Raises:
-        ModelError: levels that do not rise strictly, or are not symmetric.
-    """
+    """Refuse levels that do not rise, or that are not symmetric where they should be."""
     if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
         raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")
     if symmetric and center is not None:
