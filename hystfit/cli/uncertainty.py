@@ -61,6 +61,8 @@ def sample(
         seed: random seed.
     """
     from hystfit.cli.pages import sample_page
+    from hystfit.results.report import Wording
+    from hystfit.sampling.files import save as write_posterior
     from hystfit.sampling.sample import sample as draw
 
     result = open_fit(fitdir, output, trust, "hystfit.sample")
@@ -76,8 +78,12 @@ def sample(
             result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
         )
 
+    def save(folder: Path) -> None:
+        assert output.out is not None
+        write_posterior(posterior, folder, Wording(translate=as_options).at(output.out / "fit"))
+
     page = lambda folder: sample_page(posterior, folder)
-    return finish(str(posterior), posterior.to_dict(), output, posterior.save, page=page)
+    return finish(str(posterior), posterior.to_dict(), output, save, page=page)
 
 
 def _priors_of(folder: Path | None, result: FitResult) -> Any:

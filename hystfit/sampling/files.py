@@ -52,8 +52,8 @@ def dataset(posterior: Posterior) -> Any:
     return table
 
 
-def save(posterior: Posterior, folder: str | Path) -> Path:
-    """Write posterior.nc, result.json, and the fit in fit/: see `Posterior.save`."""
+def save(posterior: Posterior, folder: str | Path, wording: Wording | None = None) -> Path:
+    """Write posterior.nc, result.json, and the fit in fit/, whose report has this wording: see `Posterior.save`."""
     xarray = _xarray()
     target = Path(folder)
     check_target(target, SCHEMA.partition("/")[0])
@@ -69,7 +69,7 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
             raise HystfitError(f"cannot write {str(target / 'posterior.nc')!r}: {error}") from error
         (scratch / "fit").mkdir()
         write_fit(posterior.result, scratch / "fit")
-        write_into(posterior.result, scratch / "fit", wording=Wording().at(target / "fit"))
+        write_into(posterior.result, scratch / "fit", wording=wording or Wording().at(target / "fit"))
         seal(scratch, _FILES)
     return target
 

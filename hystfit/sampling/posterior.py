@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,7 +18,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.outcome.table import or_none
 from hystfit.registry import attribute
-from hystfit.results.estimates import MANY
+from hystfit.results.estimates import grouped
 from hystfit.results.exchange import arviz_data
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
@@ -36,17 +35,6 @@ def _quantiles(values: np.ndarray) -> dict[str, Any]:
     return dict(zip(levels, map(or_none, np.quantile(values, list(levels.values()))), strict=True))
 
 
-def _arrays(rows: Sequence[dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Rows of `Posterior.table` by the name that they share in a summary."""
-    families: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        families.setdefault(re.split(r"[\[@]", row["name"])[0], []).append(row)
-    named = lambda name, family: (
-        [(f"{name}[{len(family)}]", family)] if len(family) > MANY else [(row["name"], [row]) for row in family]
-    )
-    return [row for name, family in families.items() for row in named(name, family)]
-
-
 def _summarized(name: str, rows: Sequence[dict[str, Any]]) -> list[Any]:
     """Cells of the summary of one parameter, or of an array: ranges, the lowest and highest limits, the worst diagnostics."""
     values = {key: [row[key] for row in rows if row[key] is not None] for key in rows[0] if key not in ("name", "unit")}
@@ -54,6 +42,7 @@ def _summarized(name: str, rows: Sequence[dict[str, Any]]) -> list[Any]:
     if len(rows) == 1:
         moments = [rows[0]["mean"], rows[0]["sd"]]
     else:
+        name = f"{name}[{len(rows)}]"
         moments = [f"{min(values[key]):.3g} to {max(values[key]):.3g}" for key in ("mean", "sd")]
     limits = [worst("lower", min), worst("upper", max), rows[0]["unit"]]
     return [name, *moments, *limits, worst("rhat", max), worst("bulk", min), worst("tail", min)]
@@ -127,7 +116,8 @@ class Posterior(WithStatus):
         numbers = [Column("mean"), Column("sd", form=".3g"), Column("2.5 %"), Column("97.5 %")]
         checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
         columns = [Column("parameter"), *numbers, Column("unit", left=True), *checks]
-        return Table(columns, [_summarized(name, rows) for name, rows in _arrays(self.table())])
+        families = grouped(self.table(), lambda row: row["name"])
+        return Table(columns, [_summarized(name, rows) for name, rows in families])
 
     def derived_table(self) -> Table:
         """Derived quantities as readable text."""

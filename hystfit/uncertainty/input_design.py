@@ -102,9 +102,8 @@ class Design(WithStatus):
 
     def families(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]"."""
-        rows = grouped([self.result[name] for name in names])
         many = lambda name, family: name if len(family) == 1 else f"{name}[{len(family)}]"
-        return {many(name, family): tuple(p.name for p in family) for name, family in rows}
+        return {many(name, family): tuple(family) for name, family in grouped(names, str)}
 
     @staticmethod
     def median(errors: Mapping[str, float | None], names: Sequence[str]) -> float | None:

@@ -72,9 +72,7 @@ class StandardErrors:
         known = np.any([np.isfinite(error) for error in self.errors.values()], axis=0)
         if parameter is not None:
             return [(names[k], [k]) for k in space.positions(parameter) if known[k]]
-        at = {name: k for k, name in enumerate(names)}
-        families = grouped([self.result[name] for name in names])
-        rows = [(name, [at[member.name] for member in family]) for name, family in families]
+        rows = grouped(range(len(names)), names.__getitem__)
         return [(name, places) for name, places in rows if known[places].any()]
 
     def _row(self, name: str, places: list[int]) -> list[Any]:
