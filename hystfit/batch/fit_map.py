@@ -16,7 +16,7 @@ from hystfit.batch.alike import Group
 from hystfit.batch.loop_map import LoopMap, shared
 from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
 from hystfit.batch.row import Row
-from hystfit.batch.work import Work, fit_alone_rows
+from hystfit.batch.work import SAMPLES, Work, fit_alone_rows
 from hystfit.config import device_of_many, verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
@@ -27,8 +27,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.threads import Workers
 
-# Of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them.
-_SAMPLES, _ON_GPU = 2**20, 2**24
+_ON_GPU = 2**24  # samples of a part with a GPU: each of few threads holds some copies of them
 Columns = dict[str, np.ndarray]
 
 
@@ -109,7 +108,7 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     """Slices of the first axis, each with as many loops as are solved at once: on a GPU a power of two, to which lanes are padded."""
     gpu = device_of_many() is not None
-    loops = 1 << ((_ON_GPU // samples).bit_length() - 1) if gpu else _SAMPLES // samples
+    loops = 1 << ((_ON_GPU // samples).bit_length() - 1) if gpu else SAMPLES // samples
     most = max(1, loops // int(np.prod(shape[1:-1])))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
