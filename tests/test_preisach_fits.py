@@ -21,23 +21,12 @@ from hystfit.models.preisach.everett import cells, second_differences
 from hystfit.models.preisach.levels import sharp_levels, steep_levels
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.parametric import ParametricPreisach
-from hystfit.models.preisach.properties import error_by_order, wiping_out
+from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_OUT, error_by_order, through, wiping_out
 from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, _Trials, fit_smooth
 from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.models.preisach.solve import fit_preisach
 from hystfit.quality.reversal_curves import recognize_family
-
-# Extrema of the test signals of Song et al. 2005 (their Figs. 7 to 15), in volts; the last is one of our choice.
-WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
-CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
-HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
-
-
-def through(extrema, points=100):
-    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,)."""
-    runs = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(extrema)]
-    return np.concatenate([[extrema[0]], *runs])
 
 
 def output(model, u):

@@ -4,14 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.data.circulation import SLACK
 from hystfit.data.record import Record
+from hystfit.errors import DataError
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.staircase import compile_input
 from hystfit.quality.loops import clear_reversals
+
+# Extrema of the test signals of Song et al. 2005 (their Figs. 7 to 15), in volts; the last is one of our choice.
+WIPING_OUT = ((0.0, 150.0, 100.0, 180.0, 120.0), (0.0, 180.0, 120.0))
+CONGRUENCY = (0.0, 120.0, 80.0, 120.0, 80.0, 180.0, 80.0, 120.0, 80.0, 120.0, 80.0)
+HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
+
+
+def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
+    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,)."""
+    if len(extrema) < 2 or points < 1:
+        raise DataError(f"a signal needs two extrema and one sample per run, got {len(extrema)} and {points}")
+    runs = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(extrema)]
+    return np.concatenate([[extrema[0]], *runs])
 
 
 @dataclasses.dataclass(frozen=True)
