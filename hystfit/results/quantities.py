@@ -97,11 +97,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
-
-    Args:
-        timed: whether the model depends on time, without which there is no creep.
-    """
+    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values."""
     kind = LoopKind.of(data)
     looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
