@@ -163,7 +163,7 @@ def test_columns_of_a_structure_are_the_derivatives_of_its_model(structure):
     problem = Problem(model, data, fix=[n for n, info in zip(space.names, space.infos, strict=True) if not info.linear])
     expected, got = (
         LinearSystem.of(problem, problem.space.vector(problem.model)),
-        Terms(data, 4, held_out(list(data))).system(structure),
+        Terms(data, 4, held_out(list(problem.data))).system(structure),
     )
     for name in ("columns", "target", "free", "ridged", "fold", "weight"):
         np.testing.assert_allclose(getattr(got, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)

@@ -103,6 +103,13 @@ class Record:
         return used
 
     @property
+    def rate_known(self) -> np.ndarray:
+        """Samples at which the rate of the input is known, shape (T,), bool: not the first one where the record begins in motion."""
+        known = np.ones(len(self), dtype=bool)
+        known[:1] = len(self) < 2 or self.u[1] == self.u[0]
+        return known
+
+    @property
     def dt(self) -> np.ndarray:
         """Time over which each input acts before its sample is read [t_unit], shape (T,); all 0 where there is no time.
 

@@ -71,6 +71,7 @@ class Terms:
         self.used = np.concatenate([record.used for record in data])
         self.weight = np.concatenate([record.weight for record in data])[self.used]
         self.samples = self.weight.size
+        self._known = np.concatenate([record.rate_known for record in data])[self.used]
         self.scores: dict[Structure, float] = {}
         # On the instance: a cache of the class would keep the columns of every search of the process.
         self._lagged, self._positions = functools.cache(self._lagged_data), functools.cache(self._positions_of)
@@ -115,9 +116,9 @@ class Terms:
         return self.scores[structure]
 
     def residuals(self, structure: Structure) -> tuple[np.ndarray, ...]:
-        """Prediction less measurement at the samples of each record that count [y]."""
-        system = self.system(structure)
-        rows = (system.columns @ fit_ridge(system, _COARSE).weights - system.target) / np.sqrt(self.weight)
+        """Prediction less measurement at the samples of each record that count [y], 0 where the structure tells nothing."""
+        system, kept, rows = self.system(structure), self._kept(structure), np.zeros(self.samples)
+        rows[kept] = (system.columns @ fit_ridge(system, _COARSE).weights - system.target) / np.sqrt(system.weight)
         return tuple(np.split(rows, np.cumsum([int(record.used.sum()) for record in self.data])[:-1]))
 
     def lag_between(self, structure: Structure) -> float:
@@ -145,8 +146,13 @@ class Terms:
         each = lambda name: np.concatenate([np.full(term.columns.shape[1], getattr(term, name)) for term in terms])
         # With all weights at zero every term is zero: the target is the output itself.
         y = np.concatenate([record.y for record in self.data])
-        columns, target = np.hstack([term.columns for term in terms]), self._weighted(y)
-        return LinearSystem(columns, target, each("free"), each("ridged"), self._fold, self.weight)
+        columns, target, kept = np.hstack([term.columns for term in terms]), self._weighted(y), self._kept(s)
+        rows = columns[kept], target[kept]
+        return LinearSystem(*rows, each("free"), each("ridged"), self._fold[kept], self.weight[kept])
+
+    def _kept(self, s: Structure) -> np.ndarray | slice:
+        """Which samples that count tell the weights of a structure: with a force of the rate, those at which the rate is known."""
+        return self._known if s.rate else slice(None)
 
     def _weighted(self, rows: np.ndarray) -> np.ndarray:
         """The rows of samples that count, times the roots of their weights."""

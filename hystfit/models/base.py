@@ -152,9 +152,10 @@ class AbstractHysteresis(AbstractDynamics):
             ModelError: a record that cannot drive the model.
         """
         ready = with_steady_start(record)
-        if self.takes_rate and len(ready) > 1 and ready.u[1] != ready.u[0]:
-            ready = ready.replace(weight=np.where(np.arange(len(ready)) > 0, ready.weight, 0.0))
-        return ready
+        known = ready.rate_known
+        return (
+            ready.replace(weight=np.where(known, ready.weight, 0.0)) if self.takes_rate and not known.all() else ready
+        )
 
     def starting_points(self, records: Sequence[Record]) -> tuple[AbstractHysteresis, ...]:
         """Models with starting values estimated from measured records, the best first: by default that of `start` alone."""
