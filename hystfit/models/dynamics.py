@@ -92,6 +92,7 @@ class Lag(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     linear_in_input: ClassVar[bool] = True
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
 
@@ -158,6 +159,7 @@ class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
     rate_independent: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     c_template: ClassVar[str] = "second_order"
     linear_in_input: ClassVar[bool] = True
 

@@ -1,7 +1,8 @@
 """Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
 
-The steady loop is the last of three cycles over the input range of the fit. The cycles of a model that hardens run the path of the record:
-the record need not show the loop of a new device at this amplitude. Where the record has a time, the cycles last as long as its own, with
+The steady loop is the last of three cycles over the input range of the fit, after a device at rest in the middle has moved to the lower
+end: slow relaxation settles about the middle, and from rest at an end would still do so in the third cycle. The cycles of a model that
+hardens run the path of the record: the record need not show the loop of a new device at this amplitude. Where the record has a time, the cycles last as long as its own, with
 their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling interval. Else they
 are triangular. The creep is that after a step over the same range, of a device that has rested at the lower end.
 """
@@ -164,15 +165,15 @@ class Excitation:
 
     @functools.cached_property
     def loop(self) -> Record:
-        """The cycles, of which the last shows the steady loop."""
-        inputs = self.inputs
-        u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), self.cycles)
+        """The way from the middle to the lower end, and the cycles, of which the last shows the steady loop."""
+        cycle = np.concatenate([self.inputs[:-1], self.inputs[:0:-1]])
+        u = np.concatenate([cycle[self.points // 4 :], np.tile(cycle, self.cycles)])
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
 
     @functools.cached_property
     def step(self) -> Record:
         """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
-        size = max(self.cycles * self.points, _AT_10S + 1)
+        size = max(len(self.loop), _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
         return Record(u=u, y=np.zeros(size), t=t, name="step")
@@ -185,8 +186,8 @@ class Excitation:
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
-        """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
-        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+        """Creep a decade in percent of the change in the first second, by when a fast lag is over, from outputs over `step`, (count, T)."""
+        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, _AT_1S] - y[:, 1])
 
 
 def creeps(percent: np.ndarray) -> bool:
