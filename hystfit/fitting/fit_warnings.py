@@ -41,19 +41,25 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _chattering(fitted),
     )
     notes = [note for note in found if note is not None]
-    drift = None if is_noise(fitted.train.rmse, fitted.baselines) else _drift(fitted)
+    drift = _drift(fitted)
     return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
 
 
 def _drift(fitted: Fitted) -> Note | None:
     """A warning of a drift that the residuals show, or those of plays where a model without time follows it by a state that fades."""
-    found = drift_note(fitted.rows, fitted.data, fitted.baselines.span)
+    noise = is_noise(fitted.train.rmse, fitted.baselines)
+    found = None if noise else drift_note(fitted.rows, fitted.data, fitted.baselines.span)
     if found is not None or not fitted.thorough:
         return found
-    if not fitted.model.rate_independent:
+    if fitted.model.creeps:
         return _followed_drift(fitted)
-    if fitted.baselines.plays is None or any(
-        len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)
+    if (
+        noise
+        or not fitted.model.rate_independent
+        or fitted.baselines.plays is None
+        or any(
+            len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)
+        )
     ):
         return found
     return drift_note(plays_residuals(fitted.data), fitted.data, fitted.baselines.span)
@@ -67,8 +73,8 @@ def _followed_drift(fitted: Fitted) -> Note | None:
             size = f"{drift.total:.3g} {record.y_unit}".rstrip()
             return warn(
                 Code.DRIFT,
-                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if the sensor "
-                "drifts, subtract it before the fit; else a longer record shows how the creep goes on",
+                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if the "
+                "sensor drifts, subtract it before the fit; else a longer record shows how the creep goes on",
             )
     return None
 
@@ -98,8 +104,8 @@ def _clipped(data: Dataset) -> Note | None:
     saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
     if saturated:
         text = (
-            f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit: there "
-            "the loop and its quantities are the model's alone, and their errors leave out those of the model"
+            f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit: "
+            "there the loop and its quantities are the model's alone, and their errors leave out those of the model"
         )
         return warn(Code.CLIPPED, text)
     count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
@@ -156,8 +162,9 @@ def _chattering(fitted: Fitted) -> Note | None:
 
 
 def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
-    """A warning where most of the squared error of a record lies along a straight line in time, or in the order of its samples, which no model
-    includes.
+    """A warning where most of the squared error of a record lies along a straight line in time or in the order of its samples.
+
+    No model includes it.
 
     Args:
         rows: prediction less measurement at the samples of each record that count [y].
@@ -202,6 +209,8 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
     last = code is Code.LAST_HALF_CYCLE
+    if last and _repeats(record, turns, 0.5 * errors.max()):
+        return None
     place, number = _place(record, int(turns[-1 if last else 0]))
     which, window = ("last", f":{number}") if last else ("first", f"{number}:")
     remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
@@ -214,6 +223,18 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     )
     alone = (last or not held) and len(fitted.data) == 1  # a window holds for all records
     return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
+
+
+def _repeats(record: Record, turns: np.ndarray, most: float) -> bool:
+    """Whether the last half cycle runs as that of the same direction before it did, within `most` [y]: a device that failed does not."""
+    if turns.size < 3:
+        return False
+    before, after = slice(turns[-3], turns[-2] + 1), slice(turns[-1], len(record))
+    order = np.argsort(record.u[before], kind="stable")
+    u, y = record.u[before][order], record.y[before][order]
+    inside = record.used[after] & (record.u[after] >= u[0]) & (record.u[after] <= u[-1])
+    apart = record.y[after][inside] - np.interp(record.u[after][inside], u, y)
+    return 2 * inside.sum() > record.used[after].sum() and bool(persistent_error(apart).max() < most)
 
 
 def _place(record: Record, sample: int) -> tuple[str, str]:

@@ -136,8 +136,9 @@ def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Basel
     }
     beside = [f"{number(value, '.2g')} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
-        f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {two_digits(limits.error)} %), largest {metrics.max_error_percent:.3g} % "
-        f"at one sample and {_lasting_percent(rows, baselines):.3g} % over three (limit {two_digits(limits.largest)} %)"
+        f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {two_digits(limits.error)} %), largest "
+        f"{metrics.max_error_percent:.3g} % at one sample and {_lasting_percent(rows, baselines):.3g} % over three "
+        f"(limit {two_digits(limits.largest)} %)"
     )
     return Note(Code.ACCURACY, text + (f"; the rms {what} is " + ", ".join(beside) if beside else ""))
 

@@ -90,7 +90,8 @@ QUANTITIES: dict[str, Quantity] = {
         lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
-        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first second", "%", None,
+        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first 1 s", "%",
+        None,
         leads=frozenset(LoopKind),
     ),
 }  # fmt: skip

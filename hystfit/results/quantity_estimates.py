@@ -229,8 +229,9 @@ def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
 def measured_quantities(data: Dataset) -> dict[str, float]:
     """Quantities of the loops as measured, by name, without a model: medians over the closed loops that cover the range of all records.
 
-    Samples are joined by straight lines. Loops at other rates than the steady loop of a fit have other widths and do not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from rest and the branch after it
-    are no loop.
+    Samples are joined by straight lines. Loops at other rates than the usual one of the first record, that of the steady loop of a fit,
+    have other widths and do not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from
+    rest and the branch after it are no loop.
     """
     excitation = Excitation.of(data)
     inputs = np.linspace(excitation.low, excitation.high, 2001)

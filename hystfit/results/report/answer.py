@@ -107,7 +107,8 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
 def _error(result: FitResult) -> str:
     unit = result.data.units["y"]
     size = f"{number(result.train.rmse, '.3g')} {unit}".rstrip()
-    text = f"{number(result.train.nrmse_percent, '.3g')} % of the range ({size} rms); limit {two_digits(Limits.of(result.baselines).error)} %"
+    limit = two_digits(Limits.of(result.baselines).error)
+    text = f"{number(result.train.nrmse_percent, '.3g')} % of the range ({size} rms); limit {limit} %"
     noise = result.baselines.noise
     if noise:
         text += f"; noise of the output {noise:.2g} {unit}".rstrip()
