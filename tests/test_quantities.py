@@ -274,6 +274,8 @@ def test_a_viscous_model_has_no_creep():
         ("Oe", "emu", LoopKind.MAGNETIC),
         ("kV/cm", "uC/cm2", LoopKind.FERROELECTRIC),
         ("V", "um", LoopKind.ACTUATOR),
+        ("A", "mrad", LoopKind.ACTUATOR),
+        ("mT", "mdeg", LoopKind.OTHER),
         ("mm", "kN", LoopKind.DISPLACEMENT_DRIVEN),
         ("N", "mm", LoopKind.FORCE_DRIVEN),
         ("", "", LoopKind.OTHER),

@@ -47,21 +47,15 @@ def warnings_of(fitted: Fitted) -> list[Note]:
 
 def _drift(fitted: Fitted) -> Note | None:
     """A warning of a drift that the residuals show, or those of plays where a model without time follows it by a state that fades."""
-    noise = is_noise(fitted.train.rmse, fitted.baselines)
-    found = None if noise else drift_note(fitted.rows, fitted.data, fitted.baselines.span)
+    found = drift_note(fitted.rows, fitted.data, fitted.baselines.span)
     if found is not None or not fitted.thorough:
         return found
     if fitted.model.creeps:
         return _followed_drift(fitted)
-    if (
-        noise
-        or not fitted.model.rate_independent
-        or fitted.baselines.plays is None
-        or any(
-            len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)
-        )
-    ):
-        return found
+    if not fitted.model.rate_independent or fitted.baselines.plays is None:
+        return None
+    if any(len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)):
+        return None
     return drift_note(plays_residuals(fitted.data), fitted.data, fitted.baselines.span)
 
 
