@@ -162,7 +162,9 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.FERROELECTRIC:
         record, of_zero = centered(record)
         y = record.y[kept]
-    sigma = None if is_bound or noise is None else noise
+    sigma = (
+        noise  # of sparse samples the most that it can be: errors without it would be those of the straight lines alone
+    )
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
     turns = turns_of(u)
     if not turns.size:
@@ -174,7 +176,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs or cycles, sigma):
+    if not is_open(pairs or cycles, None if is_bound else sigma):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
