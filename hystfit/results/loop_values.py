@@ -148,7 +148,9 @@ _NO_CYCLE = Note(
     "no closed loop: the input does not run there and back over one range; measure a whole cycle",
     Severity.WARNING,
 )
-_NO_AREA = Note(Code.NOT_CLOSED, "no loop: its branches differ by no more than the noise", Severity.WARNING)
+_NO_AREA = Note(
+    Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
+)
 _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 
