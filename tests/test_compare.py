@@ -7,6 +7,7 @@ import itertools
 import threading
 import weakref
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import equinox as eqx
@@ -18,7 +19,7 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.fitting import sizes, smooth_weights
+from hystfit.fitting import comparison_run, sizes, smooth_weights
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.compare import _ranked
 from hystfit.fitting.comparison import Comparison, Purpose, Row
@@ -360,6 +361,19 @@ def beside(rival: Row, name: str, data: hf.Dataset, purpose: Purpose = "predicti
     run.rows.append(rival)
     run.run([name])
     return run
+
+
+def test_a_first_fit_without_error_leaves_nothing_to_lower(monkeypatch):
+    """The loop of a simulation without noise, as scopes of simulators save it."""
+    monkeypatch.setattr(comparison_run, "correlation_of", lambda _: 1)
+    run = ComparisonRun(
+        stepped_loops(), "auto", "prediction", FitOptions(), {}, ShownProgress(lambda *_: None, ["duhem"]), Workers(1)
+    )
+    row = Row("duhem", "duhem", 0.0, 0.0, 0.0, 5, 0.0, Status.OK, obstacles={})
+    exact = Candidate("duhem", row=row, first=First(0.0, 5, make_model("duhem")))
+    exact.solved, exact.result = SimpleNamespace(), SimpleNamespace(left_out=0.0)
+    assert run._keep_finished([exact]) == []
+    assert [*run.fits] == ["duhem"]
 
 
 def test_only_a_model_that_serves_the_purpose_stops_others():

@@ -34,10 +34,15 @@ def plain(model: hf.Damper, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
     """The definition, sample by sample."""
     start = (u[0] - float(model.center)) / float(model.half)
     p, q, w, out = [start - float(model.strain) * r for r in _STROKES], [0.0] * len(_LAGS), 0.0, []
+    started = last = 0.0
     for k, now in enumerate(u):
-        if k and dt[k] > 0:  # the exact answer of tau w' + w = v to a constant v over the interval
-            v = (now - u[k - 1]) / dt[k] / float(model.speed)
-            w = v + (w - v) * math.exp(-dt[k] / float(model.tau))
+        if (
+            k and dt[k] > 0
+        ):  # the exact answer of tau w' + w = v to a constant v over the interval, after a long first interval
+            rate = (now - u[k - 1]) / dt[k] / float(model.speed)
+            v = rate + float(model.lead) * (rate - last) * started
+            w = v + (w - v) * math.exp(-dt[k] / float(model.tau)) * started
+            started, last = 1.0, rate
         x = (now - float(model.center)) / float(model.half)
         p = [min(max(old, x - r), x + r) for old, r in zip(p, _STROKES, strict=True)]
         q = [min(max(old, w - h), w + h) for old, h in zip(q, _LAGS, strict=True)]
@@ -56,7 +61,7 @@ def test_a_damper_follows_its_definition() -> None:
     u, dt = sweep(1.0), np.random.default_rng(1).uniform(0.5, 1.5, int(RATE)) / RATE
     dt[[0, 50]] = 0.0
     u[50] = u[49]
-    model = random_damper(0, center=0.3, offset=0.2, strain=0.7)
+    model = random_damper(0, center=0.3, offset=0.2, strain=0.7, lead=0.5)
     expected = plain(model, u, dt)
     np.testing.assert_allclose(np.asarray(hf.simulate(model, u, dt)[0]), expected, atol=1e-10)
     np.testing.assert_allclose(model.free_run(u, dt), expected, atol=1e-10)
@@ -125,3 +130,15 @@ def test_a_damper_without_lag_follows_the_velocity() -> None:
     with np.errstate(all="raise"):
         found = model.free_run(u, dt)
     np.testing.assert_allclose(found, plain(dataclasses.replace(model, tau=1e-12), u, dt), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["damper", "linear+viscous"])
+def test_a_record_that_begins_in_motion_is_fitted_to_its_noise(model: str) -> None:
+    """A sweep without a steady period that begins at full velocity: the force at the first sample is that of an unknown rate."""
+    t, rng = np.arange(0, 3, 1 / RATE), np.random.default_rng(5)
+    u = (0.010 + 0.003 * t) * np.sin(2 * np.pi * (t + 0.25 * t**2))
+    rate = np.append((u[1] - u[0]) * RATE, np.diff(u) * RATE)
+    noise = 1.0 * rng.normal(size=t.size)
+    record = hf.Record(u=u, y=5000.0 * u + 3000.0 * rate + noise, t=t)
+    result = hf.fit(model, record)
+    assert result.train.rmse < 1.15 * noise.std()

@@ -18,6 +18,7 @@ from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.uncertainty.block_covariance import FEWEST, _Blocks, covariance
 from hystfit.uncertainty.input_design import Candidate, Design, design
+from hystfit.uncertainty.profile_paths import Walk
 from hystfit.uncertainty.profiles import Profile, _whitened, profile
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
@@ -137,6 +138,18 @@ def plays() -> hf.FitResult:
     weights = np.where(np.arange(8) % 2, 0.0, 0.3)[None]
     y = np.asarray(hf.simulate(eqx.tree_at(lambda m: m.w, model, jnp.asarray(weights)), u)[0])
     return hf.fit(model, hf.Record(u=u, y=y + 0.02 * np.random.default_rng(0).normal(size=400)), noise="iid")
+
+
+def test_in_a_flat_valley_the_lowest_refit_of_a_path_is_the_next_optimum(monkeypatch):
+    """A parabola is the limit of an ever longer and flatter Bouc-Wen loop: every refit of a path is a little lower than the last."""
+    k = np.arange(300)
+    u = -np.cos(np.pi * k / 300)
+    fit = hf.fit("bouc-wen", hf.Record(u=u, y=u + 0.1 * u**2 + 0.01 * np.random.default_rng(0).normal(size=300)))
+    follow, paths = Walk.follow, []
+    monkeypatch.setattr(Walk, "follow", lambda walk, sign: (paths.append(sign), follow(walk, sign))[1])
+    limits = profile(fit, "c")
+    assert len(paths) <= 6  # two of each optimum; 26 where the first lower refit was the next optimum
+    assert has(limits.notes, Code.OTHER_OPTIMUM)
 
 
 def test_profiles_of_weights_are_those_of_bounded_linear_least_squares(plays):

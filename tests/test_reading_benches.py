@@ -77,9 +77,9 @@ def test_row_numbers_beside_a_clock_are_no_input(tmp_path: Path) -> None:
 
 def test_liters_and_decanewtons(tmp_path: Path) -> None:
     head = "Interval=\t0.005 s\nChannelTitle=\tLV Pressure\tLV Volume\nRange=\t200 mmHg\t10 V\nUnitName=\tmmHg\tuL\n"
-    record = one(tmp_path, head + rows("\t", 0.005 * np.arange(N), U, Y), "heart.txt")
+    record = one(tmp_path, head + rows("\t", 0.005 * np.arange(N), Y, U), "heart.txt")
     is_pair(record)
-    assert (record.u_unit, record.y_unit) == ("mmHg", "uL")
+    assert (record.u_unit, record.y_unit) == ("uL", "mmHg")
     assert (conversion("uL", "mm3"), conversion("daN", "N"), conversion("mils", "um")) == (1.0, 10.0, 25.4)
 
 

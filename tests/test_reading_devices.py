@@ -662,7 +662,13 @@ def test_a_table_of_results_has_no_loop(tmp_path: Path) -> None:
     table = "specimen,Type,Color,Shade\n" + rows(",", names, *classes)
     with pytest.raises(DataError, match="every row has a 'specimen' of its own"):
         read(written(tmp_path, table, "results.csv"))
-    record = one(tmp_path, "specimen,diameter (mm),load (kN)\n" + rows(",", names, *random.random((2, N)).round(4)))
+    file = written(
+        tmp_path, "specimen,diameter (mm),load (kN)\n" + rows(",", names, *random.random((2, N)).round(4)), "s.csv"
+    )
+    with pytest.raises(DataError, match=r"--input 'diameter \(mm\)' --output 'load \(kN\)' reads them"):
+        read(file)
+    record = read(file, input="diameter (mm)", output="load (kN)")
+    assert isinstance(record, Record)
     assert [note.severity for note in record.notes if "'specimen' of its own" in note.text] == [Severity.WARNING]
     plain = one(tmp_path, "state,stroke (mm),load (kN)\n" + rows(",", np.repeat(["a", "b"], N // 2), U, Y))
     assert not any("of its own" in note.text for note in plain.notes)

@@ -883,8 +883,10 @@ def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) ->
 
 def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:
     rows = "".join(f"S-{k},{2 + np.sin(k):.5f},{1 + np.cos(7 * k):.5f}\n" for k in range(20))
-    record = one(written(tmp_path, f"specimen,Ms,Mr\n{rows}"))
-    assert any("no samples of a loop" in note.text for note in record.notes if note.severity is Severity.WARNING)
+    with pytest.raises(
+        DataError, match=r"'specimen' of its own: a table of results has no loop; .* --input Ms --output Mr"
+    ):
+        read(written(tmp_path, f"specimen,Ms,Mr\n{rows}"))
 
 
 def test_names_of_columns_may_follow_a_label_in_brackets(tmp_path: Path) -> None:

@@ -169,8 +169,9 @@ class ComparisonRun:
             if one.result is not None and one.solved is not None:
                 self.fits[one.name], self._solved[one.name] = one.result, one.solved
                 self._correlated[one.name] = correlation_of(one.result)
-                if one.first is not None and one.first.model is not None and one.result.left_out is not None:
-                    self._lowered.append(min(one.result.left_out / one.first.error, 1.0))
+                first, left_out = one.first, one.result.left_out
+                if first is not None and first.model is not None and left_out is not None:
+                    self._lowered.append(left_out / first.error if left_out < first.error else 1.0)
             self._shown.done(one.name)
         return [one for one in candidates if one.row is None]
 

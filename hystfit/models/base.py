@@ -44,6 +44,8 @@ class AbstractHysteresis(AbstractDynamics):
     """Why no model of its kind has an inverse; "" where one has."""
     either_way: ClassVar[bool] = False
     """Whether it describes loops of both directions, whatever its family needs."""
+    takes_rate: ClassVar[bool] = False
+    """Whether the output takes the rate of the input over the interval before a sample, which is unknown at the first sample."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
@@ -148,12 +150,16 @@ class AbstractHysteresis(AbstractDynamics):
         """The record as it is fitted: samples that the model cannot describe have weight 0.
 
         By default a record that starts with a steady period is preceded by one more copy of that period, without weight, because
-        its first sample lies on a branch. For a device that rested before the record, use `Record.resting_on`.
+        its first sample lies on a branch. For a device that rested before the record, use `Record.resting_on`. Where the input moves
+        at once and the output takes its rate, the first sample does not count: its rate is that of a movement before the record.
 
         Raises:
             ModelError: a record that cannot drive the model.
         """
-        return with_steady_start(record)
+        ready = with_steady_start(record)
+        if self.takes_rate and len(ready) > 1 and ready.u[1] != ready.u[0]:
+            ready = ready.replace(weight=np.where(np.arange(len(ready)) > 0, ready.weight, 0.0))
+        return ready
 
     def starting_points(self, records: Sequence[Record]) -> tuple[AbstractHysteresis, ...]:
         """Models with starting values estimated from measured records, the best first: by default that of `start` alone."""

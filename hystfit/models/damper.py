@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
+import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
@@ -31,7 +32,19 @@ _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
 _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
-_DELAYS = (0.3, 1.0, 2.0, 4.0, 8.0)  # sampling intervals: time constants of the velocity from which a fit may start
+_READ, _MOVING = 1.0, 2.0  # stages of the start: the first sample is read, and its velocity is known
+_LEADS = (
+    0.0,
+    0.5,
+)  # of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample
+_DELAYS = (
+    0.35,
+    0.7,
+    1.4,
+    2.8,
+    5.6,
+    11.2,
+)  # sampling intervals, each twice the one before: lags from which a fit may start
 
 
 class Damper(AbstractHysteresis):
@@ -42,19 +55,23 @@ class Damper(AbstractHysteresis):
               + sum friction_j (x - p_j) + sum lagging_j (w - q_j)
         p_j <- clip(p_j, x - r_j, x + r_j),   q_j <- clip(q_j, w - h_j, w + h_j)
 
-    x = (u - center) / half is the displacement, w the velocity over `speed` behind a first-order lag `tau`. The powers of x are a
-    mechanical or gas spring; those of w and their products with x the valves, whose force may depend on the direction and on the place.
-    g_0 falls from 1 to 0 over the stroke and g_1 rises.
+    x = (u - center) / half is the displacement, w the velocity over `speed` behind a first-order lag `tau`. The velocity is the rate over
+    the last interval, extrapolated by `lead` intervals from its middle: 0.5 gives that of the sample, 0 has less noise. The powers of x
+    are a mechanical or gas spring; those of w and their products with x the valves, whose force may depend on the direction and on the
+    place. g_0 falls from 1 to 0 over the stroke and g_1 rises.
     Saturating forces are the yield force of a magnetorheological damper, stops of x friction and the elasticity before it slips. Stops of
     w are forces that differ between rising and falling speed: the compressibility of the fluid and the inertia of a valve. `viscous`,
     `saturating`, `friction` and `lagging` are >= 0, so that these terms dissipate. Everything but tau follows from one convex solve. A
-    damper that was moved before the record rests with its stops strained: p_j = x - strain r_j at the first sample.
+    damper that was moved before the record rests with its stops strained: p_j = x - strain r_j at the first sample. It has
+    moved at the velocity of the first interval before the record, so that w has no transient; for one at rest use `Record.resting_on`
+    with the first displacement.
     """
 
     no_inverse: ClassVar[str] = (
         "a damper has no inverse: its force depends on the velocity, and its spring may have either sign"
     )
     rate_independent: ClassVar[bool] = False
+    takes_rate: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
     needs: ClassVar[Needs] = Needs(time=True, rate=True, direction="clockwise", regularized=True)
@@ -82,6 +99,7 @@ class Damper(AbstractHysteresis):
         fixed=True,
         doc="strain of the stops of x at the first sample, over their half widths",
     )
+    lead: Scalar = param(0.0, bounds=(-1.0, 1.0), fixed=True, doc="extrapolation of the velocity, in sampling intervals")
     center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the stroke")
     speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="velocity where w = 1")
@@ -101,24 +119,27 @@ class Damper(AbstractHysteresis):
                 raise ModelError(f"{name} must have shape {shape}, got {value.shape}")
 
     def init(self, u0: Scalar) -> State:
-        """State at rest on u0: the plays of x and of w, and w, shape (29,)."""
+        """State at rest on u0: the plays of x and of w, w, the last rate, and a stage of the start, shape (31,)."""
         x = (u0 - self.center) / self.half
-        return jnp.concatenate([x - self.strain * jnp.asarray(_STROKES), jnp.zeros(len(_LAGS) + 1) * u0])
+        return jnp.concatenate([x - self.strain * jnp.asarray(_STROKES), jnp.zeros(len(_LAGS) + 3) * u0])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """One sample: the velocity, the plays, and the sum of all forces."""
-        rate = (u1 - u0) / jnp.where(dt > 0, dt, 1.0) / self.speed
-        left = jnp.exp(-dt / self.tau)
-        w = jnp.where(dt > 0, left * state[-1] + (1.0 - left) * rate, state[-1])
+        before, last, stage = state[-3:]
+        rate = jnp.where(dt > 0, (u1 - u0) / jnp.where(dt > 0, dt, 1.0) / self.speed, last)
+        left = jnp.where(stage == _READ, 0.0, jnp.exp(-dt / self.tau))
+        ahead = rate + self.lead * (rate - jnp.where(stage == _READ, rate, last))
+        w = jnp.where(dt > 0, left * before + (1.0 - left) * ahead, before)
+        stage = jnp.where((stage == 0) & (u1 == u0), _READ, jnp.where((stage == _READ) & (dt <= 0), _READ, _MOVING))
         x = (u1 - self.center) / self.half
-        p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -1], w, _LAGS)
+        p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -3], w, _LAGS)
         y = self.offset + jnp.dot(self.spring, x ** jnp.asarray(_SPRING)) + self.viscous * w
         y += self.bent @ jnp.stack([w * jnp.abs(w), w**3, w**2])
         y += self.coupling @ jnp.stack([x * jnp.abs(w), x * w, x**2 * w, x**2 * jnp.abs(w)])
         part = jnp.clip(0.5 * (1.0 + x), 0.0, 1.0)
         y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
         y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
-        return jnp.concatenate([p, q, w[None]]), y
+        return jnp.concatenate([p, q, jnp.stack([w, rate, stage])]), y
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
@@ -144,23 +165,44 @@ class Damper(AbstractHysteresis):
 
     def _velocity(self, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """w at every sample, shape (T,)."""
+        passes = dt > 0
         with np.errstate(divide="ignore", invalid="ignore"):  # without a lag, the velocity is that of the sample
-            left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
-        driven = (1.0 - left) * np.diff(u, prepend=u[0]) / np.where(dt > 0, dt, 1.0) / float(self.speed)
+            left = np.where(passes, np.exp(-dt / float(self.tau)), 1.0)
+        first = 1 + np.flatnonzero(passes[1:])[:1]
+        left[first] = 0.0  # no transient in the first interval
+        at = np.flatnonzero(passes)
+        rates = np.diff(u, prepend=u[0])[at] / dt[at] / float(self.speed)
+        before = np.concatenate([rates[:1], rates[:-1]])
+        before[at == first] = rates[at == first]
+        driven = np.zeros(u.size)
+        driven[at] = (1.0 - left[at]) * (rates + float(self.lead) * (rates - before))
         w, last = np.empty(u.size), 0.0
         for k, (kept, added) in enumerate(zip(left.tolist(), driven.tolist(), strict=True)):
             w[k] = last = kept * last + added
         return w
 
     def start(self, records: Sequence[Record]) -> Damper:
-        """Stroke and speed of the records, and the best of a few strains and lags; the weights follow from a linear solve."""
+        """Stroke and speed of the records, and the best of a few strains, leads and lags; the weights follow from a linear solve."""
         place, out, interval = input_range(records), output_range(records), sampling_interval(records)
         ranges = {"center": place.center, "half": place.half, "speed": speed(records, LARGE)}
         model = dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
         heads = [record.segment(0, min(len(record), SAMPLES)) for record in records]
-        starts = itertools.product(_STRAINS, interval * np.array(_DELAYS))
-        tried = [dataclasses.replace(model, strain=strain, tau=tau) for strain, tau in starts]
-        return min(tried, key=lambda one: one._misfit(heads))
+        pairs = itertools.product(_STRAINS, _LEADS)
+        starts = [
+            dataclasses.replace(model, strain=strain, lead=lead)._with_lag(heads, interval) for strain, lead in pairs
+        ]
+        return min(starts, key=lambda start: start[1])[0]
+
+    def _with_lag(self, records: Sequence[Record], interval: float) -> tuple[Damper, float]:
+        """The same damper with the lag that leaves the smallest misfit, and that misfit."""
+        lagging = lambda log_tau: dataclasses.replace(self, tau=float(np.exp(log_tau)))
+        logs = np.log(interval * np.array(_DELAYS))
+        best = int(np.argmin([lagging(log_tau)._misfit(records) for log_tau in logs]))
+        around = logs[max(best - 1, 0)], logs[min(best + 1, logs.size - 1)]
+        found = scipy.optimize.minimize_scalar(
+            lambda log_tau: lagging(log_tau)._misfit(records), bounds=around, method="bounded", options={"xatol": 0.01}
+        )
+        return lagging(found.x), float(found.fun)
 
     def _misfit(self, records: Sequence[Record]) -> float:
         """Least sum of squared errors that the weights reach, with an offset for each record."""

@@ -39,6 +39,7 @@ class LuGre(AbstractHysteresis):
         "friction that depends on the velocity has no inverse: a slipping bristle has the same force at every place"
     )
     rate_independent: ClassVar[bool] = False
+    takes_rate: ClassVar[bool] = True
     c_template: ClassVar[str] = "lugre"
     needs: ClassVar[Needs] = Needs(
         time=True,

@@ -42,6 +42,7 @@ class MaxwellSlip(AbstractHysteresis):
         "friction that depends on the velocity has no inverse: elements that slip have the same force at every place"
     )
     rate_independent: ClassVar[bool] = False
+    takes_rate: ClassVar[bool] = True
     c_template: ClassVar[str] = "maxwell_slip"
     counts: ClassVar[dict[str, str]] = {"elements": "r"}
     estimator: ClassVar[str] = "convex"

@@ -26,6 +26,7 @@ class _AbstractRate(AbstractHysteresis):
 
     rate_independent: ClassVar[bool] = False
     creeps: ClassVar[bool] = False
+    takes_rate: ClassVar[bool] = True
 
     @abc.abstractmethod
     def force(self, rate: Any) -> Any:

@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
+from hystfit.reading import sentinels
 from hystfit.reading.branches_in_order import in_order_of_time
 from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.cells import unit_of_epoch
@@ -23,10 +24,9 @@ from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.conditions import changed_conditions, without_turns
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
-from hystfit.reading.limits import MAJORITY, RARE
+from hystfit.reading.limits import FEW, MAJORITY, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
-from hystfit.reading.sentinels import ends_with_zeros, failed_inputs, replaced_notes, without_codes, without_infinite
 from hystfit.reading.stated_interval import unit_of_interval
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
@@ -63,14 +63,14 @@ def assemble(
     free = not named and all(key is None or key is False for key in (time, sigma, by, where))
     table = arranged(table, named=named, free=free, adjusted=adjusted)
     notes = list(table.notes)
-    table, replaced = without_infinite(table)
+    table, replaced = sentinels.without_infinite(table)
     table, taken = _filter(table, where, notes)
     divider, spread = (None if key is None else find(table, key, role) for role, key in (("by", by), ("sigma", sigma)))
     asked = (time, *_of_layout(table, input, output))
     others = [*taken, *(position for position in (divider, spread) if position is not None)]
     table, choice, divider = _with_choice(table, asked, others, divider, notes)
     for role, position in (("time", choice.time), ("input", choice.input), ("output", choice.output)):
-        notes += replaced_notes(replaced[position], role) if position in replaced else []
+        notes += sentinels.replaced_notes(replaced[position], role) if position in replaced else []
     table = without_turns(_without_comments(table, choice, notes), choice.output, notes)
     table = in_order_of_time(table, choice, notes) if divider is None and not table.section.any() else table
     groups, several = split_curves(table, choice, divider, notes)
@@ -235,14 +235,20 @@ def _records_of(
     data = {role: np.array(table.columns[position]) for role, position in columns.items()}
     notes = [*notes]
     for role in ("input", "output"):
-        data[role], coded = without_codes(data[role], role)
+        data[role], coded = sentinels.without_codes(data[role], role)
         notes += coded
-    if (failed := failed_inputs(data["input"], data["output"])).size:
+        if (shifted := sentinels.shifted_marks(data[role])).size >= FEW and gaps == "error":
+            lines = ", ".join(map(str, table.line[shifted[:5]]))
+            raise DataError(
+                f"{table.source}: {shifted.size} numbers of the {role} are a tenth of those around them, or ten times these "
+                f"(lines {lines}): decimal marks were lost when the file was written; export it again (gaps='drop' reads it as it is)"
+            )
+    if (failed := sentinels.failed_inputs(data["input"], data["output"])).size:
         text = f"left out: {failed.size} rows in which the input alone reads 0, as that of a sensor that failed"
         notes.append(warn(Code.MISSING_VALUES, f"{text}; lines {', '.join(map(str, table.line[failed[:5]]))}"))
         kept = np.delete(np.arange(table.rows), failed)
         table, data = table.take(kept), {role: values[kept] for role, values in data.items()}
-    if ends_with_zeros(data.values()):
+    if sentinels.ends_with_zeros(data.values()):
         notes.append(
             Note(
                 Code.LEFT_OUT,

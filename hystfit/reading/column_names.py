@@ -83,6 +83,8 @@ def column_quantity(name: str, unit: str = "") -> str:
     stated = unit or unit_of_name
     if not by_unit and (stated.startswith("dB") or (stated and named == "charge")):
         return ""  # a level is no force, and Q in m3/s is a flow
+    if by_unit == "charge" and stated == "C" and not named and len(base) > 1:
+        return "temperature"  # of channels that have a number or the name of a port
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     if named == "wavelength" and base.lower().startswith(("λ", "lambda")):

@@ -16,6 +16,7 @@ from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
+from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity, column_role
 from hystfit.reading.limits import RARE
 from hystfit.reading.names_with_units import split_unit
@@ -23,10 +24,12 @@ from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.quantities_by_others import tell_by_others
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import computed, proportional, same_loop
+from hystfit.reading.specimens import names_objects
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
 )
+_LEAST, _MOST = frozenset({"min", "minimum"}), frozenset({"max", "maximum"})
 _MOST_RESULTS = 200  # rows of a table of results, beyond which a name for each is rather a stamp or an identity
 
 
@@ -138,16 +141,26 @@ def choose(
             changes &= np.diff(table.part) == 0
         if k not in taken and changes.any():
             notes.append(Note(Code.LEFT_OUT, f"text column {table.names[k]!r} (such as {str(label[0])!r}) is not used"))
-    notes += [warn(Code.LEFT_OUT, text) for text in _of_results(table)]
+    notes += [warn(Code.LEFT_OUT, text) for text in _of_results(table).values()]
     return Choice(clock, given["input"], given["output"], tuple(notes), no_time)
 
 
-def _of_results(table: Table) -> list[str]:
-    """Remarks on columns of text that name every row, as that of the specimens in a table of results."""
+def _check_results(table: Table, given: Mapping[str, int]) -> None:
+    """Refuse a table with a row for each specimen, as the samples of no loop have names of their own."""
+    if text := next((text for title, text in _of_results(table).items() if names_objects(title)), ""):
+        i, o = (_as_option(table, given[role]) for role in ("input", "output"))
+        raise DataError(
+            f"{table.source}: {text}; if the rows are the samples of a loop, --input {i} --output {o} reads them "
+            f"(input=, output=). The columns are {table.describe()}"
+        )
+
+
+def _of_results(table: Table) -> dict[str, str]:
+    """Remarks on columns of text that name every row, as that of the specimens in a table of results, by their titles."""
     if table.rows > _MOST_RESULTS:
-        return []
+        return {}
     titles = [table.names[k] for k, label in table.labels.items() if len({*map(str, label)}) == table.rows]
-    return [f"every row has a {title!r} of its own: a table of results has no loop" for title in titles]
+    return {title: f"every row has a {title!r} of its own: a table of results has no loop" for title in titles}
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -202,6 +215,7 @@ def _guess_pair(
     table: Table, free: list[int], kinds: dict[int, str], given: dict[str, int], clock: int | None, notes: list[Note]
 ) -> None:
     """Fill `given` with the input and output not named."""
+    free = _without_extremes(table, free, notes)
     if len(free) + len(given) < 2:
         raise _too_few(table, free, given, clock)
     if not table.named:
@@ -234,6 +248,7 @@ def _guess_pair(
         if _runs_both_ways(driven) and circulation(driven, table.columns[best.output]) < -OPEN:
             text = f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
             notes.append(warn(Code.COLUMN_CHOICE, text))
+    _check_results(table, given)
     _check_matrix(table, kinds, given)
     if others := [k for k in free if k not in given.values()]:
         shown = ", ".join(repr(table.names[k]) for k in others[:8])
@@ -266,8 +281,8 @@ def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int
     """The error of a table with fewer than two changing columns."""
     beside = " beside the time" if clock is not None else ""
     remedy = "name them with input= and output=, or check delimiter= and decimal="
-    if len(free) == 1 and not table.labels:
-        remedy = _half_of_pair(table)
+    if len(free) == 1:
+        remedy = f"{remedy}; {_half_of_pair(table)}" if table.labels else _half_of_pair(table)
     return DataError(
         f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of changing numbers{beside}. "
         f"The columns are {table.describe()}; {remedy}"
@@ -303,7 +318,7 @@ def _undecided(table: Table, *equal: Reading) -> DataError:
         shown.append(f"--input {i} --output {o}")
     many = not table.named and len(table.names) > _MANY_SIGNALS
     apart = "; if the outputs are in a file of their own, INPUT_FILE+OUTPUT_FILE reads both" if many else ""
-    apart += "".join(f"; {text}" for text in _of_results(table)[:1])
+    apart += "".join(f"; {text}" for text in [*_of_results(table).values()][:1])
     return DataError(
         f"{table.source}: nothing in the file tells which columns are the input and the output; choose, such as {shown[0]} or "
         f"{shown[1]} (input=, output=){apart}. The columns are {table.describe()}"
@@ -314,6 +329,22 @@ def _as_option(table: Table, position: int) -> str:
     """A column as it is named at the shell: by its name, where only it has that, else by its number."""
     name = table.names[position]
     return shlex.quote(name) if table.named and name and table.names.count(name) == 1 else str(position)
+
+
+def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[int]:
+    """The columns without the extremes of the readings that each row sums up, and one alone of their mean and the readings."""
+    columns, words = table.columns, {k: words_of(split_unit(table.names[k])[0]) for k in free}
+    for low, high in itertools.product(*([k for k in free if words[k] & ends] for ends in (_LEAST, _MOST))):
+        if words[low] - _LEAST != words[high] - _MOST:
+            continue
+        ordered = lambda k, low=low, high=high: np.diff([columns[low], columns[k], columns[high]], axis=0).min() >= 0
+        alike = [k for k in free if k not in (low, high) and table.units[k] == table.units[low] == table.units[high]]
+        if within := [k for k in alike if ordered(k)]:
+            left = {low, high, *within[1:]}
+            shown = ", ".join(repr(table.names[k]) for k in sorted(left))
+            notes.append(Note(Code.LEFT_OUT, f"{shown}: extremes and means of each row, not used"))
+            return [k for k in free if k not in left and not table.counts(k)]  # the readings are numbered
+    return free
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.limits import LONGEST
+from hystfit.reading.limits import FEW, LONGEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
 
@@ -207,9 +207,11 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     for line in reversed(above):
         title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
         units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
-        known = [is_unit(unit) for unit in units if unit]
-        if re.search("unit", title, re.IGNORECASE) and len(known) > 1 and len(units) < width and all(known):
-            if all(quantity(unit) == "time" for unit in units):
+        known = [unit for unit in units if is_unit(unit)]  # "TTL" is that of no quantity
+        enough = len(known) > 1 and 2 * len(known) >= len([*filter(None, units)])
+        if re.search("unit", title, re.IGNORECASE) and enough and len(units) < width:
+            units = [unit if unit in known else "" for unit in units]
+            if all(quantity(unit) == "time" for unit in known):
                 continue
             return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
     return [""] * width
@@ -227,7 +229,9 @@ def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> 
     zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
     if any(zeros):
         return ["V"] * len(units)
-    return [unit if scale == 1.0 else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)]
+    return [
+        unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)
+    ]
 
 
 def _bare(parts: Sequence[str]) -> list[str]:
@@ -304,6 +308,28 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
     ]
 
 
+def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
+    """Names over columns of fixed width that go on below, with units in brackets below some; None where every line has all columns."""
+    rows: list[dict[int, str]] = []
+    lines = [*above]
+    while lines and (not rows or len(rows[0]) < width) and len(rows) <= FEW:
+        line = lines.pop()
+        if line.strip(" -="):
+            rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
+        elif rows:
+            return None
+    units = [*rows[-1].values()] if len(rows) > 1 else []
+    if (
+        not units
+        or {*_bare(units)} & {*units}
+        or any(row.keys() - rows[0].keys() for row in rows)
+        or len(rows[0]) != width
+    ):
+        return None
+    names = [" ".join(row[start] for row in rows if start in row) for start in rows[0]]
+    return names, [split_unit(name, names)[1] for name in names], len(above) - len(lines)
+
+
 def read_header(
     above: Sequence[str], width: int, delimiter: str | None, decimal: str, split: dict[int, list[str]]
 ) -> tuple[list[str], list[str], int]:
@@ -313,6 +339,8 @@ def read_header(
         delimiter, decimal: those of the data; None is any white space.
         split: cells of lines that are split already (quoted cells), by position in `above`.
     """
+    if delimiter is None and (aligned := _aligned(above, width)) is not None:
+        return aligned
     headers: list[tuple[int, list[str]]] = []
     for position in range(len(above) - 1, max(-1, len(above) - 7), -1):
         if not above[position].strip(" \t,;"):

@@ -17,13 +17,14 @@ from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.header import MOST_METADATA
+from hystfit.reading.header import MOST_METADATA, unit_key
 from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text_file import TextFile
 
+_LABELS, _UNITS = ("label", "name", "title"), ("unit", "units")  # keys of a mapping that describes a column
 _FEWEST = 2  # numbers of an array that is a column
 _OF_VALUES = frozenset(
     {"data", "values", "samples", "value"}
@@ -80,7 +81,7 @@ def _columnar(value: Any, depth: int = 0) -> Any:
         raise DataError(f"the JSON is nested more than {DEEPEST} times; write each column as a list under its name")
     if isinstance(value, Mapping):
         if isinstance(value.get("columns"), list) and isinstance(value.get("data"), list):
-            return dict(zip(map(str, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
+            return dict(zip(map(_title, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
         if len(value) >= _FEWEST and all(key.isdigit() for key in value):  # rows by their number, as pandas writes them
             return _columnar(list(value.values()), depth + 1)
         return {key: _columnar(item, depth + 1) for key, item in value.items()}
@@ -96,6 +97,13 @@ def _columnar(value: Any, depth: int = 0) -> Any:
         if len(widths) == 1 and not any(isinstance(cell, list | Mapping) for row in value for cell in row):
             return _of_rows(value)
     return value
+
+
+def _title(column: Any) -> str:
+    """The name of a column with its unit, where a mapping describes it."""
+    described = column if isinstance(column, Mapping) else {"name": column}
+    label, unit = (next((described[key] for key in keys if described.get(key)), "") for keys in (_LABELS, _UNITS))
+    return f"{label} [{unit}]" if unit else str(label)
 
 
 def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -196,8 +204,8 @@ def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
     lists = {str(key).lower(): value for key, value in item.items() if isinstance(value, list)}
     plain = not lists.keys() - _OF_VALUES  # {"name": "H", "data": [...]} beside {"name": "specimen A", "force": [...]}
     item = {str(key).lower(): value for key, value in item.items()}
-    unit = next((item[key] for key in ("unit", "units") if isinstance(item.get(key), str)), None)
-    label = next((str(item[key]) for key in ("label", "name", "title") if key in item), name)
+    unit = next((item[key] for key in _UNITS if isinstance(item.get(key), str)), None)
+    label = next((str(item[key]) for key in _LABELS if key in item), name)
     if (
         len(lists) != 1
         or not (label and (unit or plain or not name))
@@ -220,10 +228,9 @@ def _array(items: list[Any]) -> np.ndarray | None:
 def _unit_texts(tree: Any) -> Iterator[tuple[str, str]]:
     """Units anywhere in the tree, with the name of their column where the text gives it, else ""."""
     for key, item in tree.items() if isinstance(tree, Mapping) else enumerate(tree) if isinstance(tree, list) else ():
-        title, _, last = str(key).lower().rpartition("_")
-        if title and last in ("unit", "units") and isinstance(item, str):  # "pressure_unit": "bar"
-            yield str(key)[: len(title)], item
-        elif str(key).lower() in ("unit", "units"):
+        if isinstance(item, str) and (title := unit_key(str(key))):  # "pressure_unit": "bar", "pressureUnits": "bar"
+            yield title, item
+        elif str(key).lower() in _UNITS:
             pairs = (
                 item.items()
                 if isinstance(item, Mapping)
@@ -242,9 +249,9 @@ def _with_units(arrays: Mapping[str, np.ndarray], known: Collection[tuple[str, s
     for name, array in arrays.items():
         last = name.rpartition(".")[2]
         kind = column_quantity(last)
-        units = {unit for title, unit in known if title == last} or {
-            unit for title, unit in known if not title and kind and quantity(unit) == kind
-        }
+        units = {unit for title, unit in known if title in (last, last.lower())}
+        units = units or {unit for title, unit in known if title in words_of(last)}  # adsorption of total_adsorption
+        units = units or {unit for title, unit in known if not title and kind and quantity(unit) == kind}
         found[f"{name} [{units.pop()}]" if len(units) == 1 and not split_unit(last)[1] else name] = array
     return found
 

@@ -9,15 +9,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
+from hystfit.reading.limits import MAJORITY
 from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.pair_score import HEATED
+from hystfit.reading.quantity_points import LOADS
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import is_even
+from hystfit.reading.signal_evidence import is_even, is_near_median
 
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
+_CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
 _RETENTION = (("h", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
@@ -62,6 +66,13 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
         kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
+    if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
+        kinds.update({k: "stress" for k in free if kinds[k] == "pressure"})
+    loads, warm = ([k for k in free if kinds[k] in names] for names in (LOADS, ("temperature",)))
+    for k, of in itertools.product(loads, warm):  # a load that is held while the temperature goes up and down
+        held = is_near_median(table.columns[k])
+        if np.mean(held) > MAJORITY and np.ptp(table.columns[of][held]) > HEATED:
+            kinds[k] = "status"
     fields = [k for k in free if kinds[k] == "field"]
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field

@@ -38,7 +38,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
             ("current", "displacement"), ("current", "induction"), ("induction", "moment"), ("pressure", "diameter"),
             ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
             *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
-            ("displacement", "moment"),
+            ("displacement", "moment"), ("volume", "stress"),
         ],
         3.0,
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.limits import JUMP, MAJORITY, ODD
+from hystfit.reading.limits import FEW, JUMP, MAJORITY, ODD
 from hystfit.reading.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
@@ -89,6 +89,18 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     around = np.interp(rows, rows[(u != 0.0) & np.isfinite(u)], others)
     goes_on = (y[1:-1] - y[:-2]) * (y[2:] - y[1:-1]) > 0
     return rows[1:-1][inner & goes_on & (np.abs(around[1:-1]) > np.abs(np.diff(others)).max())]
+
+
+def shifted_marks(values: np.ndarray) -> np.ndarray:
+    """Rows far from their neighbors with a tenth of a number between these, or ten times one: a zero behind a comma was cut off."""
+    if values.size < FEW or not np.isfinite(steps := np.abs(np.diff(values))).any():
+        return np.arange(0)
+    low, high = np.minimum(values[:-2], values[2:]), np.maximum(values[:-2], values[2:])
+    with np.errstate(over="ignore"):  # of numbers near the largest
+        run_on = ((low > 0) & (high < 2 * low)) | ((high < 0) & (low > 2 * high))  # as no pulse does
+        between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
+    far = np.minimum(steps[:-1], steps[1:]) > JUMP * np.nanmedian(steps)
+    return np.flatnonzero(run_on & far & (between[0] | between[1])) + 1
 
 
 def ends_with_zeros(columns: Iterable[np.ndarray]) -> bool:

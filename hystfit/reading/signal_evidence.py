@@ -41,6 +41,12 @@ def is_held(values: np.ndarray) -> bool:
     return finite.size > 0 and float(np.ptp(finite)) < _SMALL * float(np.abs(finite).min())
 
 
+def is_near_median(values: np.ndarray) -> np.ndarray:
+    """The rows in which a column stays near one value far from zero, shape (rows,)."""
+    median = float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
+    return np.abs(values - median) < _SMALL * abs(median)
+
+
 def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     """Part of the variance of an output that its input explains: that which samples of neighboring inputs have in common.
 

@@ -9,7 +9,6 @@ import re
 import numpy as np
 
 from hystfit.outcome import Code, Note
-from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
@@ -18,7 +17,7 @@ from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.signal_evidence import extent
 
 # Words in the names of columns that tell records apart, the best one first.
-_OBJECTS = "specimen sample coupon material test experiment table file probe versuch échantillon essai".split()
+_OBJECTS = "specimen sample coupon device pixel pix material test experiment table file filename probe versuch échantillon essai".split()
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
 _PASSES = "run curve loop cycle series batch group label condition name id".split()
 _STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
@@ -31,11 +30,6 @@ def divided(table: Table) -> Table | None:
     signals = [k for k in range(len(table.names)) if k not in (*clocks, *table.labels) and not table.constant(k)]
     if table.part is not None or len(signals) < 2:  # the values of several sensors below each other are one record
         return None
-    if (own := _own_names(table)) is not None:
-        text = (
-            f"column {table.names[own]!r} has another name in every row: results of specimens are no samples of a loop"
-        )
-        return table.noted(warn(Code.CURVES, text))
     if clocks and (turns := _turns(table, clocks[0])) is not None:
         position, count = turns
         order = np.arange(table.rows).reshape(-1, count).T.ravel()
@@ -86,18 +80,12 @@ def _parted(table: Table, position: int, changes: np.ndarray) -> Table:
     ).noted(Note(Code.CURVES, text))
 
 
-def _own_names(table: Table) -> int | None:
-    """Position of a column of text that names a specimen or test of its own in every row; None without one."""
-    named = [k for k in table.labels if _rank(table.names[k]) < len(_OBJECTS)]
-    return next((k for k in named if table.rows == np.unique(table.labels[k]).size >= OF_RECORD), None)
-
-
 def _labels(table: Table, position: int) -> np.ndarray | None:
     """The text in a column, or the numbers of specimens or its condition as text, shape (rows,); None for other columns."""
     values, name = table.columns[position], table.names[position]
     if position in table.labels:
         return table.labels[position]
-    numbered = _rank(name) < len(_OBJECTS) and not (values % 1).any()
+    numbered = names_objects(name) and not (values % 1).any()
     if not np.isfinite(values).all() or not (numbered or _is_condition(table, position)):
         return None
     title = split_unit(name)[0]
@@ -118,6 +106,11 @@ def _swept(table: Table, position: int, changes: np.ndarray) -> bool:
 
 def _quantity(table: Table, position: int) -> str:
     return column_quantity(table.names[position], table.units[position])
+
+
+def names_objects(title: str) -> bool:
+    """Whether a column has the names of specimens, tests or other objects."""
+    return _rank(title) < len(_OBJECTS)
 
 
 @functools.lru_cache(maxsize=4096)

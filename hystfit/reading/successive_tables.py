@@ -114,7 +114,8 @@ def _line_kinds(text: TextFile) -> np.ndarray:
     kinds[[ord(c) for c in "0123456789+-.,;|"]] = _NUMBERS
     kinds[0xE2] = _NUMBERS  # first byte of the minus sign U+2212
     kinds[ord("\n")] = _BLANK
-    return kinds[raw[starts]]
+    ruled = (raw[starts] == ord("-")) & (raw[starts + 1] == ord("-"))  # a rule below the names or the rows
+    return np.where(ruled, _BLANK, kinds[raw[starts]])
 
 
 def _pieces(text: TextFile) -> list[_Piece]:

@@ -17,7 +17,6 @@ from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.manifest import MANIFEST, read_files, seal
-from hystfit.results.report import Wording, write_into
 from hystfit.results.result import FitResult
 from hystfit.results.saved import check_target, load_fit, refuse_other_schema, write_fit
 from hystfit.results.stored_values import Stored, parse
@@ -69,7 +68,6 @@ def save(posterior: Posterior, folder: str | Path) -> Path:
             raise HystfitError(f"cannot write {str(target / 'posterior.nc')!r}: {error}") from error
         (scratch / "fit").mkdir()
         write_fit(posterior.result, scratch / "fit")
-        write_into(posterior.result, scratch / "fit", wording=Wording().at(target / "fit"))
         seal(scratch, _FILES)
     return target
 

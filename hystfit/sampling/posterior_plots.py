@@ -68,6 +68,8 @@ def _corner(posterior: Posterior) -> Any:
         ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=size)
     for ax in panels.ravel():
         ax.tick_params(labelsize=0.8 * size)
+        for density in ax.collections:  # hundreds of cells a panel, each a path of its own as vector graphics
+            density.set_rasterized(density.get_array() is not None)
     words = ["median +- standard deviation", "dashed: median and 95 % interval", "contours: 50 and 90 %"]
     words = [f"{len(at)} of {len(labels)} parameters", *words] if len(at) < len(labels) else words
     beside = len(at) > _FEW  # the explanation stands beside the first title, where there is room, else above it
@@ -147,12 +149,12 @@ def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:
     middle = inner[1]
     figure, (loop, rest) = plt.subplots(1, 2, figsize=(10.6, 4.0), layout="constrained")
     axis = np.arange(len(record)) if record.t is None else record.t
-    loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured")
+    loop.plot(record.u[on], record.y[on], ".", ms=2, color="#a6a6a6", label="measured", rasterized=True)
     loop.plot(record.u[on], middle[on], color="#0072b2", lw=0.8, label="median of the draws")
     for edges, color in (((low, high), "#e69f00"), ((inner[0], inner[2]), "#0072b2")):
         lower, upper = (np.where(on, edge - middle, np.nan) for edge in edges)
         rest.fill_between(axis, lower, upper, color=color, alpha=0.45, lw=0)
-    rest.plot(axis[on], (record.y - middle)[on], ".", ms=1.5, color="#4d4d4d")
+    rest.plot(axis[on], (record.y - middle)[on], ".", ms=1.5, color="#4d4d4d", rasterized=True)
     column_label(loop, "y", record.y_name, record.y_unit, "output")
     column_label(loop, "x", record.u_name, record.u_unit, "input")
     rest.set_xlabel("sample" if record.t is None else axis_label("time", record.t_unit))

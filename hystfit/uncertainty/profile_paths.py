@@ -20,7 +20,7 @@ _LOWER = 1e-3  # decrease of the value below the optimum that counts as another 
 
 
 class LowerOptimum(Exception):
-    """A refit ended below the optimum from which the paths started."""
+    """The refits of a path end below the optimum from which the paths started."""
 
     def __init__(self, point: Point):
         super().__init__(point.value)
@@ -79,7 +79,8 @@ class Walk:
         """The path upward or downward in the parameter's coordinate.
 
         Raises:
-            LowerOptimum: a refit fits better than the optimum.
+            LowerOptimum: a refit fits better than the optimum. It is the lowest of the path: in a flat valley each point is a little
+                lower than the one before.
         """
         points, before, shorter = [self.optimum], 0.0, 0
         start, low, high = self.optimum.v[self.k], *(side[self.k] for side in self.newton.limits)
@@ -90,18 +91,23 @@ class Walk:
             value = float(np.clip(points[-1].v[self.k] + sign * step, low, high))
             if value == points[-1].v[self.k]:
                 break
-            point = self._best_refit(value, points[-1])
-            rise = self.root(point) - before
-            if rise > _JUMP and shorter < 5:  # times
+            point = self._nearby(value, points[-1])
+            if self.root(point) - before > _JUMP and shorter < 5:  # times
                 step, shorter = 0.3 * step, shorter + 1
                 continue
+            point = self._spread_refit(value, point)
+            rise = self.root(point) - before
             points.append(point)
             before, shorter = before + rise, 0
             if before**2 > 1.3 * self.limit or abs(value - start) > far:
                 break
             step *= float(np.clip(_STRIDE / max(rise, 1e-3), 0.4, 3.0))
             step = step if linear else min(step, 2.0)
-        return self._back(points)
+        path = self._back(points)
+        lowest = min(path.points, key=lambda point: point.value, default=self.optimum)
+        if lowest.value < self.optimum.value - _LOWER:
+            raise LowerOptimum(lowest)
+        return path
 
     @functools.cached_property
     def _error(self) -> float:
@@ -121,19 +127,18 @@ class Walk:
         root = self.root(point)
         return bool(root < 0.5 * _STRIDE or abs(root - expected) < _ORDINARY * expected)
 
-    def _best_refit(self, value: float, before: Point) -> Point:
-        """The best refit with the parameter at a value.
-
-        From the refit before; where its statistic is not that of the curvature, from the optimum too; and where it would end the path,
-        from further starts.
+    def _nearby(self, value: float, before: Point) -> Point:
+        """The refit with the parameter at a value, from the refit before; where its statistic is not that of the curvature, from the
+        optimum too.
         """
         point = self._refit(value, before.v)
-        if self._ordinary(point):
+        return point if self._ordinary(point) else min(point, self._refit(value, self.optimum.v), key=lambda one: one.value)
+
+    def _spread_refit(self, value: float, point: Point) -> Point:
+        """A refit, or the best of several starts where it would end the path although its statistic is not that of the curvature."""
+        if self._ordinary(point) or self.root(point) ** 2 <= self.limit:
             return point
-        candidates = [point, self._refit(value, self.optimum.v)]
-        if min(self.root(one) for one in candidates) ** 2 > self.limit:
-            candidates.append(self._refit(value, *self._spread(), steps=30))
-        return min(candidates, key=lambda one: one.value)
+        return min(point, self._refit(value, *self._spread(), steps=30), key=lambda one: one.value)
 
     def _spread(self) -> list[np.ndarray]:
         """Starts spread about the optimum, for a refit that would end the path; a problem linear in the others needs none."""
@@ -149,10 +154,7 @@ class Walk:
         """The best refit with the parameter at a value, from several starts of the other parameters."""
         moving = np.arange(others[0].size) != self.k
         starts = [np.where(moving, other, value) for other in others]
-        point = self.newton.best(starts, moving, self.k, steps)
-        if point.value < self.optimum.value - _LOWER:
-            raise LowerOptimum(point)
-        return point
+        return self.newton.best(starts, moving, self.k, steps)
 
     def _back(self, points: list[Point]) -> Path:
         """The path; where a refit is not ordinary, each is repeated from its outer neighbor and the better one kept."""

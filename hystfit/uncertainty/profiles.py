@@ -279,7 +279,8 @@ def _other_optimum(result: FitResult, profiles: dict[str, Profile]) -> list[Note
             moved.append(f"{name} {p.value:.4g} (fitted {fitted.value:.4g})")
     if not moved:
         return []
-    text = f"without the regularization of the fit, the likelihood has its maximum elsewhere: {listed(moved)}"
+    where = "without the regularization of the fit" if has(result.notes, Code.REGULARIZED) else "in a flat valley"
+    text = f"the likelihood has its maximum elsewhere, {where}: {listed(moved)}"
     return [warn(Code.OTHER_OPTIMUM, text)]
 
 

@@ -67,6 +67,25 @@ def sweep(draw: Draw) -> Layout:
     return Layout("", {draw.pick("MvsT.csv", "MT_1kOe.dat"): packed(draw, lines)}, loops(loop(u, y)))
 
 
+@kind("alloy under a held load")
+def held_load(draw: Draw) -> Layout:
+    """A shape memory alloy is loaded, and then cooled and heated while a machine holds the load."""
+    first, n = draw.whole(20, 80), draw.whole(150, 400)
+    x = triangle(n, draw.whole(1, 3), draw.pick(0.25, 0.75))
+    ramp, rest = np.arange(first) / first, np.ones(n)
+    held = draw.size(20, 900)
+    load = np.append(held * ramp, held * (rest + draw.rng.normal(0, 5e-4, n)))
+    bath = draw.between(40, 90)
+    warm = np.append(np.full(first, bath + 40 * x[0]), bath + 40 * x) + draw.rng.normal(0, 0.05, first + n)
+    longer = 0.2 + 1.5 * (1 - saturating(draw, x, begin=1)) / 2
+    u = Column(draw.pick("Temperature", "Chamber temperature", "Temp"), warm, "degC", ".2f")
+    y = Column(draw.pick("Extension", "Displacement", "Crosshead"), np.append(longer[0] * ramp, longer), "mm", ".4f")
+    force = Column(draw.pick("Load", "Force"), load, "N", ".3f")
+    t = Column("Time", 0.5 * np.arange(first + n), "s", ".1f")
+    lines = table(draw, [t, *draw.shuffled([u, y, force])], any_dialect(draw))
+    return Layout("", {draw.pick("cftc.txt", "sample89.csv"): packed(draw, lines)}, loops(loop(u, y, t)))
+
+
 @kind("sensor at set inputs")
 def at_set_inputs(draw: Draw) -> Layout:
     """The voltage of a sensor at inputs that are set in equal steps, up and down, some with the output before the input."""

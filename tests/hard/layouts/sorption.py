@@ -1,4 +1,4 @@
-"""Isotherms as volumetric instruments and the programs around them write them: AIF, marked branches, units under the names."""
+"""Isotherms as instruments and the programs around them write them: AIF, marked branches, series of a balance, units under the names."""
 
 from __future__ import annotations
 
@@ -77,10 +77,44 @@ def stated(draw: Draw) -> Layout:
     u, y = Column("pressure", p, unit, ".6g"), Column("loading", q, "mmol", ".6g", "mmol")
     if draw.chance(0.5):
         points = [{"loading": float(f"{b:.6g}"), "pressure": float(f"{a:.6g}")} for a, b in zip(p, q, strict=True)]
-        content = {"material": "MCM-41", "isotherm_data": points, "pressure_unit": unit, "loading_unit": "mmol"}
+        ending = draw.pick("_unit", "_units", "Units")
+        content = {"material": "MCM-41", "isotherm_data": points, f"pressure{ending}": unit, f"loading{ending}": "mmol"}
         lines = json.dumps(content, indent=4).splitlines()
         return Layout("", {"isotherm.json": packed(draw, lines, ("utf-8",))}, loops(loop(u, y)))
     order = draw.shuffled([u, y])
     head = [f"pressure_unit,{unit}", "loading_unit,mmol", "material_name,MCM-41", "t_iso,77.0"]
     lines = [*draw.shuffled(head), ",".join(one.name for one in order), *rows(order, Dialect(","))]
     return Layout("", {"isotherm.csv": packed(draw, lines)}, loops(loop(u, y)))
+
+
+@kind("series of a sorption balance")
+def series(draw: Draw) -> Layout:
+    """A report for each temperature, in aligned columns under rules: names over two lines, and units below most of them."""
+    wide, text, records = draw.whole(12, 14), [], []
+    for number in range(1, draw.whole(1, 3) + 1):
+        _, p, q = _isotherm(draw)
+        p = draw.noise(p, 5e-4)  # as the sensor reads it
+        u, y = Column("Pressure", 900 * p, "mbar", ".1f"), Column("Excess Adsorption", q, "mmol/g", ".4f")
+        columns = [
+            (("Pressure", "", "(mbar)"), u.cells),
+            (("Gas", "Density", "(g/cc)"), [f"{1e-3 * x:.6f}" for x in p]),
+            (("p/p0", "", ""), [f"{x:.3f}" for x in 0.01 * p]),
+            (("Excess", "Adsorption", "(mmol/g)"), y.cells),
+            (("Sample", "", "(degC)"), [f"{x:.2f}" for x in 20 * number + draw.rng.normal(0, 0.01, p.size)]),
+        ]
+        line = lambda cells: "".join(cell.ljust(wide) for cell in cells)
+        rule = "-" * (5 * wide)
+        text += [
+            rule,
+            "S E R I E S   D A T A".center(5 * wide),
+            rule,
+            "",
+            f"Experiment No          {number:03d}",
+            "Scan                   1",
+            "",
+        ]
+        text += [line(names[k] for names, _ in columns) for k in range(3)]
+        text += [rule, *(line(row) for row in zip(*(cells for _, cells in columns), strict=True)), rule, ""]
+        text += [f"Scan Ends              0{number}:36:36 on 16 January 2020", "", ""]
+        records.append(loop(u, y))
+    return Layout("", {draw.pick("IGA.txt", "series.dat"): packed(draw, text, ("utf-8",))}, loops(records))
