@@ -136,7 +136,7 @@ def test_loops_are_read_a_part_at_a_time(records, monkeypatch):
     together = []
     fit = work._fit
     monkeypatch.setattr(work, "_fit", lambda task, loops: together.append(len(loops)) or fit(task, loops))
-    monkeypatch.setattr(work, "_SAMPLES", 500)
+    monkeypatch.setattr(work, "SAMPLES", 500)
     hf.fit_many("bouc-wen", records, **QUICK)
     assert together == [2, 1, 1, 2]
 

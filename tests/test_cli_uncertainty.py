@@ -46,6 +46,8 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
     assert printed["status"] == "not-converged"
     assert printed["priors"]["tau"].startswith("log-normal, median 2")
     assert {"posterior.nc", "corner.png", "bands.png"} <= {file.name for file in out.iterdir()}
+    assert {"model.json", "records.npz"} <= {file.name for file in (out / "fit").iterdir()}
+    assert "hystfit-new" not in (out / "report.html").read_text()
     assert hf.load_posterior(out).draws.shape[1] in (10, 20, 40, 80, 160)  # continued to 16 times as many at most
 
 

@@ -181,17 +181,14 @@ def test_a_folder_that_vanishes_ends_a_run_in_words(old, tmp_path, sampler):
         hf.sample(old, folder=tmp_path / "run", seed=1, noise="iid", progress=remove, **settings)
 
 
-def test_a_run_file_that_is_damaged_is_refused_or_computed_again(old, tmp_path):
-    for sampler, name in (("nuts", "nuts-0-00001.npz"), ("emcee", "emcee.h5")):
+def test_a_run_file_that_is_damaged_is_computed_again(old, tmp_path):
+    for sampler, name in (("nuts", "nuts-0-00001.npz"), ("emcee", "emcee-00000.npz")):
         draw = lambda sampler=sampler: hf.sample(old, folder=tmp_path / sampler, seed=1, noise="iid", **RUNS[sampler])
         whole, file = draw().draws, tmp_path / sampler / name
         content = file.read_bytes()
         for cut in (0, 10, len(content) // 2, len(content) - 20):
             file.write_bytes(content[:cut])
-            try:
-                np.testing.assert_array_equal(draw().draws, whole)
-            except DataError:
-                assert sampler == "emcee"
+            np.testing.assert_array_equal(draw().draws, whole)
 
 
 def test_runs_of_shell_verbs_are_judged_by_what_they_leave(old, tmp_path):

@@ -91,7 +91,7 @@ def test_a_file_is_read_part_by_part_and_an_interrupted_map_resumes(
 ) -> None:
     with h5py.File(tmp_path / "cube.h5", "w") as file:
         file["y"] = cube()
-    monkeypatch.setattr(maps, "_SAMPLES", SHAPE[1] * SAMPLES)
+    monkeypatch.setattr(maps, "SAMPLES", SHAPE[1] * SAMPLES)
     sizes, fit_part = [], maps._fit_part
 
     def watched(work: object, frame: object, y: np.ndarray) -> object:

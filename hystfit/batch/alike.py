@@ -172,9 +172,7 @@ def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, h
     """What loops have in common; None where their fits differ in more than numbers.
 
     Args:
-        model: that is fitted.
         loops: outputs without faults.
-        options: of each fit.
         held: parameters in `fix` without a value keep that of the model.
     """
     chosen = _different(loops)
@@ -245,7 +243,6 @@ def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[End
     """Where the best start of each loop ended, their problems, and the costs of all starts, shape (N, S).
 
     Args:
-        common: what they have in common.
         loops: outputs without faults, finite.
         steps: of every start, before the best one goes on.
     """

@@ -58,7 +58,6 @@ def solve_stack(
     """Where the best start of each record ended, the costs of all, shape (N, S), and the linearizations for each record.
 
     Args:
-        full: the problems of N records.
         short: on fewer samples; None where starts are compared on all.
         starts: unconstrained, shape (N, S, p).
         steps: of every start; after as many as `hystfit.fit` takes, the best and the first continue as they do there.

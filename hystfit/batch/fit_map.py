@@ -16,7 +16,7 @@ from hystfit.batch.alike import Group
 from hystfit.batch.loop_map import LoopMap, shared
 from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
 from hystfit.batch.row import Row
-from hystfit.batch.work import Work, fit_alone_rows
+from hystfit.batch.work import SAMPLES, Work, fit_alone_rows
 from hystfit.config import device_of_many, verb
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
@@ -27,8 +27,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.threads import Workers
 
-# Of the outputs of a part, on a CPU and with a GPU: each of few threads holds some copies of them.
-_SAMPLES, _ON_GPU = 2**20, 2**24
+_ON_GPU = 2**24  # samples of a part with a GPU: each of few threads holds some copies of them
 Columns = dict[str, np.ndarray]
 
 
@@ -95,11 +94,7 @@ def fit_map(
 
 
 def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Record:
-    """A record with the input, the time and the units of all loops.
-
-    Raises:
-        DataError: columns that do not fit each other.
-    """
+    """A record with the input, the time and the units of all loops."""
     shape = np.shape(y)
     if len(shape) < 2 or 0 in shape:
         raise DataError(f"the outputs must have shape (..., T) with at least one loop, got {shape}")
@@ -113,7 +108,7 @@ def _frame(u: Any, y: Any, t: Any, u_unit: str, y_unit: str, t_unit: str) -> Rec
 def _parts(shape: tuple[int, ...], samples: int) -> Iterator[slice]:
     """Slices of the first axis, each with as many loops as are solved at once: on a GPU a power of two, to which lanes are padded."""
     gpu = device_of_many() is not None
-    loops = 1 << ((_ON_GPU // samples).bit_length() - 1) if gpu else _SAMPLES // samples
+    loops = 1 << ((_ON_GPU // samples).bit_length() - 1) if gpu else SAMPLES // samples
     most = max(1, loops // int(np.prod(shape[1:-1])))
     edges = np.linspace(0, shape[0], -(-shape[0] // most) + 1).round().astype(int)  # of nearly equal size
     yield from map(slice, edges[:-1].tolist(), edges[1:].tolist())
@@ -172,41 +167,18 @@ def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
 def _columns(count: int, plain: np.ndarray, fits: PlainFits | None, rows: Mapping[int, Row]) -> Columns:
     """Columns of loops that were judged together, and of those that were fitted alone."""
     columns: Columns = {"alone": ~plain}
-    nan = lambda value: np.nan if value is None else float(value)
-
-    def put(name: str, together: np.ndarray | None, of_row: Callable[[Row], Any]) -> None:
-        column = np.full(count, np.nan)
-        if together is not None:
-            column[plain] = together[plain]
-        for k, row in rows.items():
-            column[k] = nan(of_row(row))
-        columns[name] = column
-
-    judged = None if fits is None else fits.judged
-    names = [] if fits is None else list(fits.names)
-    names = list(dict.fromkeys([*names, *(name for row in rows.values() for name in row.values)]))
-    for k, name in enumerate(names):
-        put(f"value {name}", None if judged is None else judged.x[:, k], lambda row, name=name: row.values.get(name))
-        put(
-            f"stderr {name}",
-            None if judged is None else judged.stderr[:, k],
-            lambda row, name=name: row.stderr.get(name),
-        )
-    put("rmse", None if judged is None else judged.rmse, lambda row: row.rmse)
-    put("error_percent", None if judged is None else judged.percent, lambda row: row.error_percent)
-    put("max_error_percent", None if judged is None else judged.largest_percent, lambda row: row.max_error_percent)
-    together = {} if fits is None else fits.quantities
-    for name in dict.fromkeys([*together, *(name for row in rows.values() for name in row.quantities)]):
-        put(f"quantity {name}", together.get(name), lambda row, name=name: row.quantities.get(name))
+    together, alone = {} if fits is None else fits.columns(), {k: row.numbers() for k, row in rows.items()}
+    for name in dict.fromkeys([*together, *(name for one in alone.values() for name in one)]):
+        column = columns[name] = np.full(count, np.nan)
+        if name in together:
+            column[plain] = together[name][plain]
+        for k, one in alone.items():
+            column[k] = np.nan if one.get(name) is None else one[name]
     columns["status"], columns["codes"] = _texts(plain, fits, rows)
     numbers = sorted(rows)
-    columns["reason_of"], columns["reason"] = (
-        np.array(numbers, int),
-        np.array([rows[k].reason for k in numbers], dtype=str),
-    )
-    example = None if fits is None else fits.example
-    known = [row.units for row in rows.values() if row.units] if example is None else [example.units]
-    units = known[0] if known else {}
+    columns["reason_of"], columns["reason"] = np.array(numbers, int), np.array([rows[k].reason for k in numbers], str)
+    with_units = [] if fits is None or fits.example is None else [fits.example]
+    units = next((row.units for row in [*with_units, *rows.values()] if row.units), {})
     columns["unit_of"], columns["unit"] = np.array(list(units), dtype=str), np.array(list(units.values()), dtype=str)
     return columns
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import textwrap
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,9 +19,9 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
 from hystfit.outcome import Status, Table
 from hystfit.outcome.table import write_csv
-from hystfit.params.space import MANY
 from hystfit.params.units import with_unit
 from hystfit.registry import near
+from hystfit.results.estimates import grouped
 from hystfit.results.exchange import write_table
 from hystfit.results.folders import writing_file
 from hystfit.results.result import FitResult
@@ -220,9 +219,9 @@ class Fits(ManyFits):
         Args:
             width: columns of the table; a wider one is shown in parts.
         """
-        arrays = Counter(name.partition("[")[0] for name in self.names)
-        few = [name for name in self.names if arrays[name.partition("[")[0]] <= MANY]
-        many = [f"{name}[{count}]" for name, count in arrays.items() if count > MANY]
+        rows = grouped(self.names, str)
+        few = [name for name, family in rows if len(family) == 1]
+        many = [f"{name}[{len(family)}]" for name, family in rows if len(family) > 1]
         usable = [*self.summary((*self.quantities, *few)).lines("  ", width)]
         usable += [f"  {', '.join(many)}: in fits.csv"] if many else []
         shortened = lambda text: textwrap.shorten(text, 240, placeholder=" ...")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
+from hystfit.batch.many_fits import ERRORS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
@@ -28,6 +28,7 @@ from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
+from hystfit.outcome.table import or_none
 from hystfit.results.provenance import Stopwatch
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
@@ -59,6 +60,14 @@ class PlainFits(NamedTuple):
     common: Common
     estimates: Mapping[int, Estimate]
 
+    def columns(self) -> dict[str, np.ndarray]:
+        """The numbers of all loops, shape (N,), by the names of `Row.numbers`."""
+        one, columns = self.judged, dict[str, np.ndarray]()
+        for k, name in enumerate(self.names):
+            columns |= {f"value {name}": one.x[:, k], f"stderr {name}": one.stderr[:, k]}
+        columns |= dict(zip(ERRORS, (one.rmse, one.percent, one.largest_percent), strict=True))
+        return columns | {f"quantity {name}": values for name, values in self.quantities.items()}
+
     def row(self, k: int, name: str, file: str, sha256: str | None) -> Row:
         """The row of a plain loop."""
         one, example = self.judged, cast(Row, self.example)
@@ -72,11 +81,11 @@ class PlainFits(NamedTuple):
             model=example.model,
             samples=int(self.samples[k]),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
-            stderr=dict(zip(self.names, map(_known, one.stderr[k].tolist()), strict=True)),
+            stderr=dict(zip(self.names, map(or_none, one.stderr[k].tolist()), strict=True)),
             rmse=float(one.rmse[k]),
             error_percent=float(one.percent[k]),
             max_error_percent=float(one.largest_percent[k]),
-            quantities={key: _known(float(v[k])) for key, v in self.quantities.items()},
+            quantities={key: or_none(float(v[k])) for key, v in self.quantities.items()},
             units=example.units,
         )
 
@@ -89,17 +98,12 @@ def setup_of(common: Common, record: Record, options: FitOptions) -> FitSetup:
     return dataclasses.replace(common.setup, problem=problem, points=(own.model,))
 
 
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
 def fit_plain(
     model: AbstractHysteresis, groups: Sequence[Group], options: FitOptions, *, held: bool
 ) -> PlainFits | None:
     """Fit loops in groups of one input each; None where they cannot be solved together.
 
     Args:
-        model: that is fitted.
         groups: records with the same labels, and lengths of one bucket; outputs with NaN where one is missing.
         options: of each fit, without a robust loss or a noise model of its own.
         held: parameters in `fix` without a value keep that of the model.

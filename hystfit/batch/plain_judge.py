@@ -55,15 +55,7 @@ class Judged(NamedTuple):
 
 
 def judge_plain(common: Common, loops: Loops, ends: Ends, stack: Stack, noise: Float[np.ndarray, " N"]) -> Judged:
-    """Results of solved loops with sound outputs.
-
-    Args:
-        common: what the loops have in common.
-        loops: outputs, group by group.
-        ends: of their descents.
-        stack: their problems.
-        noise: of each output.
-    """
+    """Results of solved loops with sound outputs."""
     z, coordinates = ends.normal.z, stack.objective.coordinates
     x = coordinates.physical(z, np)
     described, white, close, *sizes = accuracy(loops, stack, z, noise)
@@ -161,14 +153,7 @@ class RowNotes:
 
 
 def row_notes(common: Common, loops: Loops, judged: Judged, on_errors: Sequence[Sequence[Note]]) -> RowNotes:
-    """Notes on each plain loop, in the order of a fit that is judged alone.
-
-    Args:
-        common: what the loops have in common.
-        loops: that were judged.
-        judged: their numbers.
-        on_errors: notes on the errors of each.
-    """
+    """Notes on each plain loop, in the order of a fit that is judged alone."""
     model, space = common.setup.problem.model, common.setup.problem.space
     chosen = [Note(Code.CHOICE, "")] if common.of_weights else []  # as every estimate of weights has one
     datasets = [Dataset.of(group.record) for group in loops.groups]

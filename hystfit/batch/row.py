@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import Any
 
+from hystfit.batch.many_fits import ERRORS
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity, Status, WithStatus
+from hystfit.outcome.table import or_none
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.result import FitResult
@@ -59,6 +60,13 @@ class Row(WithStatus):
         content |= {name: dict(content[name]) for name in ("values", "stderr", "quantities", "units")}
         return content | {"status": str(self.status), "codes": list(self.codes)}
 
+    def numbers(self) -> dict[str, Number]:
+        """Its numbers by the names of columns: "value tau", "stderr tau", "rmse", "quantity loop_area", ..."""
+        both = {"value": self.values, "stderr": self.stderr}
+        of_parameters = {f"{what} {name}": rows[name] for name in self.values for what, rows in both.items()}
+        errors = {name: getattr(self, name) for name in ERRORS}
+        return of_parameters | errors | {f"quantity {name}": value for name, value in self.quantities.items()}
+
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Row:
         """From what `to_dict` gave.
@@ -71,11 +79,7 @@ class Row(WithStatus):
 
 
 def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
-    """The row of a fitted loop.
-
-    Args:
-        file: that it was read from; "" for a record.
-    """
+    """The row of a fitted loop."""
     free = [p for p in result.parameters if not p.fixed]
     converted = [note for note in record.notes if note.code is Code.UNITS]
     notes = [*result.notes, *converted]
@@ -90,21 +94,17 @@ def row_of(name: str, file: str, record: Record, result: FitResult) -> Row:
         model=result.name,
         samples=result.train.n,
         values={p.name: float(p.value) for p in free},
-        stderr={p.name: _finite(p.stderr) for p in free},
-        rmse=_finite(result.train.rmse),
-        error_percent=_finite(result.train.nrmse_percent),
-        max_error_percent=_finite(result.train.max_error_percent),
+        stderr={p.name: or_none(p.stderr) for p in free},
+        rmse=or_none(result.train.rmse),
+        error_percent=or_none(result.train.nrmse_percent),
+        max_error_percent=or_none(result.train.max_error_percent),
         quantities=quantities,
         units={p.name: p.unit for p in free} | of_quantities,
     )
-
-
-def _finite(value: Number) -> Number:
-    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def _quantities(result: FitResult) -> tuple[dict[str, Number], dict[str, str]]:
     """Quantities of the fitted model, and their units."""
     values, derived = quantity_values(result), result.derived
     label = {name: QUANTITIES[name].units(result.data) for name in values}
-    return values | {p.name: _finite(p.value) for p in derived}, label | {p.name: p.unit for p in derived}
+    return values | {p.name: or_none(p.value) for p in derived}, label | {p.name: p.unit for p in derived}

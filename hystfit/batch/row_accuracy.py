@@ -170,14 +170,7 @@ _sound_on_device = jax.jit(functools.partial(_sound, xp=jnp))
 
 
 def accuracy(loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"], noise: Float[np.ndarray, " N"]) -> Accuracy:
-    """Of solved loops with sound outputs.
-
-    Args:
-        loops: outputs, group by group.
-        stack: their problems.
-        z: estimates, unconstrained.
-        noise: of each output.
-    """
+    """Of solved loops with sound outputs."""
     device = _on_gpu(loops)
     if device is None:
         u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))

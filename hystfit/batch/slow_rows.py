@@ -26,7 +26,6 @@ def slow_information(
 
     Args:
         loops: with equal weights.
-        stack: their problems.
         z: estimates, unconstrained.
 
     Returns:

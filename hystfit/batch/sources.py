@@ -39,7 +39,6 @@ class Source(NamedTuple):
         """Name and record of each loop: a file may hold several curves.
 
         Args:
-            reading: arguments of `hystfit.read`.
             unread: takes the reasons of curves that cannot be read, by the names of their loops.
 
         Raises:

@@ -131,13 +131,7 @@ _SOLVERS = {"convex": _ridges, "preisach": _smooth}
 def judge_weights(
     weights: Weights, loops: Loops, noise: Float[np.ndarray, " N"]
 ) -> tuple[Judged, list[tuple[Note, ...]]]:
-    """Results of solved loops with sound outputs, and the notes on their errors.
-
-    Args:
-        weights: solved.
-        loops: over one input.
-        noise: of each output.
-    """
+    """Results of solved loops with sound outputs, and the notes on their errors."""
     (group,), x = loops.groups, weights.x
     described, white, _, *sizes = accuracy_of(loops, weights.outputs(group.record), noise)
     rmse, percent, _ = sizes
@@ -160,9 +154,6 @@ def _errors(
     """Of some loops: which are beyond doubt, their standard errors, and notes on these.
 
     Args:
-        weights: of all loops.
-        record: the input.
-        at: numbers of m loops.
         white: which of them have white residuals, shape (m,), bool.
         scale: natural scales of their parameters.
     """
@@ -214,11 +205,7 @@ def _analyses(
     """Analyses of autocorrelated residuals: the slow noise of loops with as many live weights is sought side by side.
 
     Args:
-        record: the input.
-        residual: weighted.
-        columns: of the weights.
         live: which weights act and are off their bounds, shape (m, p), bool.
-        relative: sizes of the weights.
     """
     if not len(residual):
         return []

@@ -37,7 +37,7 @@ from hystfit.results.result import FitResult
 AUTO = "auto"
 _TOGETHER = "lm"  # the estimator that runs for many records in one program
 _LOOKED_AT = 64  # samples of an input by which it is compared first
-_SAMPLES = 2**20  # read before they are fitted, so that memory is bounded
+SAMPLES = 2**20  # in memory at once: of files read before they are fitted, and of a part of a map on a CPU
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,12 +63,7 @@ class Work:
         options: Mapping[str, Any],
         reading: Mapping[str, Any],
     ) -> Work:
-        """Settings checked before any work, with the defaults of those that are not given.
-
-        Args:
-            options: of `hystfit.fit`.
-            reading: of `hystfit.read`.
-        """
+        """Settings checked before any work, with the defaults of those that are not given."""
         known = [field.name for field in dataclasses.fields(FitOptions)]
         if unknown := [name for name in options if name not in known]:
             raise ParameterError(f"fit_many has no setting {unknown[0]!r}; there are {', '.join(known)}")
@@ -157,9 +152,9 @@ def _rows_of(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]
         pending += [(number, loop) for loop in _read(work, source)]
         while pending:
             samples = np.cumsum([0 if loop.record is None else len(loop.record) for _, loop in pending])
-            if samples[-1] <= _SAMPLES and number < len(sources) - 1:
+            if samples[-1] <= SAMPLES and number < len(sources) - 1:
                 break
-            part = int(np.searchsorted(samples, _SAMPLES, side="right")) + 1
+            part = int(np.searchsorted(samples, SAMPLES, side="right")) + 1
             some, pending = pending[:part], pending[part:]
             _fit(work, [loop for _, loop in some])
             for k, loop in some:
@@ -174,8 +169,6 @@ def fit_alone_rows(
     """Rows of named records, none of which is plain.
 
     Args:
-        work: what is done with every loop.
-        records: the loops.
         solved: fits of some of them, by their number, that need judgment alone.
     """
     loops = [_Loop(Source(name, "", record), name, record) for name, record in records]

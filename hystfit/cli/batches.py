@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["parquet", "netcdf", "zarr"]
 ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc", "zarr": ".zarr"}
-RUN = "run"  # folder of the finished rows, from which an interrupted batch resumes
 FEW = 32  # loops below which further processes take longer to start than to compute
 
 
@@ -76,13 +75,12 @@ def batch(
     count = _count(reports)
     check_packages(table or [])
     found = len(sources_of(list(loops)))
-    run = None if output.out is None else output.out / RUN
     processes = workers or (1 if found < FEW else os.cpu_count() or 1)
-    with progress(f"fitting {model}") as update, resumable(run):
+    with progress(f"fitting {model}") as update, resumable(output.run):
         fits = fit_many(
             model,
             list(loops),
-            folder=run,
+            folder=output.run,
             workers=processes,
             scheduler=scheduler,
             reading=dataclasses.asdict(reading),

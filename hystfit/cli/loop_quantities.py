@@ -50,11 +50,7 @@ class SampleOptions:
     correct: Words = None
 
     def sample(self) -> Sample:
-        """The sample in SI units.
-
-        Raises:
-            DataError: a property is no positive number.
-        """
+        """The sample in SI units."""
         from hystfit.errors import DataError
         from hystfit.results.magnetic_sample import Sample
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from hystfit.cli.batches import ENDINGS, RUN, Format, check_packages
+from hystfit.cli.batches import ENDINGS, Format, check_packages
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import LOOP_FITTING, STDOUT, Device, LoopFitting, Output, lists
 from hystfit.cli.write import finish, progress
@@ -60,11 +60,10 @@ def fit_loops(
     use_device(device)
     forms: list[Format] = ["netcdf", *(table or [])] if output.out is not None else []
     check_packages(forms)
-    run = None if output.out is None else output.out / RUN
     with (
         open_cube(file, input=input, output=output_name, time=time, units=units) as cube,
         progress(f"fitting {model}") as update,
-        resumable(run),
+        resumable(output.run),
     ):
         found = fit_map(
             model,
@@ -74,7 +73,7 @@ def fit_loops(
             u_unit=cube.units["u"],
             y_unit=cube.units["y"],
             t_unit=cube.units["t"],
-            folder=run,
+            folder=output.run,
             workers=workers,
             progress=update,
             method=method,

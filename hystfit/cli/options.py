@@ -200,6 +200,11 @@ class Output:
     out: Path | None = None
     json: Annotated[bool, Parameter(name="--json")] = False
 
+    @property
+    def run(self) -> Path | None:
+        """Folder of the finished parts of long work, from which the same command resumes; None without `out`."""
+        return None if self.out is None else self.out / "run"
+
     def check(self, own: str = "") -> None:
         """Refuse, before long work, a folder that cannot be written or holds another result.
 

@@ -54,9 +54,8 @@ def population(
     from hystfit.batch.sources import sources_of
     from hystfit.population.fit_population import fit_population
 
-    run = None if output.out is None else output.out / "run"
     few = len(sources_of(list(loops))) < FEW
-    with progress(f"fitting {model}") as update, resumable(run):
+    with progress(f"fitting {model}") as update, resumable(output.run):
         result = fit_population(
             model,
             list(loops),
@@ -64,7 +63,7 @@ def population(
             covariates=covariate or (),
             draws=draws,
             chains=chains,
-            folder=run,
+            folder=output.run,
             workers=workers or (1 if few else os.cpu_count() or 1),
             reading=dataclasses.asdict(reading),
             progress=update,

@@ -69,11 +69,10 @@ def sample(
             optional(package, "bayes", "--out of hystfit sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
-    run = None if output.out is None else output.out / "run"
     priors = _priors_of(prior_from, result) | parse_priors(prior or [])
-    with progress("sampling") as update, resumable(run):
+    with progress("sampling") as update, resumable(output.run):
         posterior = draw(
-            result, sampler, noise=noise, priors=priors, seed=seed, folder=run, progress=update, **settings
+            result, sampler, noise=noise, priors=priors, seed=seed, folder=output.run, progress=update, **settings
         )
 
     page = lambda folder: sample_page(posterior, folder)
@@ -205,8 +204,7 @@ def calibrate(
     from hystfit.uncertainty.calibration import calibrate as study
 
     result = open_fit(fitdir, output, trust)
-    run = None if output.out is None else output.out / "run"
-    with progress("calibrating") as update, resumable(run):
+    with progress("calibrating") as update, resumable(output.run):
         calibration = study(
             result.model,
             result.data,
@@ -217,7 +215,7 @@ def calibrate(
             spread=spread,
             **result.problem.free_and_fixed,  # type: ignore[arg-type]
             seed=seed,
-            folder=run,
+            folder=output.run,
             workers=workers,
             scheduler=scheduler,
             progress=update,

@@ -336,13 +336,9 @@ def regression_of(
     """The regressor scaled to records, their rows, and starting values of shape (p,).
 
     Args:
-        model: a `Duhem`, which gives the orders and the scheme.
-        data: the records.
-        basis: see `DuhemRegressor`.
         start: "zero", the values of the "model", or "data" by `Duhem.start`.
 
     Raises:
-        ParameterError: an unknown start or basis.
         ModelError, DataError: see `DuhemRegressor.of`; too few samples.
     """
     if start not in STARTS:

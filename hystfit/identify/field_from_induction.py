@@ -81,11 +81,7 @@ class Reach(NamedTuple):
         return cls(max(float(np.abs(one.b).max()) for one in sequences), min(warm), max(warm))
 
     def check(self, peak: float, temperature: float) -> None:
-        """Refuse a flux density or a temperature beyond those covered.
-
-        Raises:
-            DataError: one of them is.
-        """
+        """Refuse a flux density or a temperature beyond those covered."""
         if peak > self.peak:
             raise DataError(
                 f"a flux density of {peak:.4g} T is beyond the sequences fitted, which reach {self.peak:.4g} T"

@@ -158,12 +158,7 @@ class GradientCorrection(LinearIdentifier):
 
 
 def check_weights(weights: Sequence[float | int] | np.ndarray, p: int) -> np.ndarray:
-    """Weights of shape (p,) or (K, p) that satisfy the paper's conditions (i) and (ii).
-
-    Raises:
-        ParameterError: wrong shape, not positive and finite, or weights that vary so that no one of them has the largest
-            relative decrease throughout.
-    """
+    """Weights of shape (p,) or (K, p) that satisfy the paper's conditions (i) and (ii)."""
     array = np.asarray(weights, dtype=float)
     if array.ndim not in (1, 2) or array.shape[-1] != p or array.shape[0] == 0:
         raise ParameterError(f"weights must have shape ({p},) or (K, {p}), got {array.shape}")

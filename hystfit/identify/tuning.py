@@ -22,11 +22,7 @@ _QUIETEST = 1e-4  # least measurement noise, as a fraction of the output's half 
 
 
 def measurement_noise(data: Dataset, half_range: float, noise: float | None) -> float:
-    """Standard deviation of the measurement noise [y].
-
-    Raises:
-        ParameterError: a noise that is not positive.
-    """
+    """Standard deviation of the measurement noise [y]."""
     if noise is not None:
         if np.ndim(noise) or not (noise > 0 and np.isfinite(noise)):
             raise ParameterError(
@@ -45,11 +41,7 @@ def identified_space(
     free: Sequence[str],
     only: Sequence[str] | None,
 ) -> ParameterSpace:
-    """The parameters that a filter identifies: those of `only`, or by default all but `fix`, with `free`.
-
-    Raises:
-        ParameterError: an unknown name, `only` together with the others, or no free parameter.
-    """
+    """The parameters that a filter identifies: those of `only`, or by default all but `fix`, with `free`."""
     if only is not None and (fix or free):
         raise ParameterError("only names all free parameters: leave fix and free out, or leave only out")
     if only is not None:
@@ -63,11 +55,7 @@ def identified_space(
 
 
 def state_ranges(model: AbstractHysteresis, data: Dataset) -> np.ndarray:
-    """Range of every state over the records in a simulation, shape (states,).
-
-    Raises:
-        ParameterError: the simulation is not finite.
-    """
+    """Range of every state over the records in a simulation, shape (states,)."""
     runs = [states_over(model, record.u, record.dt) for record in data]
     ranges = np.max([np.ptp(run, axis=0) for run in runs], axis=0)
     if not np.isfinite(ranges).all():
@@ -88,12 +76,8 @@ def parameter_root(
     """Root of the prior covariance of z, shape (p, p).
 
     Args:
-        space: the free parameters.
         prior: one standard deviation, standard deviations by name, a covariance of shape (p, p), or None for the default.
         near: whether the start is close, which makes the default smaller.
-
-    Raises:
-        ParameterError: not positive, an unknown name, wrong shape, not symmetric, not positive definite.
     """
     # With wider priors of many parameters the outer sigma points are too far away for a useful mean.
     unbounded, bounded = (0.02, 0.2) if near else (0.1, 0.5)
@@ -154,11 +138,7 @@ def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
 
 
 def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str) -> np.ndarray:
-    """Standard deviations of the states, shape (states,).
-
-    Raises:
-        ParameterError: negative, not finite, or of another length.
-    """
+    """Standard deviations of the states, shape (states,)."""
     if given is None:
         return default
     values = np.asarray(given, dtype=float)
@@ -168,11 +148,7 @@ def deviations(given: float | np.ndarray | None, default: np.ndarray, name: str)
 
 
 def not_negative(value: float, name: str) -> float:
-    """The value of a setting.
-
-    Raises:
-        ParameterError: it is negative or not finite.
-    """
+    """The value of a setting."""
     if not 0 <= value < np.inf:
         raise ParameterError(f"{name} must be finite and not negative, got {value:g}")
     return float(value)

@@ -35,12 +35,7 @@ def _block_weights(parts: int) -> np.ndarray:
 
 
 def upsample(x: Signal, parts: int) -> Float[Array, "T-1 {parts}+1"]:
-    """Values at 0, 1 / parts, ..., 1 of each interval between samples; beyond its ends the signal is constant.
-
-    Args:
-        x: samples at even intervals.
-        parts: of each interval.
-    """
+    """Values at 0, 1 / parts, ..., 1 of each interval between samples; beyond its ends the signal is constant."""
     count = x.shape[0] - 1
     rows = -(-count // _BLOCK) + 3  # a row of the product reads four blocks of samples
     padded = jnp.pad(x, (REACH - 1, rows * _BLOCK - x.shape[0] - REACH + 1), mode="edge").reshape(rows, _BLOCK)

@@ -41,7 +41,7 @@ class AbstractHysteresis(AbstractDynamics):
     """
 
     no_inverse: ClassVar[str] = ""
-    """Why no model of its kind has an inverse; "" where one has."""
+    """Why no model of its kind has an inverse, with {name} for that of the class; "" where one has."""
     either_way: ClassVar[bool] = False
     """Whether it describes loops of both directions, whatever its family needs."""
     takes_rate: ClassVar[bool] = False
@@ -278,7 +278,7 @@ class AbstractHysteresis(AbstractDynamics):
             ModelError: the model has no causal inverse (a delay, a resonance, what `no_inverse` says).
         """
         if self.no_inverse:
-            raise ModelError(self.no_inverse)
+            raise ModelError(self.no_inverse.format(name=type(self).__name__))
         return SearchStep(self, sign)
 
     def output_resonance(self) -> OutputResonance | None:

@@ -223,7 +223,6 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     The output is linear in all but tau and rho.
 
     Args:
-        records: measured.
         degree: number of the backbone's coefficients.
     """
     place, records = input_range(records), thinned(records)

@@ -44,7 +44,6 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
 
     Args:
         function: to be made zero; the slope is taken by forward differentiation, halving needs none.
-        start: between low and high.
         low, high: bracket, finite.
     """
     at_start = function(start)

@@ -46,7 +46,6 @@ class CPart:
         """The part of a model whose template names its fields: @M@_TAU is the number `tau`, @f@_w the array `w`, @M@_W_SIZE its length.
 
         Args:
-            model: any but a composition.
             name: of the file of the template, without ".c".
             states: number of doubles of state; by default that of the model.
             **values: numbers and arrays that are no fields, or stand for some; only those that the template names are written.

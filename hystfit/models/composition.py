@@ -29,11 +29,7 @@ def split_state(state: Array, parts: Sequence[AbstractHysteresis]) -> list[Array
 
 
 def check_parts(parts: Sequence[AbstractHysteresis], least: int, name: str) -> None:
-    """Refuse parts that are not models, or too few of them.
-
-    Raises:
-        ModelError: a part is not a model, or there are too few.
-    """
+    """Refuse parts that are not models, or too few of them."""
     if len(parts) < least or not all(isinstance(part, AbstractHysteresis) for part in parts):
         raise ModelError(f"{name} needs at least {least} models, got {[type(part).__name__ for part in parts]}")
 
@@ -126,8 +122,6 @@ def join_c_parts(
     """C code of a composition.
 
     Args:
-        parts: models.
-        doc: comment.
         lines: for the number of a part, the place of its state and the states of all: lines of `init` after its own, and of `step`.
         between: number of signals that the state holds after the states of the parts.
     """

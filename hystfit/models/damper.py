@@ -99,7 +99,9 @@ class Damper(AbstractHysteresis):
         fixed=True,
         doc="strain of the stops of x at the first sample, over their half widths",
     )
-    lead: Scalar = param(0.0, bounds=(-1.0, 1.0), fixed=True, doc="extrapolation of the velocity, in sampling intervals")
+    lead: Scalar = param(
+        0.0, bounds=(-1.0, 1.0), fixed=True, doc="extrapolation of the velocity, in sampling intervals"
+    )
     center: Scalar = param(0.0, unit="u", fixed=True, doc="displacement where x = 0")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the stroke")
     speed: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u/s", fixed=True, doc="velocity where w = 1")

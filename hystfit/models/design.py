@@ -118,7 +118,6 @@ class DesignMatrix:
         """The output as these columns alone, a row for each sample.
 
         Args:
-            model: whose weights they multiply.
             columns: by the name of the field, shapes (T, p).
         """
         blocks = [

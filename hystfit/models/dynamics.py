@@ -21,7 +21,7 @@ from hystfit.models.even_steps import Clock, scan_in_time
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import sampling_interval
-from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
+from hystfit.models.step_inverse import COMES_LATER, AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 from hystfit.quality.recursions import recursion
 from hystfit.quality.summary import delay_of, dynamics_of
@@ -34,6 +34,7 @@ class Delay(AbstractHysteresis):
         ModelError: `longest` is less than one sample.
     """
 
+    no_inverse: ClassVar[str] = COMES_LATER
     rate_independent: ClassVar[bool] = True
     c_template: ClassVar[str] = "delay"
     one_scan: ClassVar[bool] = False
@@ -77,10 +78,6 @@ class Delay(AbstractHysteresis):
         found = [delay.samples for record in records if (delay := delay_of(record)) is not None]
         lag = float(np.median(found)) if found else 1.0
         return type(self)(lag=lag, longest=max(self.longest, math.ceil(1.2 * lag)))  # the line of the delay may grow
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `no_inverse`."""
-        raise no_inverse(self)
 
 
 class Lag(AbstractHysteresis):
@@ -158,6 +155,7 @@ def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, ...]) ->
 class SecondOrder(AbstractHysteresis):
     """A resonance with static gain one:  y'' + 2 zeta omega y' + omega^2 y = omega^2 u,  exact for inputs linear between samples."""
 
+    no_inverse: ClassVar[str] = COMES_LATER
     rate_independent: ClassVar[bool] = False
     creeps: ClassVar[bool] = False
     c_template: ClassVar[str] = "second_order"
@@ -213,15 +211,3 @@ class SecondOrder(AbstractHysteresis):
     def output_resonance(self) -> OutputResonance:
         """The resonance itself."""
         return OutputResonance(None, float(self.omega), float(self.zeta))
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `no_inverse`."""
-        raise no_inverse(self)
-
-
-def no_inverse(model: AbstractHysteresis) -> ModelError:
-    """The error for a model whose output does not depend on the input of the same sample."""
-    return ModelError(
-        f"{type(model).__name__} cannot be inverted sample by sample, because its response comes later: leave it out and "
-        "shift or lead the reference (hystfit.control.lead)"
-    )

@@ -21,10 +21,6 @@ def even_step(dt: Any, xp: Any = jnp) -> tuple[Any, Any]:
     """Whether all time steps but those of 0 are equal up to the rounding of time stamps, and the largest.
 
     Steps of 0 are allowed: records are padded with them.
-
-    Args:
-        dt: time since the sample before, shape (T,).
-        xp: NumPy on the host.
     """
     longest = xp.max(dt)
     rounding = _ROUNDING * xp.finfo(dt.dtype).eps * xp.sum(dt)
@@ -115,12 +111,9 @@ def relaxed(
     """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
 
     Args:
-        state: before the first sample.
         tau: time constants [s].
         gain: of each relaxation, or one for all.
         weight: of each relaxation in the sum, or one for all.
-        x: input.
-        dt: time since the sample before [s].
     """
 
     def body(state: Array, x: Array, part: Array) -> tuple[Array, Array]:

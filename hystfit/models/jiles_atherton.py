@@ -247,8 +247,6 @@ def search_in_c(
     """C code that searches for the effective field at each input.
 
     Args:
-        model: what is exported.
-        law: how it magnetizes.
         to_input: factors of the effective field and of M / Ms in the input; the first is positive.
         to_output: factors of the input, the effective field and M / Ms in the output.
         dynamic: `eddy`, `excess` and `e` of a `JilesAthertonDynamic`.

@@ -57,12 +57,7 @@ class JilesAthertonField(AbstractHysteresis):
 
     @classmethod
     def of(cls, curve: str = "langevin", pinning: bool = False) -> JilesAthertonField:
-        """The model with one of its variants.
-
-        Args:
-            curve: "langevin" or "tanh", the anhysteretic curve.
-            pinning: pinning that falls with the magnetization.
-        """
+        """The model with one of its variants."""
         return cls(curve=curve, q=[0.0] if pinning else ())
 
     def settings(self) -> dict[str, int | bool | str]:

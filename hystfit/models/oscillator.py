@@ -17,10 +17,9 @@ from hystfit.models.band_limited import REACH, upsample
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.c_code import CPart
-from hystfit.models.dynamics import no_inverse
 from hystfit.models.oscillator_start import oscillator_starts
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.step_inverse import COMES_LATER
 from hystfit.outcome import Code
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
@@ -53,6 +52,7 @@ class BoucWenOscillator(AbstractHysteresis):
         ModelError: fewer than one substep, or an unknown `between`.
     """
 
+    no_inverse: ClassVar[str] = COMES_LATER
     rate_independent: ClassVar[bool] = False
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"between": get_args(Between)}
     needs: ClassVar[Needs] = Needs(
@@ -272,10 +272,6 @@ class BoucWenOscillator(AbstractHysteresis):
         return lines
 
     # -- control -------------------------------------------------------------------------------------------------------
-
-    def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """Refused: see `no_inverse`."""
-        raise no_inverse(self)
 
     def c_part(self) -> CPart:
         """Runge-Kutta under a force that is linear between samples or held.

@@ -25,10 +25,6 @@ def make_model(choice: str | type[AbstractHysteresis] | AbstractHysteresis) -> A
 
     Filters named "before" precede, those "after" follow the sum of the others, in the order in which they are written. Settings
     follow a name: "preisach:n=60:reversible=no". A class of hystfit stands for its first name.
-
-    Raises:
-        ModelError: an unknown name or setting (the message lists what there is), a filter without a hysteresis, a file without
-            such a class, a class that is not finished, a search, or something else than a model.
     """
     if isinstance(choice, AbstractHysteresis):
         return choice

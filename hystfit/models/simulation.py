@@ -17,7 +17,7 @@ from hystfit.config import require_x64
 from hystfit.data.batch import bucket
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.params.host_arrays import compiled, to_device
+from hystfit.params.host_arrays import compiled
 
 
 class AbstractDynamics(eqx.Module):
@@ -142,20 +142,13 @@ def simulate(
         raise
 
 
-def drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Array, Array]:
-    """Input and time steps as arrays of shape (T,).
+def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
+    """Input and time steps as arrays of shape (T,), those of JAX as they are: compiled code accepts NumPy arrays faster than they convert.
 
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
         PrecisionError: double precision is off.
     """
-    u, dt = checked_drive(model, u, dt)
-    on_device = lambda values: values if isinstance(values, jax.Array) else to_device(values)
-    return on_device(u), on_device(dt)
-
-
-def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
-    """`drive` without conversion to JAX arrays: compiled code accepts NumPy arrays faster than they convert here."""
     require_x64()
     u = _floating(u)
     if u.ndim != 1 or u.size == 0:
@@ -198,7 +191,6 @@ def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
 
     Args:
         model: any whose `step` needs no later sample.
-        u, dt: as in `simulate`.
     """
     u, dt = (np.asarray(values) for values in checked_drive(model, u, dt))
     extra = bucket(u.size) - u.size  # records of similar length share one program

@@ -13,6 +13,12 @@ from jaxtyping import Array
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.shapes import Scalar, State
 
+# Of models whose output does not depend on the input of the same sample.
+COMES_LATER = (
+    "{name} cannot be inverted sample by sample, because its response comes later: leave it out and shift or lead the reference "
+    "(hystfit.control.lead)"
+)
+
 
 class AbstractStepInverse(eqx.Module):
     """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.

@@ -39,9 +39,6 @@ def from_json(described: dict[str, Any], allowed: Collection[str] = ()) -> Abstr
     """The model that `to_json` described.
 
     `allowed` are the files of the user's that may be run.
-
-    Raises:
-        ModelError: not such a description, or a class that is not there or not allowed.
     """
     model = _unpack(described, allowed)
     if not isinstance(model, AbstractHysteresis):

@@ -106,9 +106,7 @@ class Varying(AbstractComposition):
         """The model with its parameters at the mean of the covariates, and slopes of zero.
 
         Args:
-            model: of which parameters vary.
             pairs: (covariate, parameter).
-            records: to be fitted.
 
         Raises:
             ParameterError: an unknown parameter, or one that cannot vary.

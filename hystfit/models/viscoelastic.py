@@ -95,13 +95,7 @@ class Viscoelastic(AbstractHysteresis):
 
 
 def extensions(tau: np.ndarray, u: Any, dt: Any) -> Float[np.ndarray, "T modes"]:
-    """Extensions of the springs of elements with these relaxation times, after each sample of a run, on the host.
-
-    Args:
-        tau: shape (modes,).
-        u: input, shape (T,).
-        dt: time since the sample before, shape (T,).
-    """
+    """Extensions of the springs of elements with these relaxation times, after each sample of a run, on the host."""
     u, passed = np.asarray(u), np.asarray(dt)[:, None] / tau
     left, share = np.exp(-passed), -np.expm1(-passed) / np.where(passed > 0, passed, 1.0)
     driven = np.where(passed > 0, share, 1.0) * np.diff(u, prepend=u[0])[:, None]

@@ -158,9 +158,12 @@ def _cell(value: Any, column: Column) -> str:
 
 
 def _plain(value: Any) -> Any:
-    if value is None or isinstance(value, (str, bool, int)):
-        return value
-    return float(value) if math.isfinite(float(value)) else None
+    return value if isinstance(value, (str, bool, int)) else or_none(value)
+
+
+def or_none(value: Any) -> float | None:
+    """A number for JSON, which has no NaN and no infinity: None where it is not finite, or None itself."""
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:

@@ -27,7 +27,6 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
     `jnp.asarray` compiles a program for most values; each takes 10 to 30 ms in the first fit of a process.
 
     Args:
-        values: numbers, nested lists of them, or an array, any shape.
         dtype: of the result; default: that of the values, in the precision of JAX.
     """
     array = np.asarray(values)

@@ -24,15 +24,7 @@ def latin_hypercube(dimensions: int, count: int, seed: int) -> Float[np.ndarray,
 def spread_points(
     coordinates: Coordinates, center: Float[np.ndarray, " p"], count: int, seed: int, *, spread: float
 ) -> Float[np.ndarray, "n p"]:
-    """A Latin hypercube of unconstrained points: about a center, but over most of the range of parameters with two bounds.
-
-    Args:
-        coordinates: of the parameters.
-        center: unconstrained.
-        count: number of points.
-        seed: of the random numbers.
-        spread: largest distance from the center.
-    """
+    """A Latin hypercube of unconstrained points: about a center, but over most of the range of parameters with two bounds."""
     unit = latin_hypercube(center.size, count, seed)
     inside = 0.05 + 0.9 * unit
     both = np.array([kind == BOTH for kind in coordinates.kinds])

@@ -40,11 +40,7 @@ class NamedLeaves:
         self.names = short_names([leaf.path for leaf in self.leaves])
 
     def find(self, name: str) -> tuple[int, list[int]]:
-        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path.
-
-        Raises:
-            ParameterError: an unknown or ambiguous name (the message lists the names), or an element outside the array.
-        """
+        """Leaf number and flat positions of a name: a leaf ("w"), one element ("w[2]"), or a longer path."""
         match = re.fullmatch(r"(?P<path>[^\[\]]+)(?:\[(?P<at>[\d, ]+)\])?", name.strip())
         words = tuple(match["path"].split(".")) if match else ()
         hits = [i for i, leaf in enumerate(self.leaves) if leaf.path[-len(words) :] == words] if words else []

@@ -53,11 +53,7 @@ class ParamInfo:
 
 
 def as_array(value: Any) -> Any:
-    """A number or array as a floating array; other leaves of a tree (tracers, placeholders) unchanged.
-
-    Raises:
-        ParameterError: text, complex numbers, ragged lists.
-    """
+    """A number or array as a floating array; other leaves of a tree (tracers, placeholders) unchanged."""
     # Python numbers in a module are static for jit: one compilation for each value, and no gradient (nor for integer arrays).
     if type(value) is float:
         return _number(value, math.copysign(1.0, value), _float_type())
@@ -138,23 +134,13 @@ def param(
 
 
 def element_weights(default: Any = dataclasses.MISSING, **declared: Any) -> Any:
-    """A field of weights of elements that add up, such as plays: an array of numbers >= 0 in which the output is linear.
-
-    Args:
-        default: values, an array.
-        **declared: of `param`, where it differs.
-    """
+    """A field of weights of elements that add up, such as plays: an array of numbers >= 0 in which the output is linear."""
     usual = {"bounds": (0.0, math.inf), "unit": "y", "scale": 0.1, "linear": True, "vector": True}
     return param(default, **{**usual, **declared})
 
 
 def element_places(default: Any = dataclasses.MISSING, **declared: Any) -> Any:
-    """A field that places elements and is not fitted, such as thresholds or time constants: an array of positive numbers.
-
-    Args:
-        default: values, an array.
-        **declared: of `param`, where it differs.
-    """
+    """A field that places elements and is not fitted, such as thresholds or time constants: an array of positive numbers."""
     return param(default, **{"bounds": (0.0, math.inf), "fixed": True, "vector": True, **declared})
 
 

@@ -18,7 +18,6 @@ def relative_size(space: ParameterSpace, x: np.ndarray, scale: np.ndarray | None
     For an offset it is the natural scale alone, because its value depends on where zero lies.
 
     Args:
-        space: of the parameters.
         x: physical values, shape (..., p), like the result.
         scale: natural scales that differ from those of the space, shape (..., p).
     """

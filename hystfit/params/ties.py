@@ -39,9 +39,6 @@ def parse_tie(expression: str) -> tuple[float, str, float]:
     """(factor, name of the source, constant) of an expression.
 
     Numbers, one name, + - * / and parentheses; nothing is evaluated as code.
-
-    Raises:
-        ParameterError: not such an expression, more than one name, a factor of zero.
     """
     try:
         factor, name, constant = _linear(ast.parse(expression.strip(), mode="eval").body)
@@ -83,10 +80,6 @@ def ties_of(expressions: Mapping[str, str], named: NamedLeaves) -> tuple[Tie, ..
 
     Args:
         expressions: such as {"gamma[1]": "gamma[0]", "k2": "2*k1"}; an array is tied to an array of the same size or to one element.
-        named: the parameters by name.
-
-    Raises:
-        ParameterError: an unknown name, sizes that do not agree, a parameter tied to itself or to one that is tied.
     """
     ties: list[Tie] = []
     for name, expression in expressions.items():
@@ -116,11 +109,7 @@ def _words(factor: float, name: str, constant: float) -> str:
 
 
 def narrowed(bounds: tuple[float, float], tie: Tie, of_target: tuple[float, float]) -> tuple[float, float]:
-    """Bounds of a source within which the target of a tie is within its own, too.
-
-    Raises:
-        ParameterError: no value of the source is.
-    """
+    """Bounds of a source within which the target of a tie is within its own, too."""
     low, high = tie.source_bounds(of_target)
     both = max(bounds[0], low), min(bounds[1], high)
     if not both[0] < both[1]:

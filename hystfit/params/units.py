@@ -21,11 +21,7 @@ _FACTOR = re.compile(r"^(?P<symbol>1|u|y|s|sample|\[\w+\])(?:\^(?P<power>-?\d+(?
 
 
 def exponents(unit: str) -> dict[str, float]:
-    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y".
-
-    Raises:
-        ParameterError: the expression is not of that form.
-    """
+    """Powers of the symbols in a unit expression such as "y/u^2" or "u*s/y"."""
     powers: dict[str, float] = {}
     for sign, part in _parts(unit):
         match = _FACTOR.match(part)
@@ -288,15 +284,7 @@ def quantity(unit: str) -> str:
 
 
 def conversion(source: str, target: str) -> float | None:
-    """Factor from values in one unit to values in another; None where the units differ and one of them is not known.
-
-    Args:
-        source: unit of the values.
-        target: desired unit.
-
-    Raises:
-        DataError: they are units of different quantities.
-    """
+    """Factor from values in one unit to values in another; None where the units differ and one of them is not known."""
     if source == target:
         return 1.0
     one, other = parse_unit(source), parse_unit(target)
@@ -315,9 +303,6 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     """Unit of an area over two columns as an energy or energy density, and the factor to it; the product of both elsewhere.
 
     Empty where one column has no unit: that of the other alone is not the unit of the area.
-
-    Args:
-        one, other: units of input and output.
     """
     first, second = parse_unit(one), parse_unit(other)
     plain = f"{other} {one}" if one and other else ""

@@ -171,11 +171,7 @@ def _again(fits: Fits, rows: Sequence[Row], options: dict[str, Any]) -> FitResul
 
 
 def _common(results: dict[str, FitResult], left_out: dict[str, str]) -> Common:
-    """The parameters that all devices share.
-
-    Raises:
-        DataError: too few devices.
-    """
+    """The parameters that all devices share."""
     without = f"; left out: {_reasons(left_out)}" if left_out else ""
     if len(results) < 2:
         raise DataError(f"a population needs several devices, and {len(results)} has a usable fit{without}")
@@ -202,11 +198,7 @@ def _common(results: dict[str, FitResult], left_out: dict[str, str]) -> Common:
 
 
 def _covariates(given: Any, results: dict[str, FitResult]) -> dict[str, dict[str, float]]:
-    """Values by covariate and device.
-
-    Raises:
-        DataError: a device lacks one, or it is no number.
-    """
+    """Values by covariate and device."""
     if not isinstance(given, Mapping):
         given = {label: {name: _stated(label, name, r) for name, r in results.items()} for label in given}
     table: dict[str, dict[str, float]] = {}
@@ -223,11 +215,7 @@ def _covariates(given: Any, results: dict[str, FitResult]) -> dict[str, dict[str
 
 
 def _stated(label: str, name: str, result: FitResult) -> float:
-    """The value of a covariate in the records of a device.
-
-    Raises:
-        DataError: a record has none, or they differ.
-    """
+    """The value of a covariate in the records of a device."""
     values = {covariate(record, label) for record in result.data}
     if len(values) > 1:
         raise DataError(f"covariate {label!r}: the loops of device {name!r} have several values: {sorted(values)}")

@@ -77,7 +77,6 @@ def draw_hierarchy(
         pools: draws of the devices, by number, whose likelihood is not normal.
         chains, draws: of the sampler; a quarter as many come before.
         thin: steps for each draw.
-        seed: of the random numbers.
     """
     chain = _Chains(means, precisions, design, pools or {}, [np.random.default_rng([seed, k]) for k in range(chains)])
     return Hierarchy(*chain.run(draws, thin))

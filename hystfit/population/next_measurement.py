@@ -14,6 +14,7 @@ from jaxtyping import Array
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Column, Note, Status, Table, WithStatus
+from hystfit.outcome.table import or_none
 from hystfit.outcome.wrapping import shortened
 from hystfit.population.devices import Device, marginal
 from hystfit.population.population_fit import PopulationFit
@@ -114,8 +115,7 @@ class PopulationDesign(WithStatus):
                 if what == kind and set(of.split(", ")) <= set(self.aim):
                     size = {"sd": 0.01, "correlation": 1.0}.get(kind) or sizes[of]
                     values.append(np.nan if error is None else error / size)
-            middle = float(np.median(values)) if values else np.nan
-            yield middle if np.isfinite(middle) else None
+            yield or_none(np.median(values)) if values else None
 
     def __str__(self) -> str:
         lines = [f"{self.population.model}: next measurement for the {self.goal} of {', '.join(self.aim)}"]

@@ -19,11 +19,7 @@ _REACH = ndtri(0.95)  # standard deviations of an interval of 90 %
 
 
 def draw(population: PopulationFit, kind: str) -> Any:
-    """Draw a picture of one kind and return its figure.
-
-    Raises:
-        ParameterError: an unknown kind.
-    """
+    """Draw a picture of one kind and return its figure."""
     kinds = {"forest": _forest, "correlation": _correlation, "shrinkage": _shrinkage}
     if kind not in kinds:
         raise ParameterError(f"no picture {kind!r} of a population; there are {', '.join(kinds)}")

@@ -39,11 +39,7 @@ def write_devices(population: PopulationFit, file: Path) -> None:
 
 @verb
 def load_population_priors(folder: str | Path) -> CorrelatedPriors:
-    """The priors of `PopulationFit.priors` from a folder that `hystfit population` or `PopulationFit.save` wrote.
-
-    Raises:
-        DataError: the folder holds no population, or a damaged one.
-    """
+    """The priors of `PopulationFit.priors` from a folder that `hystfit population` or `PopulationFit.save` wrote."""
     folder = Path(folder)
     refuse_other_schema(folder, SCHEMA, "no population as hystfit population --out writes it", "fit it again")
     place = str(folder / "result.json")

@@ -19,6 +19,7 @@ from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.models.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
+from hystfit.outcome.table import or_none
 from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy
@@ -307,8 +308,7 @@ class PopulationFit(WithStatus):
             row: dict[str, Any] = {"device": device.name}
             for k, name in enumerate(self.names):
                 row |= {f"{name}_fit": self.fitted[d, k], name: mean[d, k], f"{name}_sd": sd[d, k]}
-            chance = self.unusual[d]
-            row |= {"effective": self.effective[d], "unusual": chance if np.isfinite(chance) else None}
+            row |= {"effective": self.effective[d], "unusual": or_none(self.unusual[d])}
             rows.append({key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()})
         return rows
 

@@ -45,14 +45,7 @@ class Beliefs:
     def of(
         cls, drawn: Hierarchy, means: np.ndarray, precisions: np.ndarray, design: np.ndarray, seed: int = 0
     ) -> Beliefs:
-        """Quantities: logarithms of the standard deviations, correlations (below the diagonal, by row), then the mean device.
-
-        Args:
-            drawn: the population.
-            means, precisions: of the devices' likelihoods.
-            design: covariates of the devices, the first column of ones.
-            seed: of the estimates.
-        """
+        """Quantities: logarithms of the standard deviations, correlations (below the diagonal, by row), then the mean device."""
         p = means.shape[1]
         effects, covariance = drawn.effects.reshape(-1, *drawn.effects.shape[2:]), drawn.covariance.reshape(-1, p, p)
         kept = np.linspace(0, len(effects) - 1, min(DRAWS, len(effects))).astype(int)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
+from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
+
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,25 +58,26 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
     fixed_ones = ((*row, True, None) for row in space.fixed())
     rows = []
     for name, value, info, fixed, tie in (*free, *tied, *fixed_ones):
-        lower, upper = (float(bound) if np.isfinite(bound) else None for bound in info.bounds)
+        lower, upper = map(or_none, info.bounds)
         unit = space.scales.label(info.unit)
         rows.append(ParameterEstimate(name, float(value), None, unit, lower, upper, fixed, None, None, info.doc, tie))
     return tuple(rows)
 
 
-def grouped(parameters: Sequence[ParameterEstimate], many: int = MANY) -> list[tuple[str, list[ParameterEstimate]]]:
-    """Parameters by their name in a report; arrays (or per-record sets) of more than `many` share one name."""
-    base = lambda p: re.split(r"[\[@]", p.name)[0]
-    families: dict[tuple[str, bool], list[ParameterEstimate]] = {}
-    for p in parameters:
-        families.setdefault((base(p), p.fixed), []).append(p)
-    rows: list[tuple[str, list[ParameterEstimate]]] = []
-    for p in parameters:
-        family = families[base(p), p.fixed]
+def grouped(
+    items: Sequence[T], name: Callable[[T], str] = lambda one: one.name, many: int = MANY
+) -> list[tuple[str, list[T]]]:
+    """Parameters, or what belongs to them, by their name in a report: arrays (or per-record sets) of more than `many` share one name."""
+    base = lambda one: re.split(r"[\[@]", name(one))[0]
+    families: dict[str, list[T]] = {}
+    for one in items:
+        families.setdefault(base(one), []).append(one)
+    rows: list[tuple[str, list[T]]] = []
+    for key, family, one in ((base(one), families[base(one)], one) for one in items):
         if len(family) <= many:
-            rows.append((p.name, [p]))
-        elif p is family[0]:
-            rows.append((base(p), family))
+            rows.append((name(one), [one]))
+        elif one is family[0]:
+            rows.append((key, family))
     return rows
 
 

@@ -27,10 +27,6 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
     It has model, status, units; parameters (name, value, stderr, lower, upper, unit, fixed), free_names and covariance; rmse and
     error_percent; records (name, t, u, y, weight, predicted). Unknown numbers are NaN.
 
-    Args:
-        result: a fit.
-        path: of the file.
-
     Raises:
         DataError: the folder does not exist, or cannot be written.
     """
@@ -103,7 +99,6 @@ def write_table(path: str | Path, frames: Callable[[], Iterable[Any]], dataset: 
         dataset: makes the xarray data set of the others.
 
     Raises:
-        DataError: another ending.
         HystfitError: it cannot be written.
         MissingExtraError: the package for this kind of file is not installed.
     """
@@ -136,11 +131,7 @@ def _write_parquet(path: Path, frames: Iterable[Any]) -> None:
 
 
 def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pareto-smoothed importance weights that sum to one, shape (m, draws), and the shape parameter of each tail, by ArviZ.
-
-    Args:
-        log_weights: shape (m, draws).
-    """
+    """Pareto-smoothed importance weights that sum to one, shape (m, draws), and the shape parameter of each tail, by ArviZ."""
     arviz = optional("arviz", "bayes", "importance sampling")
     if hasattr(arviz, "psislw"):  # before version 1
         smoothed, shapes = arviz.psislw(log_weights)

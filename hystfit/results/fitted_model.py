@@ -74,7 +74,6 @@ class FittedModel:
         """Outputs in the unit of the fit, converted to that of a record; unchanged where a unit is unknown.
 
         Args:
-            record: names the unit.
             y: outputs, any shape [unit of the fit].
         """
         factor = conversion(self.data.units["y"], record.y_unit) if record.y_unit else None
@@ -131,7 +130,6 @@ class FittedModel:
         """What the prediction of a record assumes for parameters of each record; None where it was fitted or there are none.
 
         Args:
-            record: any record.
             refit_offset: as in `predict`; it replaces constants of the output.
         """
         if record.name in [fitted.name for fitted in self.data]:

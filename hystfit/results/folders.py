@@ -131,7 +131,6 @@ def writing_file(path: str | Path) -> Iterator[Path]:
     """The place of a file or Zarr store within a scratch folder, from which it is moved when it is written.
 
     Raises:
-        DataError: the folder does not exist.
         HystfitError: as `writing`.
     """
     path = Path(path)

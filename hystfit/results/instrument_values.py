@@ -20,10 +20,7 @@ def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches
     """The quantities with those that the instrument states; after its slope correction, where it made one, in rows of their own.
 
     Args:
-        record: with the results of the instrument.
-        found: our quantities.
         levels: gives those that a slope changes, of corrected branches.
-        branches: of the loop as measured.
     """
     stated = {_name_of(one): one for one in record.stated if one.quantity}
     if any(row.name == "remanence_end" for row in found):

@@ -118,7 +118,6 @@ def area_error(pair: Pair, sigma: float | None, correlated: float = 0.0) -> floa
     """Standard error of the area of a loop by noise.
 
     Args:
-        pair: its branches.
         sigma: standard deviation of the noise; None where unknown.
         correlated: over which stretch of the input the noise is correlated; 0 for white noise.
     """
@@ -235,9 +234,6 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
 
     Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
     not show.
-
-    Args:
-        branches: of the largest loops.
 
     Returns:
         The standard deviation of an output, and the stretch of the input over which it is correlated.

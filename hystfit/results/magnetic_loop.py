@@ -82,11 +82,7 @@ class MagneticLoop:
         Args:
             record: input a field in A/m, Oe or T (mu0 H); output a moment, a magnetization, a polarization or a flux density.
             sample: what is known of the sample, beside the header of the file.
-            noise: standard deviation of the output's noise.
             correct: which of `ON_REQUEST` to apply.
-
-        Raises:
-            DataError: a correction of another name.
         """
         if unknown := set(correct) - set(ON_REQUEST):
             raise DataError(f"no correction {sorted(unknown)[0]!r}; there are {', '.join(ON_REQUEST)}")

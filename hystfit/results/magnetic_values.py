@@ -106,12 +106,7 @@ def energy_product(b: Branch, noise: float | None) -> Found | None:
 
 
 def switching_distribution(b: Branch, noise: float | None) -> Found | None:
-    """Full width at half maximum of dJ/dH over HcJ, the derivative by local quadratics; without an error.
-
-    Args:
-        b: falling branch.
-        noise: not used: the width is one of a smoothed curve.
-    """
+    """Full width at half maximum of dJ/dH over HcJ, the derivative by local quadratics; without an error."""
     order = np.argsort(b.u, kind="stable")
     u, y = b.u[order], b.y[order]
     width = 2 * (max(_NEIGHBORS, int(_LOCAL * u.size)) // 2) + 1
@@ -149,7 +144,6 @@ def magnetic_values(loop: MagneticLoop, field_unit: tuple[str, float], output_un
     """The rows of the data sheet.
 
     Args:
-        loop: after its corrections.
         field_unit: unit of fields, and its size in A/m.
         output_unit: of the output, where it is not in T.
     """

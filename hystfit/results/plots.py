@@ -38,7 +38,7 @@ def draw_parameters(result: FitResult, ax: Axes) -> Axes:
     """Standard errors in percent of the values, log scale; the reason where there is none."""
     from matplotlib.ticker import FormatStrFormatter, NullFormatter
 
-    rows = [(name, family) for name, family in grouped(result.parameters) if not family[0].fixed]
+    rows = grouped([p for p in result.parameters if not p.fixed])
     relative = [
         [100 * p.stderr / abs(p.value) for p in family if p.stderr is not None and p.stderr > 0 and p.value != 0]
         for _, family in rows

@@ -48,8 +48,6 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
 
     Args:
         record: input a voltage or an electric field, output a charge or polarization.
-        rows: those of every loop.
-        noise: standard deviation of the output's noise.
     """
     yield from offset_of(rows, "offset (half sum of Vc+ and Vc-)")
     u, y = record.u[record.used], record.y[record.used]

@@ -25,10 +25,7 @@ def plot_density(
     """Weight density of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data do not reach.
 
     Args:
-        model: with cells.
-        ax: matplotlib axes; new ones if None.
         reach: part of each weight's cells that the data switched, as a fit returns it.
-        units: of the input "u" and the output "y".
     """
     u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     ax = axes_or_new(ax)
@@ -101,9 +98,7 @@ def plot_curves(
     """Reversal curves, measured as dots and predicted as lines, colored by their order of reversal.
 
     Args:
-        data: one record for each curve.
         predicted: output of the model on each curve, shape (T,).
-        ax: matplotlib axes; new ones if None.
         every: draw every n-th curve.
     """
     import matplotlib
@@ -137,11 +132,6 @@ def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[st
     """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative.
 
     A dashed line surrounds what is above three standard errors, where they are known.
-
-    Args:
-        diagram: the distribution.
-        ax: matplotlib axes; new ones if None.
-        units: of the input "u" and the output "y".
     """
     ax = axes_or_new(ax)
     u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
@@ -171,13 +161,7 @@ def _extent(diagram: ForcDiagram, top: float) -> tuple[float, float]:
 def plot_profiles(
     numbers: ForcNumbers, axes: Sequence[Any], *, units: Mapping[str, str] | None = None
 ) -> Sequence[Any]:
-    """The coercivity distribution with its median and the central ridge, and the profiles along both axes, with two standard errors.
-
-    Args:
-        numbers: of a diagram.
-        axes: three matplotlib axes.
-        units: of the input "u" and the output "y".
-    """
+    """The coercivity distribution with its median and the central ridge, and the profiles along both axes, with two standard errors."""
     u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     heads = {
         "coercivity": ("coercivity", "integral", _per_unit(y, u)),
@@ -203,8 +187,6 @@ def plot_compared(
 
     Args:
         diagrams: by how they were found; at most two.
-        figure: an empty matplotlib figure.
-        units: of the input "u" and the output "y".
 
     Returns:
         The axes of the diagrams, and those of the distributions.

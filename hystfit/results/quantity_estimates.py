@@ -17,6 +17,7 @@ from hystfit.data.record import Record
 from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.outcome.table import or_none
 from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
@@ -45,7 +46,7 @@ def quantity_values(result: FitResult) -> dict[str, float | None]:
         lambda record: _run(result, record, result.model)[None],
         timed=result.model.creeps,
     )
-    return {name: float(one[0]) if np.isfinite(one[0]) else None for name, one in values.items()}
+    return {name: or_none(one[0]) for name, one in values.items()}
 
 
 def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
@@ -106,7 +107,6 @@ def _estimate(
 
     Args:
         change: derivative by each free parameter in units of its size, shape (p,).
-        size: of the parameters, shape (p,).
     """
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
@@ -133,8 +133,6 @@ def values_of_outputs(
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
-        data: the records, whose units tell which quantities there are.
-        excitation: the inputs.
         outputs: gives the outputs over a record, shape (count, T).
         timed: whether the model creeps.
     """

@@ -45,11 +45,7 @@ class Saturation:
 
 
 def saturation(branches: list[Branch]) -> Saturation | None:
-    """Js of a loop; None where a window has too few samples.
-
-    Args:
-        branches: of the largest loops, from one sign of saturation to the other.
-    """
+    """Js of a loop; None where a window has too few samples."""
     largest = min(max(float(b.u.max()), -float(b.u.min())) for b in branches) if branches else 0.0
     top = max(float(np.abs(b.y).max()) for b in branches) if branches else 0.0
     if not largest > 0 or not top > 0:

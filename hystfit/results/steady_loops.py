@@ -29,7 +29,7 @@ _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
-_AT_1S, _AT_10S = 21, 201
+_AT_1S, _AT_10S = (1 + round(seconds / _STEP) for seconds in (1, 10))  # samples of it
 
 
 @dataclasses.dataclass(frozen=True)

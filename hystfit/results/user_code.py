@@ -39,7 +39,6 @@ def allow(files: Iterable[str], stored: Mapping[str, str | None], trust: bool) -
 
     Args:
         stored: their SHA-256 when the fit was saved.
-        trust: whether the user allows running them.
     """
     notes = []
     for file in sorted(files):

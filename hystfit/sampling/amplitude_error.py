@@ -138,7 +138,6 @@ def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, 
     """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors.
 
     Args:
-        posterior: of weights.
         problem: with the same parameters; samples of weight zero do not count.
     """
     x, size = posterior.result.x, float(problem.scales.y)

@@ -81,11 +81,7 @@ class AbstractSampler(abc.ABC):
         """
 
     def check_counts(self, least: Mapping[str, int]) -> None:
-        """Refuse settings that are not whole numbers, or below the least sensible value.
-
-        Raises:
-            ParameterError: names the setting and its least value.
-        """
+        """Refuse settings that are not whole numbers, or below the least sensible value."""
         for name, lowest in least.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < lowest:

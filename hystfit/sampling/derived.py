@@ -20,9 +20,6 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
     """Draws of derived quantities, each shape (count,), as `hystfit.results.quantities` defines them.
 
     By default all quantities that the records and the model have; `count` draws are simulated.
-
-    Raises:
-        ParameterError: an unknown quantity, one that these records do not have, or creep of a model without time.
     """
     posterior = dataclasses.replace(posterior, result=posterior.result.settled)
     timed = posterior.result.model.creeps
@@ -56,12 +53,6 @@ def sampled_density(posterior: Posterior, count: int = 200, seed: int = 0, *, ri
 
     Args:
         posterior: of a Preisach model with cells, such as that of a fit of "preisach-forc".
-        count: number of draws, chosen at random.
-        seed: of the choice.
-        rising: see `density_of`.
-
-    Raises:
-        ParameterError: a posterior of another model.
     """
     model = posterior.result.model
     if not isinstance(model, Preisach) or model.elements != "cells":

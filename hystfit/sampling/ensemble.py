@@ -6,20 +6,18 @@ The snooker move is never used: in emcee 3.1.6 it samples a distribution that is
 from __future__ import annotations
 
 import dataclasses
-import io
-import os
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from hystfit.errors import DataError, ParameterError, optional
+from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import to_device
+from hystfit.runs.chunks import keep, load
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.self_contained import refuse_outside
 from hystfit.sampling.setup import Setup
 from hystfit.sampling.target import Target, log_densities
 
@@ -51,37 +49,33 @@ class Ensemble(AbstractSampler):
             raise ParameterError(f"walkers must be even, got {self.walkers}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
-        """Draw, or continue from the file in a folder.
-
-        Raises:
-            ParameterError: too few walkers or too many parameters.
-        """
+        """Draw, or continue from the chunks in a folder."""
         target, d = setup.target, setup.target.center.shape[0]
         if self.walkers < 2 * d + 2:
             raise ParameterError(f"{d} parameters need at least {2 * d + 2} walkers, got {self.walkers}")
         model = len(setup.problem.space)
         if model > MOST:
             raise ParameterError(f"emcee is for up to {MOST} parameters, and the model has {model}: use sampler='nuts'")
-        sampler = walk(target, self.walkers)
-        file = None if folder is None else folder / "emcee.h5"
-        chain, logs, accepted, state = _resume(file, self.walkers, d) or _begin(target, self.walkers, seed)
-        tau, settled = (
-            _check_convergence(chain, longest_time(chain[: -len(chain) // 20])) if len(chain) else (np.inf, False)
-        )
-        while len(chain) < self.draws and not settled:
-            count = min(max(self.check, len(chain) // 20), self.draws - len(chain))
-            sampler.reset()
-            state: Any = sampler.run_mcmc(state, count, skip_initial_state_check=True)
-            chain = np.concatenate([chain, np.asarray(sampler.get_chain())])
-            logs = np.concatenate([logs, np.asarray(sampler.get_log_prob())])
-            accepted = accepted + sampler.backend.accepted
-            if file is not None:
-                _write(file, chain, logs, accepted, state.random_state)
+        sampler, chain = walk(target, self.walkers), np.zeros((0, self.walkers, d))
+        parts, tau, settled = list[dict[str, np.ndarray]](), np.inf, False
+        while not settled:
+            file = None if folder is None else folder / f"emcee-{len(parts):05d}.npz"
+            part = None if file is None else load(file)
+            if part is None:
+                if len(chain) >= self.draws:
+                    break
+                state = _state(parts[-1]) if parts else start(target, self.walkers, seed)
+                part = _advance(sampler, state, min(max(self.check, len(chain) // 20), self.draws - len(chain)))
+                if file is not None:
+                    keep(file, part)
+            parts.append(part)
+            chain = np.concatenate([chain, part["chain"]])
             tau, settled = _check_convergence(chain, tau)
             report(
                 f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
                 len(chain) / self.draws,
             )
+        logs, accepted = np.concatenate([part["logs"] for part in parts]), sum(part["accepted"] for part in parts)
         return self._collect(target, chain, logs, accepted, tau, settled)
 
     def _collect(
@@ -150,51 +144,18 @@ def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
     return emcee.State(q, log_prob=logs, random_state=legacy)
 
 
-def _begin(target: Target, walkers: int, seed: int) -> tuple[Any, ...]:
-    """An empty chain and the state to start from."""
-    d = target.center.shape[0]
-    return np.zeros((0, walkers, d)), np.zeros((0, walkers)), np.zeros(walkers), start(target, walkers, seed)
+def _advance(sampler: Any, state: Any, count: int) -> dict[str, np.ndarray]:
+    """Some more steps: places, log densities, accepted steps of each walker, and the state of the random numbers after them."""
+    sampler.reset()
+    random_state = sampler.run_mcmc(state, count, skip_initial_state_check=True).random_state
+    chain, logs = np.asarray(sampler.get_chain()), np.asarray(sampler.get_log_prob())
+    part = {"chain": chain, "logs": logs, "accepted": np.asarray(sampler.backend.accepted)}
+    return part | {f"random{k}": np.asarray(value) for k, value in enumerate(random_state)}
 
 
-def _write(file: Path, chain: np.ndarray, logs: np.ndarray, accepted: np.ndarray, random_state: Any) -> None:
-    """The whole run in emcee's own HDF5 layout, first beside the old file, then in its place: a kill leaves one or the other."""
+def _state(part: dict[str, np.ndarray]) -> Any:
+    """emcee's state after the steps of `_advance`."""
     import emcee
 
-    content = io.BytesIO()  # HDF5 itself may crash where a disk is full
-    with optional("h5py", "bayes", "a resumable emcee run").File(content, "w") as handle:
-        group = handle.create_group("mcmc")
-        group.attrs.update(version=emcee.__version__, nwalkers=chain.shape[1], ndim=chain.shape[2], has_blobs=False)
-        group.attrs["iteration"] = len(chain)
-        for k, part in enumerate(random_state):
-            group.attrs[f"random_state_{k}"] = part
-        for name, values in (("chain", chain), ("log_prob", logs), ("accepted", accepted)):
-            group.create_dataset(name, data=values)
-    scratch = file.with_name(f".{file.name}")
-    scratch.write_bytes(content.getvalue())
-    os.replace(scratch, file)
-
-
-def _resume(file: Path | None, walkers: int, d: int) -> tuple[Any, ...] | None:
-    """What `_write` wrote and the state to go on from; None where there is no file.
-
-    Raises:
-        DataError: the file is damaged or of another run.
-    """
-    import emcee
-
-    if file is None or not file.exists():
-        return None
-    refuse_outside(file.read_bytes(), str(file))
-    try:
-        backend = emcee.backends.HDFBackend(str(file), read_only=True)
-        chain, logs = np.asarray(backend.get_chain()), np.asarray(backend.get_log_prob())
-        accepted, random_state = np.array(backend.accepted), tuple(backend.random_state or ())
-    except (OSError, KeyError, AttributeError, ValueError, TypeError, IndexError) as error:
-        raise DataError(
-            f"{str(file)!r} is not an emcee run that can be resumed (damaged?): remove it to start again"
-        ) from error
-    if chain.shape[1:] != (walkers, d):
-        raise DataError(
-            f"{str(file)!r} holds {chain.shape[1:]} walkers and parameters, not {(walkers, d)}: remove it to start again"
-        )
-    return chain, logs, accepted, emcee.State(chain[-1], log_prob=logs[-1], random_state=random_state)
+    random_state = tuple(part[f"random{k}"][()] for k in range(5))
+    return emcee.State(part["chain"][-1], log_prob=part["logs"][-1], random_state=random_state)

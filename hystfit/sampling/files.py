@@ -24,10 +24,10 @@ from hystfit.results.user_code import allow, checksums, noise_file
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import SCHEMA, Posterior
-from hystfit.sampling.self_contained import refuse_outside
 
 _PLAIN = ("sampler", "noise", "priors", "prior_quartiles", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
+_SLACK = 10_000_000  # bytes of data beyond the size of the file, for what netCDF fills in
 _FILES = ("result.json", "posterior.nc", f"fit/{MANIFEST}")
 
 
@@ -90,7 +90,7 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
     refuse_other_schema(folder, SCHEMA, "no posterior as hystfit sample --out writes it", "sample again")
     files = read_files(folder, _FILES, allow_edits=trust)
     place, content = str(folder / "posterior.nc"), files.contents["posterior.nc"]
-    refuse_outside(content, place)
+    _refuse_outside(content, place)
     try:
         groups = [_group(content, name) for name in ("posterior", "sample_stats")]
     except Exception as error:  # h5py meets a damaged file with errors of many kinds
@@ -112,8 +112,49 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
         raise DataError(f"{place} is damaged ({error}): restore it, or sample again") from error
 
 
+def _refuse_outside(content: bytes, place: str) -> None:
+    """Refuse an HDF5 file whose data lie outside it (links, external storage, virtual data sets), or that declares more than it holds.
+
+    Raises:
+        DataError: see above, or no HDF5 file.
+    """
+    import h5py
+
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            size = _checked(file, place)
+    except DataError:
+        raise
+    except (OSError, KeyError, ValueError, RuntimeError, TypeError, RecursionError) as error:
+        raise DataError(f"{place} is damaged ({error}): restore it, or remove it and sample again") from error
+    if size > len(content) + _SLACK:
+        raise DataError(
+            f"{place} declares {size} bytes of data, and the file has {len(content)}: restore it, or remove it and sample again"
+        )
+
+
+def _checked(group: Any, place: str) -> int:
+    """Bytes of the data sets of a group and the groups within it, none of which was read."""
+    import h5py
+
+    size = 0
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise DataError(f"{place}: {name!r} is a link to another place, which hystfit does not follow")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            if item == group.file["/"]:
+                raise DataError(f"{place}: {name!r} is a group within itself")
+            size += _checked(item, place)
+        elif isinstance(item, h5py.Dataset):
+            if item.external or item.is_virtual:
+                raise DataError(f"{place}: {name!r} has its data in other files, which hystfit does not read")
+            size += item.nbytes
+    return size
+
+
 def _group(content: bytes, name: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Data sets and attributes of a group, read by h5py alone, which follows nothing that `refuse_outside` has not seen."""
+    """Data sets and attributes of a group, read by h5py alone, which follows nothing that `_refuse_outside` has not seen."""
     import h5py
 
     with h5py.File(io.BytesIO(content), "r") as file:

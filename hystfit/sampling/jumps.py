@@ -28,7 +28,6 @@ _WIDER = 1.25  # times the standard deviations of the posterior: else chains sta
 _ROUNDS = 3  # of 200 weighted draws each, which improve a fit to the positions of a warm-up
 _CHECKS = 5  # of 200 draws each, by which the last fit is judged: 200 are too few to tell a funnel
 _EFFICIENT = 0.3  # effective fraction of draws: 0.5 to 0.7 for posteriors of Bouc-Wen models, at most 0.25 for funnels
-_NEVER = -1e300  # logarithm of a weight of zero
 
 
 class Jumps(eqx.Module):
@@ -124,5 +123,5 @@ def _weighted(target: Target, jumps: Jumps, keys: list[Array]) -> tuple[np.ndarr
     offered = [jumps.offers(target, key).offered for key in keys]
     q, score = (np.concatenate([np.asarray(part[k]) for part in offered]) for k in (0, 2))
     score = np.nan_to_num(score.ravel(), nan=-np.inf, posinf=-np.inf)
-    weights = np.exp(score - max(score.max(), _NEVER))
+    weights = np.exp(score - max(score.max(), np.finfo(float).min))
     return q.reshape(-1, q.shape[-1]), weights / max(weights.sum(), 1.0)

@@ -48,7 +48,6 @@ class LinearPart(eqx.Module):
         """Those of a problem; None where its noise is not Gaussian, or where no parameter enters linearly, far enough from its bounds.
 
         Args:
-            problem: with noise and priors.
             z: mode of the posterior, parameters of model and noise.
             deviations: standard deviations of the model's parameters about it [their units].
         """
@@ -97,8 +96,6 @@ def _jointly_linear(problem: Problem, x: np.ndarray, steps: np.ndarray, clear: n
     """Numbers of parameters in which the output is linear together, the others as they are: derivatives do not depend on them.
 
     Args:
-        problem: model and data.
-        x: where, shape (p,).
         steps: over which derivatives are compared, shape (p,).
         clear: which parameters may be among them, shape (p,).
     """

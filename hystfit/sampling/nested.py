@@ -61,7 +61,6 @@ class Nested(AbstractSampler):
 
         Raises:
             DataError: hardly any draw from the prior has a finite likelihood.
-            ParameterError: correlated priors.
         """
         _blackjax()  # a missing package is named before any other work
         if setup.dependence is not None:
@@ -166,11 +165,7 @@ def _equal(weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndar
 
 
 def _from_priors(setup: Setup, key: Array, count: int) -> dict[str, np.ndarray]:
-    """z of `count` draws from the priors with a finite likelihood, shape (count, d), and the part of all draws that had one.
-
-    Raises:
-        DataError: fewer than one draw in a hundred.
-    """
+    """z of `count` draws from the priors with a finite likelihood, shape (count, d), and the part of all draws that had one."""
     problem, density = setup.problem, setup.target.density
     batches: list[np.ndarray] = []
     tried = kept = 0

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import os
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ClassVar
 
@@ -24,6 +22,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import stored
+from hystfit.runs.threads import Workers, usable_cores
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted
@@ -133,10 +132,11 @@ class Nuts(AbstractSampler):
     ) -> dict[str, np.ndarray] | None:
         """All chains, joined; None, once a transition diverges, unless they are wanted to the end."""
         drawn: dict[str, list[np.ndarray]] = {chain.label: [] for chain in chains}
-        reporting, halted, diverged = threading.Lock(), threading.Event(), threading.Event()
-        total = self.chains * draws
+        reporting, diverged, total = threading.Lock(), threading.Event(), self.chains * draws
+        workers = Workers(min(self.chains, usable_cores()))
 
         def collect(label: str, chunk: dict[str, np.ndarray]) -> bool:
+            workers.check()
             with reporting:
                 drawn[label].append(chunk["q"])
                 if chunk["diverging"].any() and not to_the_end:
@@ -144,15 +144,11 @@ class Nuts(AbstractSampler):
                 count = sum(len(part) for parts in drawn.values() for part in parts)
                 so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
                 report(f"{count} of {total} draws, about {so_far:.0f} effective so far", count / total)
-            return halted.is_set() or diverged.is_set()
+            return diverged.is_set()
 
         _ = chains[0].warm  # compiles what all chains run
-        with ThreadPoolExecutor(min(self.chains, os.cpu_count() or 1)) as pool:
-            try:
-                parts = list(pool.map(lambda chain: chain.draw(draws, lambda c: collect(chain.label, c)), chains))
-            except BaseException:
-                halted.set()
-                raise
+        each = [functools.partial(chain.draw, draws, functools.partial(collect, chain.label)) for chain in chains]
+        parts = workers.run(each)
         return None if diverged.is_set() else {k: np.stack([part[k] for part in parts]) for k in parts[0]}
 
     def warm(
@@ -164,8 +160,6 @@ class Nuts(AbstractSampler):
 
         Args:
             target: in the coordinates of the fit.
-            key: of the random numbers.
-            goal: acceptance, by default `target_accept`.
             before: the end of another warm-up, from which this one continues: its first quarter is left out.
         """
         adaptation = _Adaptation(self, key, self.target_accept if goal is None else goal)

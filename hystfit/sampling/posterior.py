@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,8 +16,9 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
+from hystfit.outcome.table import or_none
 from hystfit.registry import attribute
-from hystfit.results.estimates import MANY
+from hystfit.results.estimates import grouped
 from hystfit.results.exchange import arviz_data
 from hystfit.results.quantities import QUANTITIES
 from hystfit.results.result import FitResult
@@ -29,25 +29,10 @@ SCHEMA = "hystfit.sample/4"
 CHECKS = "sd: standard deviation. R-hat: 1 where the chains agree. bulk, tail: effective numbers of draws."
 
 
-def _finite(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _quantiles(values: np.ndarray) -> dict[str, Any]:
     """Median and 95 % interval."""
     levels = {"lower": 0.025, "median": 0.5, "upper": 0.975}
-    return dict(zip(levels, map(_finite, np.quantile(values, list(levels.values()))), strict=True))
-
-
-def _arrays(rows: Sequence[dict[str, Any]]) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Rows of `Posterior.table` by the name that they share in a summary."""
-    families: dict[str, list[dict[str, Any]]] = {}
-    for row in rows:
-        families.setdefault(re.split(r"[\[@]", row["name"])[0], []).append(row)
-    named = lambda name, family: (
-        [(f"{name}[{len(family)}]", family)] if len(family) > MANY else [(row["name"], [row]) for row in family]
-    )
-    return [row for name, family in families.items() for row in named(name, family)]
+    return dict(zip(levels, map(or_none, np.quantile(values, list(levels.values()))), strict=True))
 
 
 def _summarized(name: str, rows: Sequence[dict[str, Any]]) -> list[Any]:
@@ -57,6 +42,7 @@ def _summarized(name: str, rows: Sequence[dict[str, Any]]) -> list[Any]:
     if len(rows) == 1:
         moments = [rows[0]["mean"], rows[0]["sd"]]
     else:
+        name = f"{name}[{len(rows)}]"
         moments = [f"{min(values[key]):.3g} to {max(values[key]):.3g}" for key in ("mean", "sd")]
     limits = [worst("lower", min), worst("upper", max), rows[0]["unit"]]
     return [name, *moments, *limits, worst("rhat", max), worst("bulk", min), worst("tail", min)]
@@ -120,8 +106,8 @@ class Posterior(WithStatus):
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             flat = self.draws[:, :, k].ravel()
-            moments = {"mean": _finite(flat.mean()), "sd": _finite(flat.std(ddof=1))}
-            checks = {check: _finite(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
+            moments = {"mean": or_none(flat.mean()), "sd": or_none(flat.std(ddof=1))}
+            checks = {check: or_none(getattr(self.convergence, check)[k]) for check in ("rhat", "bulk", "tail")}
             rows.append({"name": name, "unit": unit} | moments | _quantiles(flat) | checks)
         return rows
 
@@ -130,7 +116,8 @@ class Posterior(WithStatus):
         numbers = [Column("mean"), Column("sd", form=".3g"), Column("2.5 %"), Column("97.5 %")]
         checks = [Column("R-hat", form=".3f"), Column("bulk", form=".0f"), Column("tail", form=".0f")]
         columns = [Column("parameter"), *numbers, Column("unit", left=True), *checks]
-        return Table(columns, [_summarized(name, rows) for name, rows in _arrays(self.table())])
+        families = grouped(self.table(), lambda row: row["name"])
+        return Table(columns, [_summarized(name, rows) for name, rows in families])
 
     def derived_table(self) -> Table:
         """Derived quantities as readable text."""

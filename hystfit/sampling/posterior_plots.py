@@ -30,7 +30,6 @@ def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
     """Draw a picture of one kind and return its figure.
 
     Raises:
-        ParameterError: an unknown kind.
         MissingExtraError: corner is not installed.
     """
     if kind not in _KINDS:

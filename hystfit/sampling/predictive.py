@@ -46,9 +46,6 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
 
     x has shape (count, p), physical. Where the record is not a fitted one, `seed` chooses the fitted record whose own parameters
     (its offset) a draw takes.
-
-    Raises:
-        ModelError: no time for a model that needs it.
     """
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
@@ -112,12 +109,6 @@ def _error_beyond(
 
     Its variance is that of `AmplitudeError` where loops of several amplitudes were fitted, and otherwise of the error on the groups that
     the fit held out, if it did; the errors of a group have one cause. It is known from few values: the draws are those of Student's t.
-
-    Args:
-        posterior: of the parameters.
-        record: in its units.
-        y, noise: predictions without noise, and noise, shape (count, T) [y].
-        seed: of the draws.
     """
     rng, result, beyond = np.random.default_rng(seed), posterior.result, posterior.beyond
     problem, shape = result.problem, y - y.mean(axis=1, keepdims=True)

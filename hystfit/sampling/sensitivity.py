@@ -26,6 +26,7 @@ from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import or_none
 from hystfit.results.estimates import MANY
 from hystfit.results.exchange import smoothed_weights
 from hystfit.results.quantities import QUANTITIES
@@ -111,7 +112,7 @@ class Sensitivity:
         most = known[np.argmax(np.abs(rows[known]))] if known.size else None
         influence = [None, ""] if most is None else [float(rows[most]), self.records[most]]
         numbers = (self.contraction[k], self.prior_shift[k], self.data_shift[k])
-        return [_label(self.names[k]), *map(_known, numbers), *influence]
+        return [_label(self.names[k]), *map(or_none, numbers), *influence]
 
     def checks_table(self) -> Table:
         """The checks as readable text."""
@@ -132,10 +133,10 @@ class Sensitivity:
         """For `result.json`; unknown is null."""
         rows = {}
         for k, name in enumerate(self.names):
-            without = {record: _known(row[k]) for record, row in zip(self.records, self.influence, strict=False)}
-            shifts = {"prior_shift": _known(self.prior_shift[k]), "data_shift": _known(self.data_shift[k])}
-            rows[name] = {"contraction": _known(self.contraction[k]), **shifts, "without": without}
-        pareto = {name: _known(k) for name, k in zip(self.records, self.pareto, strict=False)}
+            without = {record: or_none(row[k]) for record, row in zip(self.records, self.influence, strict=False)}
+            shifts = {"prior_shift": or_none(self.prior_shift[k]), "data_shift": or_none(self.data_shift[k])}
+            rows[name] = {"contraction": or_none(self.contraction[k]), **shifts, "without": without}
+        pareto = {name: or_none(k) for name, k in zip(self.records, self.pareto, strict=False)}
         checks = {name: dataclasses.asdict(check) for name, check in self.checks.items()}
         notes = [note.to_dict() for note in self.notes]
         return {"quantities": rows, "pareto": pareto, "checks": checks, "notes": notes}
@@ -143,10 +144,6 @@ class Sensitivity:
 
 def _label(name: str) -> str:
     return QUANTITIES[name].label if name in QUANTITIES else name
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def sensitivity(posterior: Posterior) -> Sensitivity:

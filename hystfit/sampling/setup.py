@@ -123,13 +123,9 @@ def prepare(
     """Prepare the posterior of a fit: noise model, priors, mode and curvature.
 
     Args:
-        result: the fit; its data, free parameters and values are used.
         noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
         priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
         by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
-
-    Raises:
-        ParameterError: an unknown name, a prior that is flat or excludes the fit, too many parameters.
     """
     problem = result.problem.with_loss("linear")
     if len(problem.space) > _MOST:

@@ -21,10 +21,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from hystfit.params.host_arrays import to_device
-from hystfit.sampling.bend import Bend, straight
+from hystfit.sampling.bend import Bend, straight, straight_slope
 
 _WITHIN = 2.0  # standard deviations from the center at which bends are compared
-_STEP = 1e-4  # of differences
 _FLATTEST = 0.5  # slope of straight(v) at the center below which the center itself lies in the bend, and slopes there say nothing
 
 
@@ -51,8 +50,7 @@ class Shear(eqx.Module):
         root = np.linalg.qr(factor[place].T, mode="r")  # transpose of the Cholesky factor, but for signs
         slopes = np.zeros((two_sided.size, center.size))
         slopes[:, place] = np.triu(root / np.diag(root)[:, None], 1)[: two_sided.size]
-        rise = (straight(middle + _STEP, np) - straight(middle - _STEP, np)) / (2 * _STEP)
-        slopes[rise[ranked] < _FLATTEST] = 0.0
+        slopes[straight_slope(middle)[ranked] < _FLATTEST] = 0.0
         return cls(to_device(two_sided[ranked]), to_device(slopes))
 
     def sheared(self, y: Any, xp: Any = jnp) -> Any:

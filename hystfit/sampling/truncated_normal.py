@@ -37,8 +37,6 @@ def draw_truncated(
     """Ends of transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
 
     Args:
-        key: of the random numbers.
-        x: where it begins, inside the bounds.
         slope: s.
         precision: P, positive definite.
         bounded: which coordinates are >= 0.

@@ -112,14 +112,8 @@ def weight_equations(
     """The equations of a problem whose free parameters are all linear weights.
 
     Args:
-        problem: model and data.
         x: estimate, shape (p,).
-        grid: of noises.
-        priors: see `weight_priors`.
         size: of the output, by which it is divided.
-
-    Raises:
-        ParameterError: a parameter that is not a linear weight, a bound other than zero, a prior of another kind.
     """
     space = problem.space
     if not space.linear.all():

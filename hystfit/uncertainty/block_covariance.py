@@ -154,8 +154,6 @@ def _partialled(
     Args:
         rows: residuals (T,) and derivatives (T, p) of each record.
         of_record: positions of the parameters of each record alone.
-        span: samples of a block.
-        fewest: blocks.
     """
     kept, gone = [], np.zeros(rows[0][1].shape[1], dtype=bool)
     for (residual, slope), own in zip(rows, of_record, strict=True):

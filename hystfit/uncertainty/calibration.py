@@ -29,6 +29,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
 from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.folders import alone
+from hystfit.sampling.ensemble import MOST
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, collect, typical_noise
 
 SCHEMA = "hystfit.calibrate/1"
@@ -254,9 +255,9 @@ def calibrate(
         dict(tie or {}),
         seed,
     )
-    if method == "emcee" and len(problem.space) > 10:
+    if method == "emcee" and len(problem.space) > MOST:
         raise ParameterError(
-            f"emcee is for up to 10 parameters, the model has {len(problem.space)}: use nuts or laplace"
+            f"emcee is for up to {MOST} parameters, the model has {len(problem.space)}: use nuts or laplace"
         )
     with contextlib.nullcontext() if folder is None else alone(folder):
         chunks, broken = collect(study, -(-replicates // CHUNK), folder, workers, scheduler, progress)

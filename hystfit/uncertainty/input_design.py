@@ -22,6 +22,7 @@ from hystfit.inference.priors import LOG_WIDE
 from hystfit.models.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import or_none
 from hystfit.params.units import with_unit
 from hystfit.quality.coverage import coverage_notes
 from hystfit.results.agreement import differences
@@ -100,20 +101,14 @@ class Design(WithStatus):
         return Record(u=u, y=y + sd * np.random.default_rng(seed).normal(size=u.size), t=t, name="designed")
 
     def families(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
-        """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]".
-
-        Args:
-            names: of parameters.
-        """
-        rows = grouped([self.result[name] for name in names])
+        """Parameters by the name under which they are shown: arrays of many weights share one, such as "w[60]"."""
         many = lambda name, family: name if len(family) == 1 else f"{name}[{len(family)}]"
-        return {many(name, family): tuple(p.name for p in family) for name, family in rows}
+        return {many(name, family): tuple(family) for name, family in grouped(names, str)}
 
     @staticmethod
     def median(errors: Mapping[str, float | None], names: Sequence[str]) -> float | None:
         """Median of the standard errors of these parameters; None where the data do not determine one half of them."""
-        value = float(np.median([np.inf if (error := errors[name]) is None else error for name in names]))
-        return value if np.isfinite(value) else None
+        return or_none(np.median([np.inf if (error := errors[name]) is None else error for name in names]))
 
     def table(self) -> Table:
         """Predicted standard errors with the present data alone, and together with each candidate; the median of many weights."""
@@ -229,7 +224,7 @@ def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) ->
     """Standard errors in physical units from a covariance in relative size; None where the error is that of the prior."""
     relative = np.sqrt(np.diag(np.asarray(covariance)))[: len(names)]
     known = np.where(relative < _UNKNOWN * LOG_WIDE, relative * np.asarray(plan.size), np.nan)
-    return {name: float(error) if np.isfinite(error) else None for name, error in zip(names, known, strict=True)}
+    return {name: or_none(error) for name, error in zip(names, known, strict=True)}
 
 
 def _notes(
@@ -264,13 +259,7 @@ def _score(covariance: Array, counted: Array) -> Array:
 
 
 def input_families(low: float, high: float, samples: int, seed: int) -> dict[str, np.ndarray]:
-    """Signals within the limits, by name.
-
-    Args:
-        low, high: limits of the input.
-        samples: length.
-        seed: of the random one.
-    """
+    """Signals within the limits, by name."""
     phase = np.arange(samples) / samples
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     wave = lambda cycles: np.sin(2 * np.pi * cycles * phase)
@@ -326,11 +315,7 @@ def _optimize(
 
 
 def _closed(before: np.ndarray, after: np.ndarray, names: list[str]) -> list[str]:
-    """Combinations that the present data do not determine (a relative error above one half) and the new input does.
-
-    Args:
-        before, after: covariances in relative size with the present data alone, and with the input.
-    """
+    """Combinations that the present data do not determine (a relative error above one half) and the new input does."""
     p = len(names)
     values, vectors = np.linalg.eigh(before[:p, :p])
     return [

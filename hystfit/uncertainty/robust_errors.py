@@ -12,6 +12,7 @@ from hystfit.config import verb
 from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Column, Note, Status, Table
 from hystfit.outcome.note import warn
+from hystfit.outcome.table import or_none
 from hystfit.outcome.wrapping import listed
 from hystfit.quality.determination import count
 from hystfit.results.agreement import differences
@@ -71,9 +72,7 @@ class StandardErrors:
         known = np.any([np.isfinite(error) for error in self.errors.values()], axis=0)
         if parameter is not None:
             return [(names[k], [k]) for k in space.positions(parameter) if known[k]]
-        at = {name: k for k, name in enumerate(names)}
-        families = grouped([self.result[name] for name in names])
-        rows = [(name, [at[member.name] for member in family]) for name, family in families]
+        rows = grouped(range(len(names)), names.__getitem__)
         return [(name, places) for name, places in rows if known[places].any()]
 
     def _row(self, name: str, places: list[int]) -> list[Any]:
@@ -109,8 +108,7 @@ class StandardErrors:
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown is null."""
-        number = lambda value: float(value) if np.isfinite(value) else None
-        by_rule = lambda table, k: {rule: number(values[k]) for rule, values in table.items()}
+        by_rule = lambda table, k: {rule: or_none(values[k]) for rule, values in table.items()}
         rows = {}
         for k, name in enumerate(self.result.free_names):
             rows[name] = {"value": self.result[name].value, "unit": self.result[name].unit}

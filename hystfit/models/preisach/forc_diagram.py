@@ -59,11 +59,7 @@ class ForcDiagram:
         return np.nan_to_num(self.density) * area
 
     def at(self, coercivity: np.ndarray, interaction: np.ndarray) -> np.ndarray:
-        """The density at points, shape of the arguments, by bilinear interpolation; NaN where there are no data.
-
-        Args:
-            coercivity, interaction: coordinates of the points [u], of one shape.
-        """
+        """The density at points, shape of the arguments, by bilinear interpolation; NaN where there are no data."""
         from scipy.interpolate import RegularGridInterpolator
 
         low, high = interaction - coercivity, interaction + coercivity

@@ -70,11 +70,7 @@ class ForcNumbers:
     profiles: dict[str, Profile]
 
     def numbers(self, units: Mapping[str, str]) -> dict[str, tuple[str, float | None, float | None, str]]:
-        """Label, value, standard error and unit of each number, by name.
-
-        Args:
-            units: of the input "u" and the output "y".
-        """
+        """Label, value, standard error and unit of each number, by name."""
         unit = {**units, "%": "%"}
         return {
             name: (NUMBERS[name][0], value, self.stderr.get(name), unit[NUMBERS[name][1]])
@@ -83,11 +79,7 @@ class ForcNumbers:
 
 
 def forc_numbers(diagram: ForcDiagram) -> ForcNumbers:
-    """Numbers and profiles of a diagram, with standard errors where it has repeats.
-
-    Raises:
-        DataError: the density is nowhere positive.
-    """
+    """Numbers and profiles of a diagram, with standard errors where it has repeats."""
     if not (diagram.mass > 0).any():
         raise DataError("the FORC density is nowhere positive: use more curves, or a smaller smoothing factor")
     peak, edges = _peak(diagram), _edges(diagram)

@@ -26,7 +26,6 @@ def choose_levels(
     """Levels over the range of measured inputs, as many as are given.
 
     Args:
-        inputs: inputs of the records, each of shape (T,).
         levels: the present ones; "given" returns them.
         center: of the demagnetized state; None takes the middle of the range.
         spacing: "quantile", equal shares of the samples; "square", distances from the center that grow as squares; or "uniform".
@@ -35,9 +34,6 @@ def choose_levels(
 
     Returns:
         Levels, strictly rising, and the center.
-
-    Raises:
-        DataError: a constant input.
     """
     u = np.concatenate(list(inputs))
     low, high = float(u.min()), float(u.max())
@@ -69,13 +65,8 @@ def steep_levels(records: Sequence[Record], n: int, center: float | None, *, rel
     """Levels over the range of measured inputs, denser where the rising or the falling branches are steep, and the center.
 
     Args:
-        records: measured loops.
-        n: cells, or relay levels, along each axis.
         center: about which the levels are symmetric; None spreads them over the range, whose middle is the center.
         relays: n levels in the middle of intervals; else n + 1 edges of cells.
-
-    Raises:
-        DataError: a constant input.
     """
     low, high = min(float(r.u.min()) for r in records), max(float(r.u.max()) for r in records)
     if low == high:
@@ -111,8 +102,6 @@ def levels_of_family(family: ReversalFamily, n: int, *, relays: bool) -> np.ndar
     """Levels for reversal curves, denser where the output is steep on them or on the branch that their reversal points are samples of.
 
     Args:
-        family: reversal curves.
-        n: cells, or relay levels, along each axis.
         relays: n levels in the middle of intervals with equal shares of the output; else n + 1 edges of cells.
     """
     # No curve shows the branch on which the field left saturation.
@@ -142,7 +131,6 @@ def sharp_levels(
 
     Args:
         branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
-        n: number of intervals.
         power: of the slope.
         even: size of the even part relative to the mean of the other.
 
@@ -163,11 +151,7 @@ def sharp_levels(
 
 
 def check_levels(levels: np.ndarray, center: float | None, symmetric: bool) -> None:
-    """Refuse levels that do not rise, or that are not symmetric where they should be.
-
-    Raises:
-        ModelError: levels that do not rise strictly, or are not symmetric.
-    """
+    """Refuse levels that do not rise, or that are not symmetric where they should be."""
     if not np.isfinite(levels).all() or (np.diff(levels) <= 0).any():
         raise ModelError(f"levels must be finite and rise strictly, got {np.array2string(levels, threshold=8)}")
     if symmetric and center is not None:

@@ -22,11 +22,7 @@ HIGHER_ORDER = (0.0, 180.0, 60.0, 150.0, 90.0, 120.0, 0.0)
 
 
 def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
-    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,).
-
-    Raises:
-        DataError: fewer than two extrema, or one sample per run.
-    """
+    """Straight runs from extremum to extremum, this many samples each, shape (runs * points + 1,)."""
     if len(extrema) < 2 or points < 1:
         raise DataError(f"a signal needs two extrema and one sample per run, got {len(extrema)} and {points}")
     runs = [np.linspace(a, b, points + 1)[1:] for a, b in itertools.pairwise(extrema)]

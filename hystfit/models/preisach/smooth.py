@@ -55,7 +55,6 @@ def fit_smooth(
     The offset of a record that is left out as a whole is fitted to it.
 
     Args:
-        system: the equations.
         strengths: of the penalty to choose among; a single one is used without a choice.
         fixed: values of weights that are not fitted, NaN for the others, output units, shape (p,).
     """

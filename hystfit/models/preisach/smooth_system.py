@@ -41,13 +41,7 @@ class Layout:
 
     @classmethod
     def of(cls, design: DesignMatrix, records: int, offsets: Offsets = "each") -> Layout:
-        """The layout for records whose design matrices have the same blocks.
-
-        Args:
-            design: of one of them.
-            records: how many there are.
-            offsets: see `SmoothSystem.of`.
-        """
+        """The layout for records whose design matrices have the same blocks."""
         kept = tuple(k for k, block in enumerate(design.blocks) if offsets != "none" or not _is_offset(block))
         blocks = tuple(design.blocks[k] for k in kept)
         own = tuple(block.info.per_record and offsets == "each" for block in blocks)
@@ -200,14 +194,7 @@ class SmoothSystem:
     def of_outputs(
         self, design: DesignMatrix, record: Record, y: Float[np.ndarray, "N T"], held: HeldOut
     ) -> Iterator[SmoothSystem]:
-        """The systems of other outputs over the input of the only record, whose columns are multiplied with each other once.
-
-        Args:
-            design: of the record.
-            record: has the input and the weights of the samples.
-            y: outputs.
-            held: groups of samples, as for the record.
-        """
+        """The systems of other outputs over the input of the only record, whose columns are multiplied with each other once."""
         on, (folds,) = record.used, held.folds
         index, weight, y = design.index[on], record.weight[on], y[:, on]
         columns, sizes = self.layout.columns(design, 0)[index], np.ptp(y, axis=1)
@@ -271,9 +258,6 @@ class _Gram:
         Args:
             few: sparse rows of the product on distinct states; None without one.
             A: columns that stand for themselves, on the same states.
-            index: state of each sample.
-            y: output of each.
-            weight: of each.
         """
         states, place = np.unique(index, return_inverse=True)
         mass = np.bincount(place, weight)

@@ -57,7 +57,6 @@ def fit_preisach(
     """Fit the weights of a Preisach model to arbitrary loops.
 
     Args:
-        data: records.
         model: a model (its levels are chosen again unless its spacing is "given"), or the number of cells along an axis of a new one.
         smoothness: strengths of the penalty on second differences, to choose among.
         nonnegative: bound the masses from below.

@@ -57,7 +57,6 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
     Args:
         v: input, or any rising code of it (numbers of thresholds passed), shape (T,).
         rest: state before the first sample.
-        center: of the demagnetized state, in the units of v.
 
     Returns:
         The states, in NumPy.
@@ -117,8 +116,6 @@ def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: f
         v: turning points, neighbors different, shape (m,).
         code: whole numbers that tell their values apart, below `codes`, shape (m,).
         codes: how many there are.
-        rest: state before the first, see `compile_input`.
-        center: of the demagnetized state.
     """
     given, v = v, np.asarray(v, dtype=float)
     parent, level = np.full(v.size, -1), np.ones(v.size, dtype=np.int32)

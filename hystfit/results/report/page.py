@@ -59,7 +59,7 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     kinds += ["weights"] if result.model.plays() else []
     kinds += ["density"] if result.model.plane() is not None else []
     figures: dict[str, Figure] = {}
-    count = sum(not family[0].fixed for _, family in grouped(result.parameters))
+    count = len(grouped([p for p in result.parameters if not p.fixed]))
     for kind in kinds:
         height = min(12.0, max(2.4, 1.2 + 0.3 * count)) if kind == "parameters" else 4.0
         figures[kind] = Figure(figsize=(5.6, height), layout="constrained")
@@ -114,9 +114,6 @@ def write(
     wording: Wording | None = None,
 ) -> Path:
     """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
-
-    Args:
-        folder: made if it does not exist.
 
     Raises:
         HystfitError: the folder cannot be made or written.
