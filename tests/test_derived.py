@@ -103,7 +103,7 @@ def test_creep_in_a_decade_is_that_of_the_closed_form():
     for a in (0.2, 0.4):
         # The actuator has rested on `low` for long, so that the step excites the creep of the whole range.
         after = lambda t, a=a: a * (high - low) / size * -np.expm1(-t / tau)
-        step = (high - low) + after(0.05)
+        step = (high - low) + after(1.0)
         assert got[a] == pytest.approx(100 * (after(10.0) - after(1.0)) / step, rel=0.02)
 
 

@@ -289,3 +289,17 @@ def test_a_measured_family_has_its_published_coercivity():
     assert numbers.values["median_coercivity"] == pytest.approx(coercive, rel=0.1)
     assert abs(numbers.values["peak_interaction"]) < 0.1 * coercive
     assert forc_loop(reversal_curves(data)).value("coercive_input") == pytest.approx(coercive, rel=0.03)
+
+
+def test_curves_that_noise_lets_cross_have_no_note():
+    rng, fields = np.random.default_rng(22), np.linspace(-1, 1, 41)
+    ends = [0.9 - 0.1 * k for k in range(18)]
+    curve = lambda end: np.tanh(3 * (fields[fields >= end] - 0.4 * (0.9 - end)))
+    noisy = lambda size: [
+        hf.Record(fields[fields >= end], curve(end) + size * rng.normal(size=np.sum(fields >= end)), name=f"{end:.1f}")
+        for end in ends
+    ]
+    assert "cross" not in " ".join(reversal_curves(noisy(0.006)).notes)
+    crossed = noisy(0.006)
+    crossed[9] = crossed[9].replace(y=crossed[9].y + 0.1)
+    assert "cross" in " ".join(reversal_curves(crossed).notes)

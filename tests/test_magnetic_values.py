@@ -6,7 +6,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 import hystfit as hf
-from hystfit.outcome import Code
+from hystfit.outcome import Code, Status
 from hystfit.results.loop_values import quantities
 from hystfit.results.magnetic_sample import Sample, prism_factor
 
@@ -339,3 +339,14 @@ def test_the_first_curve_of_loops_of_growing_amplitude_leaves_out_what_lies_insi
     found = values_of(hf.Record(h, y, u_unit="A/m", y_unit="T", u_name="H", y_name="B"))
     assert found["mu_max"].value == pytest.approx(5000 * (1 - 4.0 / 20.0), rel=0.01)
     assert found["mu_max"].stderr < 50
+
+
+def test_the_advice_on_a_demagnetization_curve_is_to_use_what_is_read_off_it():
+    h = np.linspace(0, -300, 60)
+    result = hf.fit(
+        "prandtl-ishlinskii:plays=6", hf.Record(h, 0.5 * np.tanh((h + 250) / 30), u_unit="kA/m", y_unit="T")
+    )
+    assert result.status is Status.NO_LOOP
+    assert "read off" in result.advice
+    curve = hf.Record(h, 1e-3 * h + 0.3, u_unit="V", y_unit="um")
+    assert hf.fit("prandtl-ishlinskii:plays=6", curve).advice == Status.NO_LOOP.advice()

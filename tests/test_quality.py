@@ -1208,3 +1208,34 @@ def test_an_initial_curve_does_not_turn_the_way_of_a_narrow_loop():
     assert circulation(share, y) > 0
     assert circulation(share[::-1], y[::-1]) < 0
     assert circulation(share, y) == pytest.approx(circulation(share[59:], y[59:]), rel=0.01)
+
+
+def test_small_cycles_of_a_quiet_input_are_no_chatter():
+    """Tests of soils begin with cycles of a hundredth of the last ones."""
+    sizes = (0.01, 0.03, 0.1, 0.3, 1.0)
+    u = np.concatenate([size * np.sin(np.linspace(0, 2 * np.pi, 101)[:-1]) for size in sizes])
+    assert not has(examined(Record(u, steel(u))).findings, Code.CHATTER)
+
+
+def test_a_clipped_sensor_shows_no_lag():
+    """An elastic-plastic damper, whose force turns with the displacement, with a load cell that ends at 22 kN."""
+    t = np.arange(0, 10, 0.01)
+    u = 10 * np.sin(2 * np.pi * 0.3 * t)
+    force, plastic = [], 0.0
+    for x in u:
+        size = 4 * (x - plastic) - 0.6 * plastic
+        if abs(size) > 20:
+            plastic += np.sign(size) * (abs(size) - 20) / 4.6
+        force.append(4 * (x - plastic))
+    y = np.clip(force + 0.1 * np.random.default_rng(30).normal(size=t.size), -22, 22)
+    report = examined(Record(u, y, t, u_unit="mm", y_unit="kN", t_unit="s"))
+    assert has(report.findings, Code.CLIPPED)
+    assert not has(report.findings, Code.LAG)
+
+
+def test_a_square_loop_is_no_delay():
+    """Kerr rotation of a film: it switches at 28 mT within 6 mT, and rests where the field turns."""
+    edge = np.linspace(-150, 150, 151)
+    u = np.append(np.tile(np.concatenate([edge[:-1], edge[:0:-1]]), 3), -150)
+    y = 1.3 * np.tanh((u - 28 * np.sign(np.gradient(u))) / 6) + 0.03 * np.random.default_rng(11).normal(size=u.size)
+    assert summarize(Record(u, y, 0.05 * np.arange(u.size))).delay is None

@@ -14,7 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.quality.loops import loop_area
 from hystfit.results.loop_kinds import LoopKind
 from hystfit.results.loop_values import quantities
-from hystfit.results.quantities import QUANTITIES, Unknown, applicable
+from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.quantity_estimates import measured_quantities, quantity_values
 from hystfit.results.report import html_report, text_report
 from hystfit.results.steady_loops import Excitation, SteadyLoops
@@ -204,7 +204,7 @@ def test_creep_a_decade_has_the_value_and_error_of_the_closed_form():
     part = creeping.model.parts[1]
     size, (a,), ((variance,),) = float(part.high - part.low), creeping.x, creeping.covariance
     rise = lambda t: -np.expm1(-t / tau) / size  # of the unit step, for a = 1
-    decade, start = 100 * (rise(10.0) - rise(1.0)), rise(dt)
+    decade, start = 100 * (rise(10.0) - rise(1.0)), rise(1.0)
     assert found.value == pytest.approx(decade * a / (1 + a * start), rel=0.02)
     assert found.stderr == pytest.approx(decade / (1 + a * start) ** 2 * np.sqrt(variance), rel=0.03)
 
@@ -274,6 +274,8 @@ def test_a_viscous_model_has_no_creep():
         ("Oe", "emu", LoopKind.MAGNETIC),
         ("kV/cm", "uC/cm2", LoopKind.FERROELECTRIC),
         ("V", "um", LoopKind.ACTUATOR),
+        ("A", "mrad", LoopKind.ACTUATOR),
+        ("mT", "mdeg", LoopKind.OTHER),
         ("mm", "kN", LoopKind.DISPLACEMENT_DRIVEN),
         ("N", "mm", LoopKind.FORCE_DRIVEN),
         ("", "", LoopKind.OTHER),
@@ -529,3 +531,102 @@ def test_an_input_switched_between_two_values_has_no_quantities_of_a_loop() -> N
     assert not any(quantities(data).rows.values())
     ramps = hf.Dataset.of(hf.Record(np.interp(t, [0, 75, 150, 225, 299], [0, 1, 0, 1, 0]), data[0].y, t, y_unit="degC"))
     assert "coercive_input" in applicable(ramps, timed=True)
+
+
+def test_the_steady_loop_of_a_slow_relaxation_is_settled():
+    """A Maxwell element of stiffness k dissipates pi k A^2 wt / (1 + (wt)^2) in a steady cycle, however long it takes to get there."""
+    k, tau, period, size = 0.3, 4.0, 2.0, 20.0
+    t = np.arange(0, 12, 0.02)
+    data = hf.Record(u=size * np.sin(2 * np.pi * t / period), y=np.zeros(t.size), t=t, u_unit="mm", y_unit="kN")
+    excitation = Excitation.of(Dataset.of(data))
+    force = np.zeros(len(excitation.loop))
+    decay = np.exp(-excitation.interval / tau)
+    for i, step in enumerate(np.diff(excitation.loop.u), start=1):
+        force[i] = decay * force[i - 1] + k * step * (1 - decay) * tau / excitation.interval
+    turn = 2 * np.pi * tau / period
+    loss = np.pi * k * size**2 * turn / (1 + turn**2)
+    assert QUANTITIES["loop_area"].of_loops(excitation.loops(force[None]))[0] == pytest.approx(loss, rel=0.01)
+
+
+@pytest.mark.parametrize(("tau", "size"), [(0.05, 0.02), (0.1, 0.02)])
+def test_creep_behind_a_lag_is_that_of_the_device(tau, size):
+    model = hf.Series(hf.Lag(tau=tau, rest="first"), hf.LogCreep(gamma=(size,)))
+    record = hf.Record(np.sin(np.arange(400) / 20), np.zeros(400), 0.01 * np.arange(400), u_unit="V", y_unit="um")
+    step = Excitation.of(Dataset.of(record)).step
+    found = Excitation.creep(np.asarray(hf.simulate(model, step.u, step.dt)[0])[None])[0]
+    assert found == pytest.approx(100 * size, rel=0.1)
+
+
+def test_a_lag_is_no_creep():
+    t = np.arange(400) / 2.0
+    u = 50 + 40 * np.sin(2 * np.pi * t / 50)
+    y = np.asarray(hf.simulate(hf.Series(hf.Lag(tau=1.3, rest="first"), hf.Linear(k=1.0)), u, 0.5)[0])
+    model = hf.Series(hf.Lag(tau=1.0, rest="first"), hf.Linear(k=1.0))
+    result = hf.fit(model, hf.Record(u, y + 0.01 * np.sin(1e3 * t), t), start="model", starts=1, noise="iid")
+    assert "stroke" in {q.name for q in result.quantities}
+    assert "creep_percent_per_decade" not in {q.name for q in result.quantities} | set(quantity_values(result))
+
+
+def test_measured_loops_beside_the_steady_loop_have_its_rate():
+    """A chirp through a viscous element, whose loops widen with the frequency: the steady loop lasts as long as the usual cycle."""
+    t = np.arange(4000) / 2000
+    phase = 2 * np.pi * np.cumsum(2 + 9 * t) / 2000
+    u = 60 - 60 * np.cos(phase)
+    rate = np.gradient(u, t)
+    data = Dataset.of(hf.Record(u, 0.1 * u + 2e-4 * rate, t, u_unit="V", y_unit="um"))
+    excitation = Excitation.of(data)
+    step = np.gradient(excitation.loop.u, excitation.interval)
+    steady = excitation.loops((0.1 * excitation.loop.u + 2e-4 * step)[None])
+    assert measured_quantities(data)["loop_area"] == pytest.approx(float(steady.area[0]), rel=0.1)
+
+
+def test_noise_has_no_measured_loop_and_no_loop_is_found_in_it():
+    edge = np.linspace(-5, 5, 101)
+    u = np.append(np.tile(np.concatenate([edge[:-1], edge[:0:-1]]), 3), -5)
+    record = hf.Record(u, np.random.default_rng(25).normal(size=u.size), u_unit="mT", y_unit="V")
+    result = hf.fit("bouc-wen", record, starts=1)
+    assert result.status == "no-loop"
+    assert all(q.measured is None for q in result.quantities)
+    assert "e+02" not in str(result)
+
+
+def test_the_range_of_one_large_branch_is_that_of_its_loop():
+    """Friction with growing strokes: the only branch over the whole range begins at the force of the reversal."""
+    t = np.arange(0, 8, 0.004)
+    u = 6 * np.sin(2 * np.pi * 0.25 * t) * np.minimum(1, 0.2 + t / 8)
+    v = np.gradient(u, t)
+    y = 3 * np.tanh(v / 0.3) + 0.4 * v + 0.01 * np.random.default_rng(4).normal(size=t.size)
+    found = quantities(hf.Record(u, y, t, u_unit="mm", y_unit="N")).rows["record"]
+    assert {one.name: one.value for one in found}["stroke"] == pytest.approx(np.ptp(y), rel=0.05)
+
+
+def test_a_cycle_that_does_not_come_back_has_an_error_that_covers_its_loop():
+    """Strokes that grow to the last, elastic-plastic: the largest branches enclose no whole loop, and one of them is shorter."""
+    u = np.concatenate([a * np.sin(np.linspace(0, 2 * np.pi, 121)[:-1]) for a in (0.4, 0.6, 0.8, 1.0, 1.2)])
+    whole = 1.2 * np.sin(np.linspace(0, 4 * np.pi, 241))
+
+    def force(path):
+        plastic, out = 0.0, []
+        for x in path:
+            size = 2000 * (x - plastic) - 100 * plastic
+            if abs(size) > 250:
+                plastic += np.sign(size) * (abs(size) - 250) / 2100
+            out.append(2000 * (x - plastic))
+        return np.array(out)
+
+    y = force(u) + 2 * np.random.default_rng(36).normal(size=u.size)
+    found = {one.name: one for one in quantities(hf.Record(u, y, u_unit="mm", y_unit="kN")).rows["record"]}
+    steady = force(whole)[120:]
+    loss = abs(loop_area(whole[120:], steady))
+    stiffness = (steady.max() - steady.min()) / 2.4
+    for name, truth in (("loop_area", loss), ("secant_stiffness", stiffness)):
+        assert found[name].value == pytest.approx(truth, abs=3 * found[name].stderr), name
+
+
+def test_a_vague_value_of_the_model_stands_behind_that_of_the_measured_loops():
+    vague = QuantityEstimate("loop_area", 1010.0, 840.0, "J")
+    assert vague.vaguer_than(11.0)
+    assert not dataclasses.replace(vague, stderr=10.5).vaguer_than(11.0)
+    assert not dataclasses.replace(vague, stderr=15.0).vaguer_than(11.0)  # 1.5 % of the value
+    assert not dataclasses.replace(vague, measured=1000.0).vaguer_than(11.0)
+    assert not vague.vaguer_than(None)

@@ -644,3 +644,24 @@ def test_isolated_outliers_are_left_out_of_fits_and_named() -> None:
     assert summarize(fast).spikes == 0
     ringing = np.sin(2 * np.pi * t / 25) + 0.3 * np.exp(-((t - 20) ** 2)) * np.sin(2 * np.pi * 9 * t / 4.3)
     assert summarize(hf.Record(np.sin(2 * np.pi * t / 25), ringing + 0.001 * NOISE[:600], t)).spikes == 0
+
+
+def test_a_drift_over_three_cycles_without_time_is_named() -> None:
+    """Kerr rotation of a film in three sweeps, whose zero moves by a tenth of the range."""
+    edge = np.linspace(-150, 150, 151)
+    u = np.append(np.tile(np.concatenate([edge[:-1], edge[:0:-1]]), 3), -150)
+    steady = 1.3 * np.tanh((u - 28 * np.sign(np.gradient(u))) / 6) + 0.05 * NOISE[: u.size]
+    fitted = lambda y: hf.fit("preisach-magnetic:n=20", hf.Record(u, y)).notes
+    (note,) = (n for n in fitted(steady + 0.26 * np.arange(u.size) / u.size) if n.code is Code.DRIFT)
+    (change,) = re.findall(r"drifts by (\S+)", note.text)
+    assert float(change) == pytest.approx(0.26, rel=0.15)
+    assert not has(fitted(steady), Code.DRIFT)
+
+
+def test_a_drift_that_creep_of_the_model_follows_is_named() -> None:
+    t = np.arange(0, 12, 0.04)
+    u = 50 - 50 * np.cos(np.pi * t)
+    steady = 0.1 * u + plays(u, np.linspace(3, 20, 4)) * 0.015 + 0.01 * NOISE[: t.size]
+    fitted = lambda y: hf.fit("prandtl-ishlinskii:plays=6+creep", hf.Record(u, y, t)).notes
+    assert has(fitted(steady + 0.01 * np.ptp(steady) * t / 12), Code.DRIFT)
+    assert not has(fitted(steady), Code.DRIFT)

@@ -10,13 +10,14 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.fit_warnings import disturbance_note
+from hystfit.fitting.fit_warnings import _repeats, disturbance_note
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
 from hystfit.quality import baselines
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import held_out
+from hystfit.quality.loops import clear_reversals
 from hystfit.quality.plays import play_positions
 from hystfit.results.accuracy import Limits, persistent_error
 from hystfit.results.report.answer import Wording, next_commands
@@ -330,3 +331,17 @@ def test_a_fit_to_an_input_that_noise_reverses_proposes_its_smoothing():
     assert name == "smooth"
     assert f"--smooth={length}" in " ".join(next_commands(dataclasses.replace(result, status=Status.ROUGH), Wording()))
     assert hf.fit("prandtl-ishlinskii:plays=4", record.smoothed(int(length))).train.rmse < result.train.rmse
+
+
+def test_no_failure_is_blamed_where_the_last_half_cycle_repeats_an_earlier_one():
+    """A smooth model of a switch errs at its jumps, and most in the last half cycle by chance."""
+    u = 6 * np.sin(2 * np.pi * np.arange(600) / 150)
+    y, state = [], 1.0
+    for x in u:
+        state = 0.0 if x > 3 else 1.0 if x < -3 else state
+        y.append(state)
+    record = made(np.array(y), u)
+    turns = clear_reversals(u)
+    assert _repeats(record, turns, 0.1)
+    broken = record.replace(y=np.where(np.arange(600) >= turns[-1], 0.5 * record.y, record.y))
+    assert not _repeats(broken, turns, 0.1)

@@ -212,7 +212,7 @@ def _quantities(
     common: Common, loops: Loops, outputs_of: Callable[[Sequence[Record]], np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Quantities of the steady loop of each fitted model."""
-    model, timed = common.setup.problem.model, not common.setup.problem.model.rate_independent
+    model, timed = common.setup.problem.model, common.setup.problem.model.creeps
     datasets = [Dataset.of(group.record) for group in loops.groups]
     excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
     counts = [len(group.y) for group in loops.groups]

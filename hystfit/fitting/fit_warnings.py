@@ -24,7 +24,7 @@ from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, p
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _EXPLAINED = 0.5  # least share of a squared error that a drift explains
-_TURNS = 6  # reversals without which a drift cannot be told from a loop that does not close
+_TURNS = 5  # reversals of three cycles, without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -41,19 +41,36 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _chattering(fitted),
     )
     notes = [note for note in found if note is not None]
-    drift = None if is_noise(fitted.train.rmse, fitted.baselines) else _drift(fitted)
+    drift = _drift(fitted)
     return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
 
 
 def _drift(fitted: Fitted) -> Note | None:
     """A warning of a drift that the residuals show, or those of plays where a model without time follows it by a state that fades."""
     found = drift_note(fitted.rows, fitted.data, fitted.baselines.span)
-    hidden = fitted.thorough and found is None and fitted.model.rate_independent and fitted.baselines.plays is not None
-    if not hidden or any(
-        len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)
-    ):
+    if found is not None or not fitted.thorough:
         return found
+    if fitted.model.creeps:
+        return _followed_drift(fitted)
+    if not fitted.model.rate_independent or fitted.baselines.plays is None:
+        return None
+    if any(len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)):
+        return None
     return drift_note(plays_residuals(fitted.data), fitted.data, fitted.baselines.span)
+
+
+def _followed_drift(fitted: Fitted) -> Note | None:
+    """A warning where the mean of the cycles drifts steadily, and the model follows it: along a line it would err by more than it does."""
+    for record, quality in zip(fitted.parts, fitted.qualities, strict=True):
+        drift = quality.drift
+        if drift is not None and drift.law == "linear" and abs(drift.total) > np.sqrt(12) * fitted.train.rmse:
+            size = f"{drift.total:.3g} {record.y_unit}".rstrip()
+            return warn(
+                Code.DRIFT,
+                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if the "
+                "sensor drifts, subtract it before the fit; else a longer record shows how the creep goes on",
+            )
+    return None
 
 
 def _means(data: Dataset) -> list[np.ndarray]:
@@ -80,7 +97,10 @@ def _clipped(data: Dataset) -> Note | None:
     """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit."""
     saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
     if saturated:
-        text = f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit"
+        text = (
+            f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit: "
+            "there the loop and its quantities are the model's alone, and their errors leave out those of the model"
+        )
         return warn(Code.CLIPPED, text)
     count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
     if not count:
@@ -136,7 +156,9 @@ def _chattering(fitted: Fitted) -> Note | None:
 
 
 def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
-    """A warning where most of the squared error of a record lies along a straight line in time, which no model includes.
+    """A warning where most of the squared error of a record lies along a straight line in time or in the order of its samples.
+
+    No model includes it.
 
     Args:
         rows: prediction less measurement at the samples of each record that count [y].
@@ -144,9 +166,10 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         span: range of the output [y].
     """
     for row, record in zip(rows, data, strict=True):
-        if record.t is None or clear_reversals(record.u).size < _TURNS:
+        if clear_reversals(record.u).size < _TURNS:
             continue
-        passed, missed = record.t[record.used] - record.t[record.used].mean(), row.mean() - row
+        t = np.arange(len(record)) if record.t is None else record.t
+        passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))
         change = slope * float(np.ptp(passed))
         if slope**2 * (passed @ passed) < _EXPLAINED * (missed @ missed) or 100 * abs(change) < VISIBLE * span:
@@ -180,6 +203,8 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     if not (inside[int(np.argmax(errors))] and rest.size) or errors.max() < BEGINS * float(np.sqrt(np.mean(rest**2))):
         return None
     last = code is Code.LAST_HALF_CYCLE
+    if last and _repeats(record, turns, 0.5 * errors.max()):
+        return None
     place, number = _place(record, int(turns[-1 if last else 0]))
     which, window = ("last", f":{number}") if last else ("first", f"{number}:")
     remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
@@ -192,6 +217,18 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     )
     alone = (last or not held) and len(fitted.data) == 1  # a window holds for all records
     return dataclasses.replace(warn(code, text), option=("window", window) if alone else None)
+
+
+def _repeats(record: Record, turns: np.ndarray, most: float) -> bool:
+    """Whether the last half cycle runs as that of the same direction before it did, within `most` [y]: a device that failed does not."""
+    if turns.size < 3:
+        return False
+    before, after = slice(turns[-3], turns[-2] + 1), slice(turns[-1], len(record))
+    order = np.argsort(record.u[before], kind="stable")
+    u, y = record.u[before][order], record.y[before][order]
+    inside = record.used[after] & (record.u[after] >= u[0]) & (record.u[after] <= u[-1])
+    apart = record.y[after][inside] - np.interp(record.u[after][inside], u, y)
+    return 2 * inside.sum() > record.used[after].sum() and bool(persistent_error(apart).max() < most)
 
 
 def _place(record: Record, sample: int) -> tuple[str, str]:

@@ -181,9 +181,7 @@ def _branches_coincide(fitted: Fitted) -> bool:
     scatter = curve_scatter(fitted.parts)
     if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
         return False
-    if fitted.percent > POOR and (
-        100 * scatter > POOR * fitted.baselines.span or not is_noise(scatter, fitted.baselines)
-    ):
+    if fitted.percent > POOR and not is_noise(scatter, fitted.baselines):
         return False
     return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities)
 

@@ -110,6 +110,11 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
+    def creeps(self) -> bool:
+        """Whether the output may go on changing for seconds after a step of the input; a lag, a resonance and a viscous term do not."""
+        return not self.rate_independent
+
+    @property
     def has_inverse(self) -> bool:
         """Whether advice may propose it without an extra margin, as it does models with an inverse.
 

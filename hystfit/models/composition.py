@@ -62,6 +62,7 @@ class AbstractComposition(AbstractHysteresis):
     causal = _of_all("causal")
     has_fast_run = _of_any("has_fast_run")
     delays = _of_any("delays")
+    creeps = _of_any("creeps")
     hardens = _of_any("hardens")
     degrades = _of_any("degrades")
     has_inverse = _of_all("has_inverse")

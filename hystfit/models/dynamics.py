@@ -89,6 +89,7 @@ class Lag(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     linear_in_input: ClassVar[bool] = True
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
 
@@ -156,6 +157,7 @@ class SecondOrder(AbstractHysteresis):
 
     no_inverse: ClassVar[str] = COMES_LATER
     rate_independent: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     c_template: ClassVar[str] = "second_order"
     linear_in_input: ClassVar[bool] = True
 

@@ -25,6 +25,7 @@ class _AbstractRate(AbstractHysteresis):
     """A force of the rate du/dt over the last sample."""
 
     rate_independent: ClassVar[bool] = False
+    creeps: ClassVar[bool] = False
     takes_rate: ClassVar[bool] = True
 
     @abc.abstractmethod

@@ -15,6 +15,7 @@ from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
+_FINE = np.linspace(0.02, 1.2, 60)  # a loop that switches within 6 % of the half range is left to no delay
 _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
@@ -61,20 +62,28 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     x = 2 * (u - u.min()) / np.ptp(u) - 1
     y = (y - y[used].mean()) / np.ptp(y[used])
     stride = -(-u.size // MOST)
-    columns = Regressors.of(x[::stride], y[::stride], used[::stride], _RADII)
+    columns_of = lambda radii: Regressors.of(x[::stride], y[::stride], used[::stride], radii)
     branch = float(np.median(np.diff(reversals))) / stride
-    without = columns.error_behind((0.0,), np.geomspace(0.02 * branch, branch, _LAGS))
+    lags = np.geomspace(0.02 * branch, branch, _LAGS)
+    columns = columns_of(_RADII)
+    without = columns.error_behind((0.0,), lags)
     if without < _VISIBLE:
         return None
-    behind = np.hstack([columns.hysteresis, columns.beside])
-    error = lambda delay: columns.error(delayed(behind, delay))
-    found = _best(error, _LONGEST * branch)
+    found = _best(lambda delay: _error(columns, delay), _LONGEST * branch)
     if found is None:
         return None
     samples, remaining = found
     if samples * stride < SHORTEST or remaining > REMAINS * without:
         return None
+    fine = columns_of(_FINE)  # a delay makes up for plays too coarse for a steep loop
+    if _error(fine, samples) > REMAINS * fine.error_behind((0.0,), lags):
+        return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
+
+
+def _error(columns: Regressors, delay: float) -> float:
+    """Least rms error of hysteresis that is delayed by so many samples."""
+    return columns.error(delayed(np.hstack([columns.hysteresis, columns.beside]), delay))
 
 
 def _best(error: Callable[[float], float], longest: float) -> tuple[float, float] | None:

@@ -210,6 +210,7 @@ def _loss(record: RecordQuality) -> str:
 def _changes(record: RecordQuality) -> Iterator[Note]:
     """Dependence on time and speed: drift, lag, velocity."""
     shape, drift, lag = record.shape, record.drift, record.lag
+    charge = quantity(record.units["y"]) in ("charge", "polarization")
     if drift is not None and drift.law != "none":
         slope, per, r2 = drift.per_cycle, "cycle", drift.r2_linear
         if drift.law == "logarithmic" and drift.per_decade is not None and drift.r2_log is not None:
@@ -224,7 +225,7 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
         yield warn(
             Code.LAG,
             f"the output lags the input by {lag.samples:.1f} +- {lag.stderr:.1f} samples{clock} at the reversals: a delay, a "
-            "fast lag or creep, not hysteresis",
+            f"fast lag{', leakage' if charge else ''} or creep, not hysteresis",
         )
     if record.slow_lag is not None:
         clock = f"{record.slow_lag / (record.sampling.rate or 1.0):.3g} {record.units['t']}".rstrip()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,7 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.quality.faults import SIGNIFICANCE
+from hystfit.quality.faults import CLEAR, SIGNIFICANCE, noise_rms
 from hystfit.quality.loops import APART
 
 _LEAST = 5  # number of curves from which records are recognized as a family
@@ -101,7 +102,9 @@ def _notes(curves: list[Record], rising: bool) -> list[str]:
             gap = sign * (at_inputs(lower, u) - at_inputs(upper, u))
             if gap.max() > worst:
                 worst, pair = float(gap.max()), (upper.name, lower.name)
-    if worst > SLACK * span:
+    known = [noise for noise, is_bound in (noise_rms(r.y) for r in curves) if noise and not is_bound]
+    chance = CLEAR * math.sqrt(2) * float(np.median(known)) if known else 0.0  # of the difference of two curves
+    if worst > max(SLACK * span, chance):
         notes.append(
             f"curves {pair[0]} and {pair[1]} cross by {100 * worst / span:.1f} % of the range: a non-negative density cannot "
             "describe this"

@@ -23,6 +23,7 @@ from hystfit.quality.faults import (
     holds,
     noise_rms,
     resolution,
+    saturated_samples,
     smoothing_length,
     spikes,
 )
@@ -141,7 +142,8 @@ def _summarize(record: Record) -> RecordQuality:
     lag = dynamics = slow_lag = None
     shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
-        lag = estimate_lag(u, y, interval, turns, u_noise=u_column.known_noise)
+        seen = np.where(saturated_samples(u, y), np.nan, y)  # a sensor at its limit does not show when the output turns
+        lag = estimate_lag(u, seen, interval, turns, u_noise=u_column.known_noise)
         dynamics = estimate_dynamics(u, y, interval)
         resonates = dynamics is not None and dynamics.resonant
         short = lag is not None and lag.samples + 2 * lag.stderr < SHORT
@@ -208,8 +210,12 @@ def _sampling(record: Record) -> Sampling:
 def _threshold(column: Column) -> float:
     """Change of u by which a turning point must stand out: above the noise, as far as sparse samples show it."""
     most = (0.03 if column.noise_is_bound else 0.1) * column.range
-    least = max(6 * (column.noise_rms or 0.0), 1.5 * (column.resolution or 0.0))
-    return max(0.005 * column.range, min(least, most))
+    return max(0.005 * column.range, min(_noisy(column), most))
+
+
+def _noisy(column: Column) -> float:
+    """Change of a column that noise and rounding alone make."""
+    return max(6 * (column.noise_rms or 0.0), 1.5 * (column.resolution or 0.0))
 
 
 def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndarray, list[geometry.Loop]]:
@@ -232,8 +238,8 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     motion = Motion(
         threshold=float(threshold),
         reversals=int(turns.size),
-        chatter_percent=chatter(u, branches),
-        smoothing=smoothing_length(u, branches),
+        chatter_percent=chatter(u, branches, _noisy(column)),
+        smoothing=smoothing_length(u, branches, _noisy(column)),
         closed_loops=len(loops),
         major=int(major),
         minor=len(loops) - int(major),

@@ -41,6 +41,11 @@ class Limits(NamedTuple):
         return cls(max(usable, NOISY * noise), max(_LARGEST, _PEAKS * noise))
 
 
+def two_digits(percent: float) -> str:
+    """A number with two significant digits, and no exponent."""
+    return f"{float(f'{percent:.2g}'):g}"
+
+
 def is_noise(rmse: float, baselines: Baselines) -> bool:
     """Whether the noise of the output explains an rms error [y]."""
     return baselines.noise is not None and rmse <= NOISY * baselines.noise
@@ -82,11 +87,11 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
     limits, found, largest = Limits.of(baselines), [], _lasting_percent(rows, baselines)
     if metrics.nrmse_percent > limits.error:
         found.append(
-            f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {limits.error:.2g} %"
+            f"the error is {metrics.nrmse_percent:.3g} % of the range, above the limit of {two_digits(limits.error)} %"
         )
     if largest > limits.largest:
         found.append(
-            f"an error of {largest:.3g} % of the range persists over three samples, above the limit of {limits.largest:.2g} %"
+            f"an error of {largest:.3g} % of the range persists over three samples, above the limit of {two_digits(limits.largest)} %"
         )
     if is_single_valued_error(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
         found.append(
@@ -131,8 +136,9 @@ def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Basel
     }
     beside = [f"{number(value, '.2g')} times {names[name]}" for name, value in over.items() if value is not None]
     text = (
-        f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {limits.error:.2g} %), largest {metrics.max_error_percent:.3g} % "
-        f"at one sample and {_lasting_percent(rows, baselines):.3g} % over three (limit {limits.largest:.2g} %)"
+        f"rms {what} {metrics.nrmse_percent:.3g} % of the range (limit {two_digits(limits.error)} %), largest "
+        f"{metrics.max_error_percent:.3g} % at one sample and {_lasting_percent(rows, baselines):.3g} % over three "
+        f"(limit {two_digits(limits.largest)} %)"
     )
     return Note(Code.ACCURACY, text + (f"; the rms {what} is " + ", ".join(beside) if beside else ""))
 

@@ -133,7 +133,7 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
 
     Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
     comes that of straight lines between the samples: the areas of every second and of every fourth sample show how fast it falls with their
-    distance (Richardson and Aitken).
+    distance (Richardson and Aitken). Where the input does not come back, it is at least the strip that is missing.
 
     Args:
         pairs: branches of each loop, in the order of time.
@@ -149,8 +149,15 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
     second, fourth = (float(np.median([abs(area(*pair)) for pair in thinned])) for thinned in (half, quarter))
     lost = abs(value - second)
     ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
-    error = float(np.hypot((separate and separate[1]) or 0.0, lost / np.clip(ratio, 1.0, 3.0)))
+    strip = float(np.median([_missing(*pair) for pair in pairs]))
+    error = float(np.hypot((separate and separate[1]) or 0.0, lost / np.clip(ratio, 1.0, 3.0))) + strip
     return value, error if error > 0 else None, len(areas)
+
+
+def _missing(one: Branch, other: Branch) -> float:
+    """Largest area that is missing where the input does not come back to where the loop began, by more than a step between samples."""
+    gap, step = abs(other.u[-1] - one.u[0]), float(np.max(np.abs(np.diff(other.u[-3:]))))
+    return float(gap * np.ptp(one.y)) if gap > max(SAME_LEVEL * float(np.ptp(one.u)), 1.5 * step) else 0.0
 
 
 def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:

@@ -23,6 +23,8 @@ class LoopKind(enum.StrEnum):
         """The kind of the records, by the units and names of their columns; `OTHER` where these tell of no other kind."""
         first = data[0]
         u, y = column_quantity(first.u_name, first.u_unit), column_quantity(first.y_name, first.y_unit)
+        if u in ("field", "induction") and first.y_unit.endswith(("deg", "rad", "°")):
+            return cls.OTHER  # light that a field turns (Kerr, Faraday), and no actuator
         for kind, inputs, outputs in _LOOP_KINDS:
             if u in inputs and y in outputs:
                 return kind

@@ -148,7 +148,9 @@ _NO_CYCLE = Note(
     "no closed loop: the input does not run there and back over one range; measure a whole cycle",
     Severity.WARNING,
 )
-_NO_AREA = Note(Code.NOT_CLOSED, "no loop: its branches differ by no more than the noise", Severity.WARNING)
+_NO_AREA = Note(
+    Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
+)
 _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 
@@ -162,7 +164,9 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.FERROELECTRIC:
         record, of_zero = centered(record)
         y = record.y[kept]
-    sigma = None if is_bound or noise is None else noise
+    sigma = (
+        noise  # of sparse samples the most that it can be: errors without it would be those of the straight lines alone
+    )
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
     turns = turns_of(u)
     if not turns.size:
@@ -174,7 +178,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs or cycles, sigma):
+    if not is_open(pairs or cycles, None if is_bound else sigma):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
@@ -256,8 +260,10 @@ def _levels(
         words = ("coercivity", "remanence") if named else ("half width", "half height")
         yield from _both(width, "coercive_input", words[0], units[0], sides=named)
         yield from _both(height, "remanence", words[1], units[1], sides=named)
-    error = None if sigma is None else _range_error(np.concatenate([b.y for b in branches]), sigma)
-    yield LoopValue("stroke", "range of the output", float(top - bottom), error, units[1])
+    one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
+    y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
+    error = None if sigma is None else _range_error(y, sigma)
+    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), error, units[1])
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
@@ -286,7 +292,9 @@ def _stiffness(
     """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
     width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
     each = None if sigma is None else sigma * float(np.sqrt(2)) / width
-    found = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in branches])
+    longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
+    of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
+    found = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
     if found is None:
         return
     unit = f"{units[1]}/{units[0]}".strip("/")

@@ -90,14 +90,19 @@ QUANTITIES: dict[str, Quantity] = {
         lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
-        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of the step", "%", None,
+        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first 1 s", "%",
+        None,
         leads=frozenset(LoopKind),
     ),
 }  # fmt: skip
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values."""
+    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
+
+    Args:
+        timed: whether the model creeps.
+    """
     kind = LoopKind.of(data)
     looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
@@ -159,6 +164,12 @@ class QuantityEstimate:
             return False
         apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
+
+    def vaguer_than(self, stderr: float | None) -> bool:
+        """Whether its error is visible, and larger than this one of a value that was read off other loops than the steady one."""
+        if None in (self.value, self.stderr, stderr) or self.measured is not None:
+            return False
+        return self.stderr > max(stderr, _VISIBLE * abs(self.value))  # type: ignore[operator,arg-type,type-var]
 
     def beside(self, value: float, stderr: float | None) -> QuantityEstimate:
         """The same beside another measured value."""

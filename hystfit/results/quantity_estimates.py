@@ -18,7 +18,7 @@ from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome.table import or_none
-from hystfit.params.relative_size import OPEN, relative_size
+from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.loop_branches import turns_of
@@ -44,7 +44,7 @@ def quantity_values(result: FitResult) -> dict[str, float | None]:
         result.data,
         Excitation.of(result.data, hardens=result.model.hardens),
         lambda record: _run(result, record, result.model)[None],
-        timed=not result.model.rate_independent,
+        timed=result.model.creeps,
     )
     return {name: or_none(one[0]) for name, one in values.items()}
 
@@ -55,9 +55,10 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     size, linear = relative_size(space, x), space.linear
     excitation = Excitation.of(result.data, hardens=result.model.hardens)
     outputs = lambda record: _perturbed(result, record, _STEP * size, linear)
-    values = values_of_outputs(result.data, excitation, outputs, timed=not result.model.rate_independent)
-    scales, rows, measured = result.problem.scales, [], measured_quantities(result.data)
+    values = values_of_outputs(result.data, excitation, outputs, timed=result.model.creeps)
+    scales, rows = result.problem.scales, []
     read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
+    measured = measured_quantities(result.data) if read else {}  # none of loops that noise alone opens
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
     if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
         part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
@@ -121,7 +122,9 @@ def _estimate(
     error = float(np.sqrt(max(slope @ np.where(np.isfinite(covariance), covariance, 0.0) @ slope, 0.0)))
     if error > OPEN * natural:
         return made(None, None, Unknown.NOT_DETERMINED)
-    return made(value, error, None)
+    return made(
+        value, error if error > ROUNDED * natural else None, None
+    )  # a loop of full height is 100 % at all parameters
 
 
 def values_of_outputs(
@@ -131,7 +134,7 @@ def values_of_outputs(
 
     Args:
         outputs: gives the outputs over a record, shape (count, T).
-        timed: whether the model depends on time.
+        timed: whether the model creeps.
     """
     names, found = applicable(data, timed=timed), {}
     with np.errstate(all="ignore"):
@@ -224,14 +227,14 @@ def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
 def measured_quantities(data: Dataset) -> dict[str, float]:
     """Quantities of the loops as measured, by name, without a model: medians over the closed loops that cover the range of all records.
 
-    Samples are joined by straight lines. Loops at other rates than the first, that of the steady loop of a fit, have other widths and do
-    not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from rest and the branch after it
-    are no loop.
+    Samples are joined by straight lines. Loops at other rates than the usual one of the first record, that of the steady loop of a fit,
+    have other widths and do not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from
+    rest and the branch after it are no loop.
     """
     excitation = Excitation.of(data)
     inputs = np.linspace(excitation.low, excitation.high, 2001)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
-    first = 0.0  # duration of the first loop
+    usual = 0.0  # duration of the large loops of the first record
     for record in data.map(from_turning_point):
         turns = np.unique([0, *turns_of(record.u), len(record) - 1]).tolist()
         found = [
@@ -239,13 +242,13 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
             for a, b in itertools.pairwise(turns)
         ]
         lasts = [0.0] * len(found) if record.t is None else (record.t[turns[2:]] - record.t[turns[:-2]]).tolist()
-        for pair, duration in zip(itertools.pairwise(found), lasts, strict=False):
-            if _closed(*pair):
-                first = first or duration
-                if duration > 0 and abs(np.log10(duration / first)) > SPEEDS_APART:
-                    continue
-                for rises, branch in pair:
-                    branches[rises].append(branch)
+        loops = [one for one in zip(itertools.pairwise(found), lasts, strict=False) if _closed(*one[0])]
+        usual = usual or float(np.median([duration for _, duration in loops] or [0.0]))
+        for pair, duration in loops:
+            if duration > 0 and abs(np.log10(duration / usual)) > SPEEDS_APART:
+                continue
+            for rises, branch in pair:
+                branches[rises].append(branch)
     if not branches[True]:
         return {}
     loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.force_driven, excitation.energy)

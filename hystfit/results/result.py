@@ -84,6 +84,13 @@ class FitResult(FittedModel, WithStatus):
         return self.problem.space.names
 
     @property
+    def advice(self) -> str:
+        """What to do about the status, in one sentence."""
+        if self.status is Status.NO_LOOP and any(self.measured.rows.values()):
+            return "there is no loop to fit: use the quantities that are read off the curve, and no model"
+        return super().advice
+
+    @property
     def device(self) -> AbstractHysteresis:
         """The fitted model, as that of one device.
 

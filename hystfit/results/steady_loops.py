@@ -1,9 +1,11 @@
 """Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
 
-The steady loop is the last of three cycles over the input range of the fit. The cycles of a model that hardens run the path of the record:
-the record need not show the loop of a new device at this amplitude. Where the record has a time, the cycles last as long as its own, with
-their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes half a sampling interval. Else they
-are triangular. The creep is that after a step over the same range, of a device that has rested at the lower end.
+The steady loop is the last of three cycles over the input range of the fit, after a device at rest in the middle has moved to the lower
+end: slow relaxation settles about the middle, and from rest at an end would still do so in the third cycle. The cycles of a model that
+hardens run the path of the record: the record need not show the loop of a new device at this amplitude. Where the record has a time, the
+cycles last as long as its own, with their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes
+half a sampling interval. Else they are triangular. The creep is that after a step over the same range, of a device that has rested at
+the lower end.
 """
 
 from __future__ import annotations
@@ -129,6 +131,7 @@ class Excitation:
         sine: whether the cycles of the records are nearer to a sine than to a triangle.
         points: samples of a cycle, an even number.
         cycles: the last of which shows the steady loop.
+        lead: samples of the way from the middle to the lower end before them; with 0 no cycle is corrected for what still settles.
         energy: that of a unit of area of a loop.
     """
 
@@ -139,6 +142,7 @@ class Excitation:
     sine: bool = False
     points: int = POINTS
     cycles: int = CYCLES
+    lead: int = 0
     energy: float = 1.0
 
     @classmethod
@@ -153,7 +157,8 @@ class Excitation:
         interval, sine, points = _waveform(data)
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
         energy = loop_energy(data.units["u"], data.units["y"])[1]
-        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, energy)
+        lead = 0 if hardens else points - points // 4
+        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, lead, energy)
 
     @functools.cached_property
     def inputs(self) -> np.ndarray:
@@ -164,29 +169,33 @@ class Excitation:
 
     @functools.cached_property
     def loop(self) -> Record:
-        """The cycles, of which the last shows the steady loop."""
-        inputs = self.inputs
-        u = np.tile(np.concatenate([inputs[:-1], inputs[:0:-1]]), self.cycles)
+        """The way from the middle to the lower end, and the cycles, the last of which shows the steady loop and ends where it began."""
+        cycle = np.concatenate([self.inputs[:-1], self.inputs[:0:-1]])
+        u = np.concatenate([cycle[cycle.size - self.lead :], np.tile(cycle, self.cycles), cycle[: bool(self.lead)]])
         return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
 
     @functools.cached_property
     def step(self) -> Record:
         """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
-        size = max(self.cycles * self.points, _AT_10S + 1)
+        size = max(len(self.loop), _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
         t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
         return Record(u=u, y=np.zeros(size), t=t, name="step")
 
     def loops(self, y: np.ndarray) -> SteadyLoops:
         """The steady loops in outputs over `loop`, shape (count, T)."""
-        half, y = self.points // 2, y[:, -self.points :]
+        half = self.points // 2
+        if self.lead:  # what still settles moves the end of the cycle away from its start
+            y, moved = y[:, -self.points - 1 : -1], y[:, -1:] - y[:, -self.points - 1, None]
+            y = y - moved * np.arange(self.points) / self.points
+        y = y[:, -self.points :]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
         return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy)
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
-        """Creep a decade in percent of the step, from outputs over `step`, shape (count, T)."""
-        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, 2] - y[:, 1])
+        """Creep a decade in percent of the change in the first second, by when a fast lag is over, from outputs over `step`, (count, T)."""
+        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, _AT_1S] - y[:, 1])
 
 
 def creeps(percent: np.ndarray) -> bool:

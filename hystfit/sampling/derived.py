@@ -22,13 +22,13 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
     By default all quantities that the records and the model have; `count` draws are simulated.
     """
     posterior = dataclasses.replace(posterior, result=posterior.result.settled)
-    timed = not posterior.result.model.rate_independent
+    timed = posterior.result.model.creeps
     have = applicable(posterior.result.data, timed=timed)
     names = list(quantities) if quantities else list(have)
     if unknown := [name for name in names if name not in QUANTITIES]:
         raise ParameterError(f"no quantity {unknown}; there are {', '.join(QUANTITIES)}")
     if CREEP in names and not timed:
-        raise ParameterError(f"{posterior.result.name} does not depend on time: it has no creep")
+        raise ParameterError(f"{posterior.result.name} has no creep")
     if other := [name for name in names if name not in have]:
         raise ParameterError(f"{', '.join(other)}: for records of force and displacement, known by their units")
     excitation = Excitation.of(posterior.result.data, hardens=posterior.result.model.hardens)

@@ -17,7 +17,7 @@ from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import clear_reversals
 from hystfit.reading import datasets
-from hystfit.results.accuracy import Limits
+from hystfit.results.accuracy import Limits, two_digits
 from hystfit.results.loop_kinds import REMANENT, LoopKind
 from hystfit.results.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
@@ -107,7 +107,8 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
 def _error(result: FitResult) -> str:
     unit = result.data.units["y"]
     size = f"{number(result.train.rmse, '.3g')} {unit}".rstrip()
-    text = f"{number(result.train.nrmse_percent, '.3g')} % of the range ({size} rms); limit {Limits.of(result.baselines).error:.2g} %"
+    limit = two_digits(Limits.of(result.baselines).error)
+    text = f"{number(result.train.nrmse_percent, '.3g')} % of the range ({size} rms); limit {limit} %"
     noise = result.baselines.noise
     if noise:
         text += f"; noise of the output {noise:.2g} {unit}".rstrip()
@@ -127,10 +128,9 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             for one in read
         ]
     kind, rows = LoopKind.of(result.data), []
-    crossed = (
-        kind in REMANENT and len(result.data) == 1
-    )  # fields that read coercivity and remanence where the loop passes zero
-    at_zero = {one.name: one for one in next(iter(result.measured.rows.values()), ()) if crossed}
+    alone = len(result.data) == 1
+    measured = {one.name: one for one in next(iter(result.measured.rows.values()), ()) if alone}
+    crossed = kind in REMANENT  # fields that read coercivity and remanence where the loop passes zero
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
@@ -141,14 +141,18 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         value, error = rounded(q.value, q.stderr)
         known = f" +- {error}" if q.stderr else ""
         text = f"{value}{known} {q.unit}".rstrip()
-        read = at_zero.get(q.name) if one.at_middle else None
+        read = measured.get(q.name)
+        seen = "" if read is None else " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
         if q.differs:
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
-        elif read is not None and read.unit == q.unit and q.beside(read.value, read.stderr).differs:
-            zero = " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
-            text = (
-                f"{zero} {q.unit}".rstrip() + f" where the measured loop passes zero; {text} by the model at the middle"
-            )
+        elif read is None or read.unit != q.unit:
+            pass
+        elif crossed and one.at_middle:
+            if q.beside(read.value, read.stderr).differs:
+                zero = f"{seen} {q.unit}".rstrip()
+                text = f"{zero} where the measured loop passes zero; {text} by the model at the middle"
+        elif q.vaguer_than(read.stderr):
+            text = f"{f'{seen} {q.unit}'.rstrip()} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     return rows
 
