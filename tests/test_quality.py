@@ -608,7 +608,7 @@ def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
     cases = [
         (Record(u, measured, t=t), "prandtl-ishlinskii"),
         (Record(u, late, t=t), "lag+"),
-        (Record(u, steel(u), t=t), "prandtl-ishlinskii-stop"),
+        (Record(u, steel(u)), "prandtl-ishlinskii-stop"),
         (Record(u, u**2, t=t), None),
     ]
     for data, model in cases:

@@ -528,10 +528,10 @@ def test_columns_without_names_come_with_the_options_that_swap_them(tmp_path: Pa
 
 def test_the_column_that_separates_curves_in_time_names_them(tmp_path: Path) -> None:
     rows = [f"{run},{time},{np.sin(time)},{np.cos(time)}" for run in "ab" for time in range(20)]
-    (tmp_path / "runs.csv").write_text("\n".join(["device,t_s,u_V,y_um", *rows]))
+    (tmp_path / "runs.csv").write_text("\n".join(["bench,t_s,u_V,y_um", *rows]))
     data = hf.read(tmp_path / "runs.csv")
-    assert [record.name for record in data] == ["device=a", "device=b"]
-    assert [record.name for record in hf.read(tmp_path / "runs.csv", by="device")] == ["device=a", "device=b"]
+    assert [record.name for record in data] == ["bench=a", "bench=b"]
+    assert [record.name for record in hf.read(tmp_path / "runs.csv", by="bench")] == ["bench=a", "bench=b"]
     assert not any("not used" in note.text for note in data[0].notes)
     assert any("column 'device'" in note.text for note in data[0].notes)
 
