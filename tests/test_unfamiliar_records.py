@@ -533,7 +533,7 @@ def test_the_column_that_separates_curves_in_time_names_them(tmp_path: Path) -> 
     assert [record.name for record in data] == ["bench=a", "bench=b"]
     assert [record.name for record in hf.read(tmp_path / "runs.csv", by="bench")] == ["bench=a", "bench=b"]
     assert not any("not used" in note.text for note in data[0].notes)
-    assert any("column 'device'" in note.text for note in data[0].notes)
+    assert any("column 'bench'" in note.text for note in data[0].notes)
 
 
 def test_a_switch_is_neither_clipped_nor_damaged() -> None:
