@@ -14,7 +14,6 @@ import pytest
 import hystfit as hf
 from hystfit.errors import DataError, HystfitError
 from hystfit.results import folders
-from hystfit.sampling import files
 
 from .hard import faults
 from .saved_examples import fitted, posterior_of
@@ -130,8 +129,7 @@ def test_a_fault_while_a_first_fit_is_saved_leaves_it_or_none(new, tmp_path, fau
 
 
 @pytest.mark.parametrize("fault", [Killed, pytest.param(OSError, marks=pytest.mark.slow)])
-def test_a_fault_while_a_posterior_is_replaced_mixes_nothing(old, new, tmp_path, fault, monkeypatch):
-    monkeypatch.setattr(files, "write_into", lambda *_, **__: None)  # pictures take long
+def test_a_fault_while_a_posterior_is_replaced_mixes_nothing(old, new, tmp_path, fault):
     before, after, folder = posterior_of(old), posterior_of(new), tmp_path / "draws"
     pair = lambda posterior: (posterior.to_dict(), posterior.result.to_dict())
     pairs, fits = (pair(before), pair(after)), (old.to_dict(), new.to_dict())
