@@ -207,7 +207,7 @@ class _Trials:
             if min(most, best) < (least := self.fitted(strengths[k])):
                 self.least = min(self.least, least) if most < least else self.least
                 return np.inf
-            found = self.error(strengths[k], refitted=refitted, most=_EQUAL * best)
+            found = self.error(strengths[k], refitted=refitted, most=_EQUAL * min(errors))
             best = min(best, found)
             return found
 
@@ -216,13 +216,11 @@ class _Trials:
             for k in every:  # each solution starts the next
                 if strengths[k] > likely:
                     self.solved(strengths[k])
-            known = error(strengths.index(likely))
+            error(strengths.index(likely))
         for k in every:
             errors[k] = error(k)
             if errors[k] > _EQUAL * min(errors):
                 break
-        if likely is not None:
-            errors[strengths.index(likely)] = known
         at = int(np.argmin(errors))
         for k in range(max(at - 1, 0), min(at + 2, len(strengths))):
             errors[k] = error(k)
