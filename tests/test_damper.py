@@ -142,3 +142,11 @@ def test_a_record_that_begins_in_motion_is_fitted_to_its_noise(model: str) -> No
     record = hf.Record(u=u, y=5000.0 * u + 3000.0 * rate + noise, t=t)
     result = hf.fit(model, record)
     assert result.train.rmse < 1.15 * noise.std()
+
+
+@pytest.mark.parametrize("dt", [[0.01], [0.0, 0.0], [0.01, 0.0], [0.0, 0.0, 0.01]])
+def test_time_need_not_pass_after_the_first_sample(dt: list[float]) -> None:
+    model, u = random_damper(6, lead=0.5), np.array([0.4, 0.7, 0.1])[: len(dt)]
+    expected = plain(model, u, np.array(dt))
+    np.testing.assert_allclose(model.free_run(u, np.array(dt)), expected, atol=1e-10)
+    np.testing.assert_allclose(np.asarray(hf.simulate(model, u, np.array(dt))[0]), expected, atol=1e-10)

@@ -24,6 +24,7 @@ from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
+from hystfit.quality.recursions import recursion
 
 # Of stops of the displacement and of the velocity, over half the stroke and the speed; and of the bends of saturating forces.
 _STROKES = tuple(np.geomspace(0.002, 1.2, 16))
@@ -132,7 +133,7 @@ class Damper(AbstractHysteresis):
         left = jnp.where(stage == _READ, 0.0, jnp.exp(-dt / self.tau))
         ahead = rate + self.lead * (rate - jnp.where(stage == _READ, rate, last))
         w = jnp.where(dt > 0, left * before + (1.0 - left) * ahead, before)
-        stage = jnp.where((stage == 0) & (u1 == u0), _READ, jnp.where((stage == _READ) & (dt <= 0), _READ, _MOVING))
+        stage = jnp.where(((stage == 0) & (u1 == u0)) | ((stage == _READ) & (dt <= 0)), _READ, _MOVING)
         x = (u1 - self.center) / self.half
         p, q = _follow(state[: len(_STROKES)], x, _STROKES), _follow(state[len(_STROKES) : -3], w, _LAGS)
         y = self.offset + jnp.dot(self.spring, x ** jnp.asarray(_SPRING)) + self.viscous * w
@@ -167,21 +168,14 @@ class Damper(AbstractHysteresis):
 
     def _velocity(self, u: np.ndarray, dt: np.ndarray) -> np.ndarray:
         """w at every sample, shape (T,)."""
-        passes = dt > 0
         with np.errstate(divide="ignore", invalid="ignore"):  # without a lag, the velocity is that of the sample
-            left = np.where(passes, np.exp(-dt / float(self.tau)), 1.0)
-        first = 1 + np.flatnonzero(passes[1:])[:1]
-        left[first] = 0.0  # no transient in the first interval
-        at = np.flatnonzero(passes)
-        rates = np.diff(u, prepend=u[0])[at] / dt[at] / float(self.speed)
-        before = np.concatenate([rates[:1], rates[:-1]])
-        before[at == first] = rates[at == first]
-        driven = np.zeros(u.size)
-        driven[at] = (1.0 - left[at]) * (rates + float(self.lead) * (rates - before))
-        w, last = np.empty(u.size), 0.0
-        for k, (kept, added) in enumerate(zip(left.tolist(), driven.tolist(), strict=True)):
-            w[k] = last = kept * last + added
-        return w
+            left = np.where(dt > 0, np.exp(-dt / float(self.tau)), 1.0)
+        at, driven = 1 + np.flatnonzero(dt[1:] > 0), np.zeros(u.size)
+        left[at[:1]] = 0.0  # no transient in the first interval
+        rates = np.diff(u)[at - 1] / dt[at] / float(self.speed)
+        changes = np.diff(rates, prepend=rates[:1])
+        driven[at] = (1.0 - left[at]) * (rates + float(self.lead) * changes)
+        return recursion((1.0, np.append(-left[1:], 0.0)), driven[:, None])[:, 0]
 
     def start(self, records: Sequence[Record]) -> Damper:
         """Stroke and speed of the records, and the best of a few strains, leads and lags; the weights follow from a linear solve."""

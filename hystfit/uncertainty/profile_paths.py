@@ -132,11 +132,9 @@ class Walk:
         optimum too.
         """
         point = self._refit(value, before.v)
-        return (
-            point
-            if self._ordinary(point)
-            else min(point, self._refit(value, self.optimum.v), key=lambda one: one.value)
-        )
+        if self._ordinary(point):
+            return point
+        return min(point, self._refit(value, self.optimum.v), key=lambda one: one.value)
 
     def _spread_refit(self, value: float, point: Point) -> Point:
         """A refit, or the best of several starts where it would end the path although its statistic is not that of the curvature."""

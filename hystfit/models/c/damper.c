@@ -46,7 +46,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     if (next) {
         next[end] = w;
         next[end + 1] = rate;
-        next[end + 2] = s[end + 2] == 0 && u1 == u0 ? 1 : s[end + 2] == 1 && dt <= 0 ? 1 : 2;
+        next[end + 2] = (s[end + 2] == 0 && u1 == u0) || (s[end + 2] == 1 && dt <= 0) ? 1 : 2;
     }
     return y;
 }

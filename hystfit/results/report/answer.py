@@ -142,17 +142,16 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         known = f" +- {error}" if q.stderr else ""
         text = f"{value}{known} {q.unit}".rstrip()
         read = measured.get(q.name)
-        seen = "" if read is None else " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
         if q.differs:
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
-        elif read is None or read.unit != q.unit:
-            pass
-        elif crossed and one.at_middle:
-            if q.beside(read.value, read.stderr).differs:
-                zero = f"{seen} {q.unit}".rstrip()
-                text = f"{zero} where the measured loop passes zero; {text} by the model at the middle"
-        elif q.vaguer_than(read.stderr):
-            text = f"{f'{seen} {q.unit}'.rstrip()} in the measured loops; {text} by the model"
+        elif read is not None and read.unit == q.unit:
+            at_zero = crossed and one.at_middle
+            seen = " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
+            seen = f"{seen} {q.unit}".rstrip()
+            if at_zero and q.beside(read.value, read.stderr).differs:
+                text = f"{seen} where the measured loop passes zero; {text} by the model at the middle"
+            elif not at_zero and q.vaguer_than(read.stderr):
+                text = f"{seen} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     return rows
 
