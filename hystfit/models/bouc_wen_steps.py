@@ -132,24 +132,25 @@ def _unheld(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:
 def _trapezoid_slope(values: tuple[Array, ...], tangents: tuple[Array, ...]) -> tuple[Array, Array]:
     h, dv, m, up, down = values
     s, x = jnp.where(dv < 0, -1.0, 1.0), jnp.abs(dv)
-    q, highest = s * h, bound(m, up)
-    moved = _unheld(q, x, m, up, down)
-    new = s * _held(moved, q, highest)
-    below = over(rise_below_zero(q, x, m), m)
-    half = 0.5 * rate_integral(q, x, m, up, down)
-    low, high = _range(q, highest)
+    each_m, each_up = over(jnp.ones_like(m), m), 1 / jnp.where(up > 0, up, 1.0)  # lanes spend most of their time in divisions
+    q, rise, slope = s * h, m * x, (down - up) * each_m
+    risen = rise_below_zero(q, x, m)
+    half, below = 0.5 * (up * x + slope * risen), risen * each_m
+    each = 1 / (1 + half)
+    moved = ((1 - half) * q + rise) * each
+    low, high = _range(q, jnp.where(up > 0, m * each_up, jnp.inf))
     above, short = moved > high, moved < low
+    new = s * jnp.where(above, high, jnp.where(short, low, moved))
     free, stays = ~(above | short), (above & (high == q)) | (short & (low == q))
-    pinned = ~free & ~stays  # on the bound m / up
-    safe, each = jnp.where(up > 0, up, 1.0), 1 / (1 + half)
-    turn = jnp.where(free, -0.5 * s * (q + moved) * each, 0.0)  # by the integral of the rates
-    cross = jnp.where((q < 0) & (-q < m * x), over(up - down, m), 0.0)
-    rising = jnp.where(-q >= m * x, down, up)
-    by_h = jnp.where(free, (1 - half) * each + s * turn * cross, jnp.where(stays, 1.0, 0.0))
-    by_dv = jnp.where(free, m * each + s * turn * rising, 0.0)
-    by_m = jnp.where(free, dv * each + turn * cross * below, jnp.where(pinned, s / safe, 0.0))
-    by_up = turn * (x - below) + jnp.where(pinned, -new / safe, 0.0)
-    by_down = turn * below
+    pinned = jnp.where(free | stays, 0.0, each_up)  # on the bound m / up
+    each = jnp.where(free, each, 0.0)
+    turn = -0.5 * s * (q + moved) * each  # by the integral of the rates
+    cross = jnp.where((q < 0) & (-q < rise), -slope, 0.0)
+    rising = jnp.where(-q >= rise, down, up)
+    by_h = (1 - half) * each + s * turn * cross + jnp.where(stays, 1.0, 0.0)
+    by_dv = m * each + s * turn * rising
+    by_m = dv * each + turn * cross * below + s * pinned
+    by_up, by_down = turn * (x - below) - new * pinned, turn * below
     h_dot, dv_dot, m_dot, up_dot, down_dot = tangents
     return new, by_h * h_dot + by_dv * dv_dot + by_m * m_dot + by_up * up_dot + by_down * down_dot
 
