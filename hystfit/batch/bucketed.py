@@ -12,7 +12,7 @@ from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.lanes import Ends, Stack, descend_lanes
 from hystfit.fitting.least_squares import ROUGH, ROUND, ROUNDS
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
-from hystfit.fitting.polish import EXACT, gain_within
+from hystfit.fitting.polish import EXACT, NEAR, gain_within
 from hystfit.fitting.thinning import thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
@@ -68,15 +68,18 @@ def solve_stack(
     rough = descend_lanes(some, lanes, starts.reshape(-1, p), gain=ROUGH, steps=steps)
     z, cost, damping, taken = rough.normal.z, rough.cost, rough.damping, rough.steps
     least = lambda: several * records + np.argmin(cost.reshape(count, several), axis=1)
-    going = np.union1d(least(), several * records) if several > 1 and steps >= ROUND else least()[:0]
+    if several > 1 and steps >= ROUND:
+        going = np.union1d(least(), several * records)
+    else:
+        going = least() if short is not None else records[:0]
     going = going[~rough.converged[going] & ~rough.beaten[going] & np.isfinite(cost[going])]
     if going.size:
-        more = descend_lanes(some, lanes[going], z[going], gain=ROUGH, steps=ROUNDS * ROUND)
+        more = descend_lanes(some, lanes[going], z[going], gain=ROUGH, steps=ROUNDS * ROUND, beside=len(lanes))
         taken[going] += more.steps
         better = more.cost <= cost[going]
         at = going[better]
         z[at], cost[at], damping[at] = (values[better] for values in (more.normal.z, more.cost, more.damping))
-    best, exact = least(), gain_within(EXACT, full.samples)
+    best, exact = least(), gain_within(EXACT if short is None else NEAR, full.samples)
     ends = descend_lanes(full, records, z[best], gain=exact, steps=_MORE, damping=damping[best])
     return ends, cost.reshape(count, several), ends.steps + taken.reshape(count, several).sum(axis=1)
 

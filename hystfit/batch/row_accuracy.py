@@ -28,7 +28,8 @@ from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals
 from hystfit.results.accuracy import NOISY, VISIBLE, persistent_error
 
-_ON_CURVE = 2**11  # samples on which a curve is fitted: its error is known to 2 %
+_ON_CURVE = 2**9  # samples on which a curve is fitted: its error is known to 3 %
+_ENOUGH = 2**11  # differences whose median is taken: it is known to 3 %
 _LIMIT = 3  # samples at the largest or smallest output: a saturated sensor shows four
 _SPARSE = 0.9  # noise by differences of order 6 over that of order 3, below which it still contains the signal
 _ROUNDED = 0.06  # of the least step between neighbors: noise below it may be rounding
@@ -43,7 +44,8 @@ def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
     sizes = []
     for order in range(2, 7):
         difference = xp.diff(difference, axis=1)
-        middle, size = difference.shape[1] // 2, xp.abs(difference)
+        size = xp.abs(difference[:, :: _stride(difference.shape[1], _ENOUGH)])
+        middle = size.shape[1] // 2
         # Of single numbers a selection takes 0.6 of its time; on a GPU a sort takes less.
         median = (np.partition(size.astype("f4"), middle) if xp is np else xp.sort(size))[:, middle]
         sizes.append(MAD_TO_RMS * median / math.sqrt(math.comb(2 * order, order)))
@@ -64,21 +66,21 @@ def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> A
 
 
 def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
-    """Orthonormal polynomials over the input for `curve_errors`, on at most 2048 samples at even distances."""
-    u = u[:: _stride(u.size)]
+    """Orthonormal polynomials over the input for `curve_errors`, on at most 512 samples at even distances."""
+    u = u[:: _stride(u.size, _ON_CURVE)]
     low, high = u.min(), u.max()
     return np.linalg.qr(np.polynomial.legendre.legvander((2 * u - low - high) / (high - low), degree))[0]
 
 
 def curve_errors(basis: Float[Any, "m k"], y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
     """RMS error of the best of these polynomials over the input, for each row."""
-    y = y[:, :: _stride(y.shape[1])]
+    y = y[:, :: _stride(y.shape[1], _ON_CURVE)]
     rest = y - (y @ basis) @ basis.T
     return xp.sqrt(xp.mean(rest**2, axis=1))
 
 
-def _stride(samples: int) -> int:
-    return -(-samples // _ON_CURVE)
+def _stride(samples: int, most: int) -> int:
+    return -(-samples // most)
 
 
 # Part of a limit of a fit that is judged alone, up to which the same verdict is beyond doubt.
@@ -235,7 +237,8 @@ def _is_even(frame: _Frame, residual: Float[Any, "N m"], span: Float[Any, " N"],
     total = squares.sum(axis=1)
     change = xp.diff(residual, axis=1)
     change = (change - change.mean(axis=1, keepdims=True)) ** 2
-    plain = (xp.mean(change**2, axis=1) / xp.mean(change, axis=1) ** 2 - 3 < MARGIN * TAILS) & (samples >= _FEWEST)
+    kurtosis = xp.vecdot(change, change) / (samples - 1) / xp.mean(change, axis=1) ** 2
+    plain = (kurtosis - 3 < MARGIN * TAILS) & (samples >= _FEWEST)
     sums, width = xp.cumsum(squares, axis=1), int(SHORT / MARGIN * samples) + 1
     plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
     size = persistent_error(residual, xp)

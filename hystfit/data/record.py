@@ -103,6 +103,16 @@ class Record:
         return used
 
     @property
+    def first(self) -> int:
+        """The first sample that counts."""
+        return int(np.argmax(self.used))
+
+    @property
+    def last(self) -> int:
+        """The last sample that counts."""
+        return len(self) - 1 - int(np.argmax(self.used[::-1]))
+
+    @property
     def rate_known(self) -> np.ndarray:
         """Samples at which the rate of the input is known, shape (T,), bool: not the first one where the record begins in motion."""
         known = np.ones(len(self), dtype=bool)

@@ -64,8 +64,11 @@ def _between(x: float, places: Float[np.ndarray, " T"], rows: Float[np.ndarray, 
 
 def _turn(v: np.ndarray, span: float) -> int:
     """Where a rise ends: the largest value before the first step back; the last sample where there is none."""
-    back = np.flatnonzero(np.maximum.accumulate(v) - v > SLACK * span)
-    return int(np.argmax(v[: back[0]])) if back.size else v.size - 1
+    for stop in (v.size // 16, v.size):  # most rises end soon
+        back = np.flatnonzero(np.maximum.accumulate(v[:stop]) - v[:stop] > SLACK * span)
+        if back.size:
+            return int(np.argmax(v[: back[0]]))
+    return v.size - 1
 
 
 def with_steady_start(record: Record) -> Record:
@@ -76,7 +79,7 @@ def with_steady_start(record: Record) -> Record:
 
 def from_turning_point(record: Record) -> Record:
     """The measured samples of a single steady period from its first turning point to the same one a period later; others unchanged."""
-    start = int(np.argmax(record.used))
+    start = record.first
     measured = record.replace(u=record.u[start:], y=record.y[start:], t=None, weight=record.weight[start:])
     if steady_period(measured) != len(measured):
         return record

@@ -71,7 +71,7 @@ def notes_of_model(data: Dataset, model: AbstractHysteresis) -> list[Note]:
 
 def _counted(record: Record) -> tuple[np.ndarray, np.ndarray | None]:
     """Input and time steps of a record from its first sample that counts: not from a calibration point before a reversal curve."""
-    first = int(np.argmax(record.used))
+    first = record.first
     return record.u[first:], None if record.dt is None else record.dt[first:]
 
 

@@ -119,6 +119,7 @@ def descend_lanes(
     steps: int,
     damping: Float[np.ndarray, " L"] | None = None,
     device: Any = None,
+    beside: int = 0,
 ) -> Ends:
     """Minimize half the sum of squared misfits from every lane.
 
@@ -130,6 +131,7 @@ def descend_lanes(
         steps: linearizations of a lane at most.
         damping: of the first steps; that of other descents which the lanes continue.
         device: where; by default a GPU for many lanes where there is one, else the CPU.
+        beside: lanes of an earlier call, whose program is there.
     """
     device = device_for(len(z)) if device is None else device
     lane, numbers = Lane.at(np.array(z, float), damping), np.asarray(records)
@@ -138,7 +140,7 @@ def descend_lanes(
         for part in _parts(left, max(_TOGETHER // stack.samples, 1)):
             lane.put(part, _together(stack, numbers[part], lane.rows(part), tolerance, steps, device))
     left, given_up = left[~lane.ended & (lane.steps < steps)], np.zeros(len(z), bool)
-    many = left.size * stack.samples >= _PAYS
+    many = max(left.size, beside) * stack.samples >= _PAYS
     for part in _parts(left, _chunk(stack.samples, many)):
         ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps, many)
         lane.put(part, ended)

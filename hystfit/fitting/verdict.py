@@ -42,16 +42,7 @@ _CYCLED = 4  # reversals: the half cycles after the first one that show whether 
 
 def turns_back(data: Iterable[Record]) -> bool:
     """Whether any record's input reverses by more than 2 % of its range while samples count."""
-    for record in data:
-        first, last = np.flatnonzero(record.used)[[0, -1]]
-        u = record.u[first : last + 1]
-        span = float(np.ptp(u))
-        lowest, highest = np.minimum.accumulate(u), np.maximum.accumulate(u)
-        risen = float(np.max(np.subtract(u, lowest, out=lowest)))
-        fallen = float(np.max(np.subtract(highest, u, out=highest)))
-        if min(risen, fallen) > SAME_LEVEL * span > 0:
-            return True
-    return False
+    return any(clear_reversals(record.u[record.first : record.last + 1]).size for record in data)
 
 
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:

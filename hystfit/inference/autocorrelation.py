@@ -34,8 +34,8 @@ def correlated_rows(x: Float[Any, "N T"], xp: Any = np) -> Any:
     if n < 30:
         return xp.zeros(len(x), bool)
     x = x - x.mean(axis=1, keepdims=True)
-    power = xp.einsum("nt,nt->n", x, x)[:, None]
-    sums = xp.stack([xp.einsum("nt,nt->n", x[:, :-lag], x[:, lag:]) for lag in range(1, 11)], axis=1)
+    power = xp.vecdot(x, x)[:, None]
+    sums = xp.stack([xp.vecdot(x[:, :-lag], x[:, lag:]) for lag in range(1, 11)], axis=1)
     first = xp.where(power > 0, sums / xp.where(power > 0, power, 1.0), 0.0)
     limit = 23.21  # 99 % point of chi squared with ten degrees of freedom
     return n * (n + 2) * xp.sum(first**2 / (n - np.arange(1, 11)), axis=1) >= limit

@@ -111,7 +111,7 @@ def used_samples(records: Sequence[Record]) -> tuple[np.ndarray, np.ndarray]:
 
 def first_output(record: Record) -> float:
     """The first output that counts."""
-    return float(record.y[np.argmax(record.used)])
+    return float(record.y[record.first])
 
 
 def fit_linear(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:

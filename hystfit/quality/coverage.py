@@ -31,7 +31,7 @@ class Coverage:
     @classmethod
     def of(cls, records: Iterable[Record]) -> Coverage:
         """Coverage of records up to their last sample that counts, at least one record; strokes below 5 % of the range are omitted."""
-        inputs = [record.u[: 1 + int(np.flatnonzero(record.used)[-1])] for record in records]
+        inputs = [record.u[: record.last + 1] for record in records]
         low, high = min(float(u.min()) for u in inputs), max(float(u.max()) for u in inputs)
         least = APART * (high - low)
         found = np.concatenate([strokes(u, least) for u in inputs])

@@ -29,12 +29,12 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     """
     u = np.asarray(u, dtype=float)
     steps = np.diff(u)
-    moves = (
-        np.arange(steps.size) if steps.all() else np.flatnonzero(steps)
-    )  # the latter takes the time of all other steps
+    moves, rises = np.arange(steps.size), steps > 0
+    if not steps.all():  # these take twice the time of all other steps
+        moves = np.flatnonzero(steps)
+        rises = rises[moves]
     if moves.size == 0:
         return np.empty(0, dtype=int)
-    rises = (steps > 0)[moves]
     # only local extremes can be turning points: the value before each change of direction, first of its flat run
     change = np.flatnonzero(rises[1:] != rises[:-1])
     corners = np.concatenate([[0], moves[change] + 1, [moves[-1] + 1]]).tolist()

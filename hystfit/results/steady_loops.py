@@ -49,12 +49,12 @@ class SteadyLoops:
     force_driven: bool = False
     energy: float = 1.0
 
-    @property
+    @functools.cached_property
     def gap(self) -> Float[np.ndarray, "count P"]:
         """Height of the loop at each input."""
         return np.abs(self.falling - self.rising)
 
-    @property
+    @functools.cached_property
     def stroke(self) -> Float[np.ndarray, " count"]:
         """Range of the output."""
         return np.maximum(self.rising.max(1), self.falling.max(1)) - np.minimum(self.rising.min(1), self.falling.min(1))
@@ -64,12 +64,12 @@ class SteadyLoops:
         """Range of the input."""
         return float(self.inputs[-1] - self.inputs[0])
 
-    @property
+    @functools.cached_property
     def area(self) -> Float[np.ndarray, " count"]:
         """Enclosed area."""
         return np.abs(np.trapezoid(self.falling - self.rising, self.inputs, axis=1))
 
-    @property
+    @functools.cached_property
     def lobed(self) -> Bool[np.ndarray, " count"]:
         """Whether the branches cross (a butterfly): lobes in opposite directions have no common height, and their areas cancel."""
         return has_lobes(self.area, np.trapezoid(self.gap, self.inputs, axis=1), self.stroke * self.width)
@@ -205,7 +205,7 @@ def creeps(percent: np.ndarray) -> bool:
 
 def _cycles_of_path(data: Dataset, span: float) -> int:
     """Cycles over a range that run at most the longest path of a record up to its last sample that counts."""
-    path = max(float(np.abs(np.diff(record.u[: np.flatnonzero(record.used)[-1] + 1])).sum()) for record in data)
+    path = max(float(np.abs(np.diff(record.u[: record.last + 1])).sum()) for record in data)
     return int(np.clip(path / (2 * span), CYCLES, 50)) if span > 0 else CYCLES
 
 
@@ -236,11 +236,7 @@ def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.
     low, high = (extreme.reduceat(np.append(u, u[-1]), edges)[::2] for extreme in (np.minimum, np.maximum))
     middle, half, duration = 0.5 * (low + high), 0.5 * (high - low), t[last] - t[first]
 
-    widths, total = 0.5 * np.diff(t), np.zeros(t.size)
-
-    def integral(y: np.ndarray) -> np.ndarray:
-        np.cumsum((y[1:] + y[:-1]) * widths, out=total[1:])
-        return total[last] - total[first]
-
+    widths, ends = np.append(0.5 * np.diff(t), 0.0), np.stack([first, last], axis=1).ravel()
+    integral = lambda y: np.add.reduceat(np.append(y[1:] + y[:-1], 0.0) * widths, ends)[::2]
     squares = integral(u**2) - 2 * middle * integral(u) + middle**2 * duration
     return np.sqrt(squares / duration) / half
