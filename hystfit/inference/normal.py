@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -85,6 +86,16 @@ def _operations(jaxpr: Any) -> set[str]:
     return {one.primitive.name for one in jaxpr.eqns}.union(*(_operations(part) for parts in inner for part in parts))
 
 
+def _depends(function: Callable[[Array], Any], value: Array) -> bool:
+    """Whether what a function returns depends on its argument, as far as its operations show."""
+    jaxpr = jax.make_jaxpr(function)(value).jaxpr
+    reached = {id(variable) for variable in jaxpr.invars}
+    for one in jaxpr.eqns:
+        if any(id(variable) in reached for variable in one.invars):
+            reached |= {id(variable) for variable in one.outvars}
+    return any(id(variable) in reached for variable in jaxpr.outvars)
+
+
 def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1, block: int | None = None) -> Normal:
     """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
 
@@ -115,15 +126,23 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1,
     single = first.shape == (1,)
     inner, outer = (lambda s: s[None], lambda s: s[0]) if single else (lambda s: s, lambda s: s)
     begin = lambda leaf: lambda value: outer(with_leaf(leaf, value).init(u[0]))
-    along = [jax.jvp(begin(leaf), (leaves[leaf],), (way,))[1] for (leaf, _), way in zip(places, ways, strict=True)]
+    moves = lambda leaf: lambda value: (begin(leaf)(value), with_leaf(leaf, value).step(first, u[0], u[0], dt[0])[0])
+    along = [
+        jax.jvp(begin(leaf), (leaves[leaf],), (way,))[1] if _depends(moves(leaf), leaves[leaf]) else None
+        for (leaf, _), way in zip(places, ways, strict=True)
+    ]
 
     def once(carry: Any, row: Any) -> tuple[Any, None]:
         (state, before, along, cost, gradient, matrix), (now, step, measured, root) = carry, row
         moved, slopes = [], []
+        advance = lambda leaf: lambda value, s: with_leaf(leaf, value).step(inner(s), before, now, step)
+        after, out = advance(0)(leaves[0], state)
         for (leaf, _), way, push in zip(places, ways, along, strict=True):
-            advance = lambda value, s, leaf=leaf: with_leaf(leaf, value).step(inner(s), before, now, step)
-            (after, out), (change, slope) = jax.jvp(advance, (leaves[leaf], state), (way, push))
-            moved.append(outer(change))
+            if push is None:  # of an offset, say
+                slope = jax.jvp(lambda value: advance(leaf)(value, state)[1], (leaves[leaf],), (way,))[1]  # noqa: B023
+            else:
+                (after, out), (push, slope) = jax.jvp(advance(leaf), (leaves[leaf], state), (way, push))
+            moved.append(None if push is None else outer(push))
             slopes.append(slope)
         gap = out - measured
         good = jnp.isfinite(gap)
