@@ -112,11 +112,12 @@ class Loops:
         start = 0
         for k, group in enumerate(self.groups):
             record, y = group.record, group.y
-            at = np.arange(len(record)) if kept is None else kept[k]
+            at = slice(None) if kept is None else kept[k]
             elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
-            u[k, 0], dt[k, 0, : at.size] = record.u[-1], elapsed
-            u[k, 0, : at.size], weight[k, 0, : at.size] = record.u[at], np.where(record.used, record.weight, 0.0)[at]
-            outputs[start : start + len(y), 0, : at.size] = y[:, at]
+            u[k, 0, elapsed.size :], of_record = record.u[-1], slice(elapsed.size)
+            u[k, 0, of_record], dt[k, 0, of_record] = record.u[at], elapsed
+            weight[k, 0, of_record] = (record.weight * record.used)[at]
+            outputs[start : start + len(y), 0, of_record] = y[:, at]
             start += len(y)
         return u, dt, weight, outputs
 
@@ -155,14 +156,11 @@ class Common(NamedTuple):
         inputs = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
         places = lambda o: (o.batch.y, o.coordinates.scale, o.size)
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
-        columns = [rows[0] for rows in (u, dt, weight)]
-        if len(loops.groups) > 1:
-            counts = [len(group.y) for group in loops.groups]
-            columns = [u, dt, weight]
-            if max(counts) > 1:
-                of_loop = np.repeat(np.arange(len(u)), counts)
-                columns = [rows[of_loop] for rows in columns]
-            own = eqx.tree_at(inputs, own, (True, True, True))
+        differ = [bool((rows != rows[0]).any()) for rows in (u, dt, weight)]
+        of_loop = np.repeat(np.arange(len(u)), [len(group.y) for group in loops.groups])
+        of_all = lambda rows: rows if len(rows) == len(y) else rows[of_loop]
+        columns = [of_all(rows) if apart else rows[0] for rows, apart in zip((u, dt, weight), differ, strict=True)]
+        own = eqx.tree_at(inputs, own, tuple(differ))
         on_host = eqx.tree_at(inputs, on_host, tuple(columns))
         on_host = eqx.tree_at(places, on_host, (y, self.scale(loops), sizes))
         return Stack(on_host, tuple(jax.tree_util.tree_leaves(own)))

@@ -13,7 +13,7 @@ from hystfit.fitting.lanes import Ends, Stack, descend_lanes
 from hystfit.fitting.least_squares import ROUGH, ROUND, ROUNDS
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, NEAR, gain_within
-from hystfit.fitting.thinning import thin
+from hystfit.fitting.thinning import PAYS, SAMPLES, thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
@@ -79,8 +79,10 @@ def solve_stack(
         better = more.cost <= cost[going]
         at = going[better]
         z[at], cost[at], damping[at] = (values[better] for values in (more.normal.z, more.cost, more.damping))
-    best, exact = least(), gain_within(EXACT if short is None else NEAR, full.samples)
-    ends = descend_lanes(full, records, z[best], gain=exact, steps=_MORE, damping=damping[best])
+    # As exact as a fit alone, which compares starts of long records on a short form too.
+    long, best = short is not None and PAYS * max(short.samples, SAMPLES) <= full.samples, least()
+    gain = gain_within(NEAR if long else EXACT, full.samples)
+    ends = descend_lanes(full, records, z[best], gain=gain, steps=_MORE, damping=damping[best])
     return ends, cost.reshape(count, several), ends.steps + taken.reshape(count, several).sum(axis=1)
 
 

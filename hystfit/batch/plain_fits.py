@@ -13,7 +13,7 @@ from hystfit.batch.many_fits import ERRORS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.row_accuracy import soundness
-from hystfit.batch.simulated_rows import simulated
+from hystfit.batch.simulated_rows import shared_and_own, simulated
 from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
@@ -236,18 +236,20 @@ def _outputs(
     stack: Stack, z: np.ndarray, records: Sequence[Record], counts: Sequence[int], *, timed: bool, causal: bool
 ) -> np.ndarray:
     """Outputs of each loop's model over the input of its group, shape (N, T), padded with outputs that mean nothing."""
-    drive = lambda record: (record.u, record.dt if timed else 0 * record.u)
+    coordinates, scales = shared_and_own(stack.objective.coordinates)
     if len(records) == 1:
-        return simulated(stack, z, *drive(records[0]))
+        return simulated(coordinates, scales, z, records[0].u, records[0].dt if timed else 0 * records[0].u)
     lengths = np.repeat([bucket(len(record)) if causal else len(record) for record in records], counts)
     of_group, out = np.repeat(np.arange(len(records)), counts), np.full((len(z), lengths.max()), np.nan)
     for length in np.unique(lengths).tolist():
         at = np.flatnonzero(lengths == length)
-        u, dt = (np.empty((at.size, length)) for _ in range(2))
+        u, dt = np.empty((at.size, length)), np.zeros((at.size, length) if timed else length)
         for row, group in enumerate(of_group[at]):
-            now, step = drive(records[group])
-            u[row], dt[row] = np.pad(now, (0, length - now.size), mode="edge"), np.pad(step, (0, length - step.size))
-        out[at, :length] = simulated(stack.take(at), z[at], u, dt)
+            record = records[group]
+            u[row, : len(record)], u[row, len(record) :] = record.u, record.u[-1]
+            if timed:
+                dt[row, : len(record)] = record.dt
+        out[at, :length] = simulated(coordinates, scales[at], z[at], u, dt)
     return out
 
 

@@ -176,7 +176,7 @@ def accuracy(loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"], noise: Flo
     device = _on_gpu(loops)
     if device is None:
         u, dt = (np.asarray(rows)[..., 0, :] for rows in (stack.objective.batch.u, stack.objective.batch.dt))
-        return accuracy_of(loops, simulated(stack, z, u, dt), noise)
+        return accuracy_of(loops, simulated(*shared_and_own(stack.objective.coordinates), z, u, dt), noise)
     found = _of_group_on_device(loops.groups[0], stack.objective.coordinates, z, noise, device)
     return Accuracy(*loops.each(_only_even, *found))
 

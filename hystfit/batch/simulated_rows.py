@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.lanes import BESIDE, Stack, device_for, placed, room
+from hystfit.fitting.lanes import BESIDE, device_for, placed, room
 from hystfit.models.simulation import run
 from hystfit.params.coordinates import Coordinates
 
@@ -24,13 +24,14 @@ def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
         yield np.minimum(np.arange(begin, begin + size), count - 1), min(size, count - begin)
 
 
-def simulated(stack: Stack, z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray) -> Float[np.ndarray, "N T"]:
-    """Output of each loop's model over an input, shape (T,), or over inputs of their own, shape (N, T)."""
+def simulated(
+    coordinates: Coordinates, scales: Float[np.ndarray, "N p"], z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray
+) -> Float[np.ndarray, "N T"]:
+    """Output of each loop's model, with what `shared_and_own` gives; u and dt of all have shape (T,), those of each (N, T)."""
     device = device_for(len(z))
-    coordinates, scales = shared_and_own(stack.objective.coordinates)
     z, out, begin = np.asarray(z), np.empty((len(z), u.shape[-1])), 0
     for at, count in chunks(len(z), u.shape[-1]):
-        inputs = (u, dt) if u.ndim == 1 else (u[at], dt[at])
+        inputs = (rows if rows.ndim == 1 else rows[at] for rows in (u, dt))
         rows = simulate_rows(*placed((coordinates, scales[at], z[at], *inputs), device), device.platform != "cpu")
         out[begin : begin + count] = np.asarray(rows)[:count]
         begin += count
@@ -48,16 +49,17 @@ def simulate_rows(
     coordinates: Coordinates, scales: Array, z: Array, u: Array, dt: Array, together: bool
 ) -> Float[Array, "N T"]:
     """`simulated`, all rows side by side or some at a time."""
+    every = {"scale": scales, "z": z, "u": u, "dt": dt}
+    rows = {name: values for name, values in every.items() if values.ndim == 2}
 
-    def one(scale: Array, z: Array, u: Array, dt: Array) -> Array:
+    def one(row: dict[str, Array]) -> Array:
+        scale, z, u, dt = (every | row).values()
         return run(eqx.tree_at(lambda c: c.scale, coordinates, scale).tree(z), u, dt)[0]
 
-    rows = (scales, z) if u.ndim == 1 else (scales, z, u, dt)
-    of_row = (lambda scale, z: one(scale, z, u, dt)) if u.ndim == 1 else one
     if together:
-        return jax.vmap(of_row)(*rows)
+        return jax.vmap(one)(rows)
     model = coordinates.treedef.unflatten(coordinates.leaves)
     # Rows side by side took 0.16 (Bouc-Wen) to 0.6 (Jiles-Atherton) of the time of one after another; where a model computes all
     # samples of a row at once, 1.3 to 1.7.
     beside = BESIDE if model.causal and model.one_scan else None
-    return jax.lax.map(lambda row: of_row(*row), rows, batch_size=beside)
+    return jax.lax.map(one, rows, batch_size=beside)

@@ -147,14 +147,15 @@ def fit_sources(work: Work, sources: Sequence[Source]) -> list[list[dict[str, An
 def _rows_of(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]]:
     """`fit_sources` as JAX and the linear algebra are set."""
     rows: list[list[dict[str, Any]]] = [[] for _ in sources]
-    pending: list[tuple[int, _Loop]] = []
+    pending, read, size = list[tuple[int, _Loop]](), 0, lambda loop: 0 if loop.record is None else len(loop.record)
     for number, source in enumerate(sources):
-        pending += [(number, loop) for loop in _read(work, source)]
-        while pending:
-            samples = np.cumsum([0 if loop.record is None else len(loop.record) for _, loop in pending])
-            if samples[-1] <= SAMPLES and number < len(sources) - 1:
-                break
+        loops = _read(work, source)
+        pending += [(number, loop) for loop in loops]
+        read += sum(map(size, loops))
+        while pending and (read > SAMPLES or number == len(sources) - 1):
+            samples = np.cumsum([size(loop) for _, loop in pending])
             part = int(np.searchsorted(samples, SAMPLES, side="right")) + 1
+            read -= int(samples[min(part, samples.size) - 1])
             some, pending = pending[:part], pending[part:]
             _fit(work, [loop for _, loop in some])
             for k, loop in some:

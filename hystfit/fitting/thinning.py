@@ -18,17 +18,17 @@ from hystfit.outcome import Code
 from hystfit.params.host_arrays import to_device
 from hystfit.quality.loops import clear_reversals
 
-_SAMPLES = 1024  # of all records together
+SAMPLES = 1024  # of all records together
 LEAST = 256  # of each record; those on which starts, and loops, are compared
 _A_BRANCH = 12  # samples between two reversals of the input, on average
-_PAYS = 2  # times as many samples make the short form worth its compilation
+PAYS = 2  # times as many samples make the short form worth its compilation
 _ENOUGH = 30_000  # samples of all records together on which models are compared: errors of 1 % are told apart, see `equal_errors`
 _TIP = 100  # samples of a branch, of which the mean of the last ones is 0.25 % of the range short of a sharp tip
 # Largest rms error of straight lines between the samples kept, over that of lines between every second sample (noise), or over the range.
 _NOISE, _CURVED = 1.02, 2e-4
 
 
-def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
+def thin(problem: Problem, samples: int = SAMPLES) -> Objective | None:
     """The objective on every k-th sample and the reversals of the input; None for short records, and models that do not allow it.
 
     All records together keep `samples`, or more where the input has many reversals.
@@ -50,7 +50,7 @@ def thin(problem: Problem, samples: int = _SAMPLES) -> Objective | None:
 
 
 def kept_samples(
-    records: Iterable[Record], padded: int, samples: int = _SAMPLES
+    records: Iterable[Record], padded: int, samples: int = SAMPLES
 ) -> tuple[list[np.ndarray], int] | None:
     """Numbers of the samples of each record in the short form, and its length; None for short records, see `thin`.
 
@@ -61,12 +61,12 @@ def kept_samples(
     """
     records = list(records)
     turns, length = _plan(records, samples)
-    if _PAYS * length > padded:
+    if PAYS * length > padded:
         return None
     return [_kept_samples(len(record), turn, length) for record, turn in zip(records, turns, strict=True)], length
 
 
-def thinned(data: Dataset, samples: int = _SAMPLES) -> Dataset:
+def thinned(data: Dataset, samples: int = SAMPLES) -> Dataset:
     """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are.
 
     Args:
@@ -76,7 +76,7 @@ def thinned(data: Dataset, samples: int = _SAMPLES) -> Dataset:
     turns, length = _plan(data, samples)
     pairs = zip(data, turns, strict=True)
     return Dataset(
-        tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > _PAYS * length else r for r, turn in pairs),
+        tuple(r.take(_kept_samples(len(r), turn, length)) if len(r) > PAYS * length else r for r, turn in pairs),
         data.name,
     )
 
@@ -131,7 +131,7 @@ def _halfway(values: np.ndarray, step: int) -> np.ndarray:
     return middle[:count] - (1 - share) * ends[:count] - share * ends[1 : count + 1]
 
 
-def _plan(data: Iterable[Record], samples: int = _SAMPLES) -> tuple[list[np.ndarray], int]:
+def _plan(data: Iterable[Record], samples: int = SAMPLES) -> tuple[list[np.ndarray], int]:
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)

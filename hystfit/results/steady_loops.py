@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from statistics import median
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -220,9 +221,10 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
         )  # half: a first rise from the middle
         if record.t is None or not len(found):
             continue
-        points = int(np.clip(2 * round(np.median(found[:, 2] - found[:, 0]) / 2), _FEWEST, _MOST))
-        interval = float(np.median(record.t[found[:, 2]] - record.t[found[:, 0]])) / points
-        return interval, bool(np.median(_rms_of_cycles(record.t, record.u, found)) > _SINE), points
+        first, last = found[:, 0], found[:, 2]
+        points = int(np.clip(2 * round(median((last - first).tolist()) / 2), _FEWEST, _MOST))
+        interval = median((record.t[last] - record.t[first]).tolist()) / points
+        return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
     return data[0].sampling_interval or 1.0, False, POINTS
 
 
