@@ -25,7 +25,11 @@ def chunks(count: int, samples: int) -> Iterator[tuple[np.ndarray, int]]:
 
 
 def simulated(
-    coordinates: Coordinates, scales: Float[np.ndarray, "N p"], z: Float[np.ndarray, "N p"], u: np.ndarray, dt: np.ndarray
+    coordinates: Coordinates,
+    scales: Float[np.ndarray, "N p"],
+    z: Float[np.ndarray, "N p"],
+    u: np.ndarray,
+    dt: np.ndarray,
 ) -> Float[np.ndarray, "N T"]:
     """Output of each loop's model, with what `shared_and_own` gives; u and dt of all have shape (T,), those of each (N, T)."""
     device = device_for(len(z))

@@ -49,9 +49,7 @@ def thin(problem: Problem, samples: int = SAMPLES) -> Objective | None:
     return dataclasses.replace(problem.objective, batch=short)
 
 
-def kept_samples(
-    records: Iterable[Record], padded: int, samples: int = SAMPLES
-) -> tuple[list[np.ndarray], int] | None:
+def kept_samples(records: Iterable[Record], padded: int, samples: int = SAMPLES) -> tuple[list[np.ndarray], int] | None:
     """Numbers of the samples of each record in the short form, and its length; None for short records, see `thin`.
 
     Args:

@@ -20,7 +20,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.faults import FEWEST_SAMPLES
-from hystfit.quality.loops import SAME_LEVEL, clear_reversals
+from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (

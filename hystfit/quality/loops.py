@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import weakref
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 
@@ -50,14 +51,16 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     return np.array(turns, dtype=int)
 
 
-_known: dict[int, tuple[weakref.ref[np.ndarray], list[int], list[float]]] = {}  # arrays of records are asked for a dozen times
+_Corners = tuple[list[int], list[float]]
+# Of arrays that cannot change, by `id`: those of a record are asked for a dozen times.
+_known: dict[int, tuple[weakref.ref[np.ndarray], _Corners]] = {}
 
 
-def _corners(u: np.ndarray) -> tuple[list[int], list[float]]:
+def _corners(u: np.ndarray) -> _Corners:
     """Samples that alone can be turning points, and their values: the ends, and local extremes, each the first of its flat run."""
     known = _known.get(id(u))
     if known is not None and known[0]() is u:
-        return known[1:]
+        return known[1]
     steps = np.diff(u)
     moves, rises = np.arange(steps.size), steps > 0
     if not steps.all():  # these take twice the time of all other steps
@@ -68,9 +71,9 @@ def _corners(u: np.ndarray) -> tuple[list[int], list[float]]:
     change = np.flatnonzero(rises[1:] != rises[:-1])
     corners = np.concatenate([[0], moves[change] + 1, [moves[-1] + 1]])
     found = corners.tolist(), u[corners].tolist()  # a number of Python takes a tenth of the time of one in an array
-    if not u.flags.writeable:
-        key = id(u)
-        _known[key] = weakref.ref(u, lambda _: _known.pop(key, None)), *found
+    if u.base is None and not u.flags.writeable:
+        forget = partial(_known.pop, id(u), None)
+        _known[id(u)] = weakref.ref(u, lambda _: forget()), found
     return found
 
 
