@@ -34,7 +34,7 @@ _UNITS = frozenset(
     {"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr", "coulomb", "coulombs", "Coulomb", "Coulombs"}
 )
 _AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name that is the unit
-_OF_VOLTAGE = re.compile(r"(?:voltage|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b|电压")
+_OF_VOLTAGE = re.compile(r"(?:voltage|spannung|volts|potential|ecell|ewe|u|v|cell voltage|terminal voltage)\b|电压")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
@@ -108,9 +108,9 @@ def _is_capacity(table: Table, position: int) -> bool:
 
 def _is_signed(table: Table, position: int, name: str) -> bool:
     """Whether a column is the charge that passed, by its name or because it falls as well as grows, in the log of a cycler."""
-    if _OF_STEP.fullmatch(name) and len(table.names) > 2:
-        return _is_charge(table, position) and not _is_capacity(table, position)
-    return bool(_SIGNED.fullmatch(name)) and _is_number(table, position)
+    in_hours = "h" in table.units[position] or _OF_STEP.fullmatch(name)
+    falls = len(table.names) > 2 and in_hours and _is_charge(table, position) and not _is_capacity(table, position)
+    return falls or (bool(_SIGNED.fullmatch(name)) and _is_number(table, position))
 
 
 def _grown(capacity: np.ndarray) -> np.ndarray:

@@ -1,0 +1,128 @@
+"""Files of instruments and repositories that were read wrong, refused, or read without their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hystfit.data import Dataset
+from hystfit.errors import DataError
+from hystfit.reading import read
+from tests.loop_files import N, U, Y, is_pair, one, rows, written
+
+T = np.round(0.1 * np.arange(N), 1)
+
+
+# Encodings ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("header", "names"),
+    [
+        ("Badanie próbki;Józef Żółć\nCzas [s];Przemieszczenie [mm];Siła [kN]\n", ("Przemieszczenie [mm]", "Siła [kN]")),
+        ("Měření\nČas (s);Posun (mm);Zatížení (kN);Řízení (V)\n", ("Posun (mm)", "Zatížení (kN)")),
+        ("Idő [s];Elmozdulás [mm];Erő [kN]\n", ("Elmozdulás [mm]", "Erő [kN]")),
+    ],
+)
+def test_central_european_text(header: str, names: tuple[str, str], tmp_path: Path) -> None:
+    columns = (T, U, Y, U) if "Řízení" in header else (T, U, Y)
+    record = one(tmp_path, (header + rows(";", *columns)).encode("cp1250"))
+    is_pair(record)
+    assert (record.u_name, record.y_name) == names
+
+
+def test_japanese_text_without_a_known_word(tmp_path: Path) -> None:
+    """Paths of a university and degrees in half-width signs are the only text beyond ASCII in the header of a magnetometer."""
+    header = "seq filename=,C:\\東北大学_2\\a.seq\ntemperature=,-300,(ﾟC)\nDate,H(Oe),M(emu)\n"
+    stamps = [f"2022/12/15 15:32:{k:02d}" for k in range(N)]
+    record = one(tmp_path, (header + rows(",", np.array(stamps), U, Y)).encode("cp932"), "loop.VSM")
+    is_pair(record)
+    assert any("encoding cp932" in note.text for note in record.notes)
+
+
+# Times --------------------------------------------------------------------------------------------------------------------------
+
+
+def test_stamps_that_run_back_are_not_the_time_beside_one_that_does_not(tmp_path: Path) -> None:
+    """Stamps of a data logger that counts hundredths down within each second, as in the files of steel coupons."""
+    stamps = [f"2020-09-10 17:01:{49 + k // 5:02d}.{900 - 200 * (k % 5):03d}" for k in range(N)]
+    record = one(tmp_path, "S/No,System Date,Time[s],e_true,Sigma_true\n" + rows(",", np.arange(N), np.array(stamps), T, U, Y))
+    is_pair(record)
+    np.testing.assert_allclose(record.t, T)
+
+
+def test_a_column_in_milliseconds_is_the_time_whatever_its_name(tmp_path: Path) -> None:
+    """PicoScope writes "Frequency" over the times where its window showed a spectrum last."""
+    record = one(tmp_path, "Frequency,Channel A,Channel B\n(ms),(V),(V)\n\n" + rows(",", T, U, Y))
+    is_pair(record)
+    np.testing.assert_allclose(record.t, T)
+    assert record.t_unit == "ms"
+
+
+# Columns ------------------------------------------------------------------------------------------------------------------------
+
+
+def test_two_numbered_gauges_over_a_count_of_rows_are_no_branches(tmp_path: Path) -> None:
+    u = np.round(np.sin(np.linspace(0, 4 * np.pi, N)), 4)
+    header = "Title\tElapsed Seconds\tSG1\tSG2\tAct Disp\tAct Load\nUnits\tSeconds\tµe\tµe\tin\tkips\n"
+    content = header + rows("\t", np.arange(1, N + 1), T, np.round(210 * u), np.round(-190 * u), u, Y)
+    record = one(tmp_path, content)
+    is_pair(record, u)
+
+
+def test_the_signed_charge_of_a_cycler_drives_the_voltage(tmp_path: Path) -> None:
+    current = np.repeat([-0.15, 0.15], N // 2)
+    charge = np.round(np.cumsum(current) / 12, 5)
+    columns = (T, np.round(3 + charge, 4), current, charge, np.maximum(charge, 0), -np.minimum(charge, 0), np.round(charge * 3.6, 4))
+    header = "Prog.Zeit;Spannung;Strom;AhAkku;AhLad;AhEla;WhAkku\ns;V;A;Ah;Ah;Ah;Wh\n"
+    record = one(tmp_path, header + rows(";", *columns))
+    np.testing.assert_allclose(record.u, charge)
+    assert (record.u_unit, record.y_name) == ("Ah", "Spannung")
+
+
+@pytest.mark.parametrize("names", [("CA left [°]", "CA right [°]", "CA mean [°]"), ("CA(L) [°]", "CA(R) [°]", "CA(M) [°]")])
+def test_the_mean_of_two_sides_is_the_output(names: tuple[str, str, str], tmp_path: Path) -> None:
+    header = f"Age [s];Volume [µL];{';'.join(names)};Base diameter [mm]\n"
+    record = one(tmp_path, header + rows(";", T, U, Y - 1, Y + 1, Y, np.round(U / 9, 3)))
+    is_pair(record)
+    assert record.y_name == names[2]
+
+
+# Headers ------------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_ratio_of_pressures_stands_in_a_row_of_units(tmp_path: Path) -> None:
+    header = "     Relative Pressure          Volume @ STP\n          P/Po                      cc/g\n\n"
+    record = one(tmp_path, header + rows("    ", U / 60, Y), "iso.txt")
+    is_pair(record, U / 60)
+    assert (record.u_name, record.y_name, record.y_unit) == ("Relative Pressure", "Volume @ STP", "cc/g")
+
+
+def test_units_behind_a_german_word(tmp_path: Path) -> None:
+    header = "[Kanäle]\nName\tZeit\tWeg\tKraft\nEinheit\ts\tmm\tkN\nKommentar\t\tTraverse\tKMD 50kN\n[Daten]\n"
+    record = one(tmp_path, header + rows("\t", np.arange(1, N + 1), T, U, Y))
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")
+
+
+def test_names_and_units_of_columns_that_no_row_has(tmp_path: Path) -> None:
+    """The strain of a creep test beside its time, below names of a stress and a temperature that the file leaves out."""
+    with pytest.raises(DataError, match="1 column.* of changing numbers beside the time"):
+        read(written(tmp_path, "stress=10;T=150\nt\tstrain\tstress\tT\ns\t-\tPa\tC\n" + rows("\t", T, Y), "a.creep"))
+
+
+# Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "unit"), [("magn_mass", "Am2/kg"), ("susc_chi_mass", "m3/kg")])
+def test_magic_tables_of_a_temperature(name: str, unit: str, tmp_path: Path) -> None:
+    lines = [f"tab\tmeasurements\nspecimen\texperiment\tmethod_codes\tmeas_temp\tmeas_field_dc\t{name}\n"]
+    for code in ("LP-FC", "LP-ZFC"):
+        lines += [f"A73\tA73-{code}\t{code}\t{u}\t0.0025\t{y}\n" for u, y in zip(U, Y + len(code), strict=True)]
+    data = read(written(tmp_path, "".join(lines), "mpms.txt"))
+    assert isinstance(data, Dataset) and len(data) == 2
+    for record, code in zip(data, ("LP-FC", "LP-ZFC"), strict=True):
+        is_pair(record, U, Y + len(code))
+        assert (record.u_unit, record.y_unit) == ("K", unit)
