@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,9 @@ def test_japanese_text_without_a_known_word(tmp_path: Path) -> None:
 def test_stamps_that_run_back_are_not_the_time_beside_one_that_does_not(tmp_path: Path) -> None:
     """Stamps of a data logger that counts hundredths down within each second, as in the files of steel coupons."""
     stamps = [f"2020-09-10 17:01:{49 + k // 5:02d}.{900 - 200 * (k % 5):03d}" for k in range(N)]
-    record = one(tmp_path, "S/No,System Date,Time[s],e_true,Sigma_true\n" + rows(",", np.arange(N), np.array(stamps), T, U, Y))
+    record = one(
+        tmp_path, "S/No,System Date,Time[s],e_true,Sigma_true\n" + rows(",", np.arange(N), np.array(stamps), T, U, Y)
+    )
     is_pair(record)
     np.testing.assert_allclose(record.t, T)
 
@@ -75,14 +78,24 @@ def test_two_numbered_gauges_over_a_count_of_rows_are_no_branches(tmp_path: Path
 def test_the_signed_charge_of_a_cycler_drives_the_voltage(tmp_path: Path) -> None:
     current = np.repeat([-0.15, 0.15], N // 2)
     charge = np.round(np.cumsum(current) / 12, 5)
-    columns = (T, np.round(3 + charge, 4), current, charge, np.maximum(charge, 0), -np.minimum(charge, 0), np.round(charge * 3.6, 4))
+    columns = (
+        T,
+        np.round(3 + charge, 4),
+        current,
+        charge,
+        np.maximum(charge, 0),
+        -np.minimum(charge, 0),
+        np.round(charge * 3.6, 4),
+    )
     header = "Prog.Zeit;Spannung;Strom;AhAkku;AhLad;AhEla;WhAkku\ns;V;A;Ah;Ah;Ah;Wh\n"
     record = one(tmp_path, header + rows(";", *columns))
     np.testing.assert_allclose(record.u, charge)
     assert (record.u_unit, record.y_name) == ("Ah", "Spannung")
 
 
-@pytest.mark.parametrize("names", [("CA left [°]", "CA right [°]", "CA mean [°]"), ("CA(L) [°]", "CA(R) [°]", "CA(M) [°]")])
+@pytest.mark.parametrize(
+    "names", [("CA left [°]", "CA right [°]", "CA mean [°]"), ("CA(L) [°]", "CA(R) [°]", "CA(M) [°]")]
+)
 def test_the_mean_of_two_sides_is_the_output(names: tuple[str, str, str], tmp_path: Path) -> None:
     header = f"Age [s];Volume [µL];{';'.join(names)};Base diameter [mm]\n"
     record = one(tmp_path, header + rows(";", T, U, Y - 1, Y + 1, Y, np.round(U / 9, 3)))
@@ -113,6 +126,18 @@ def test_names_and_units_of_columns_that_no_row_has(tmp_path: Path) -> None:
         read(written(tmp_path, "stress=10;T=150\nt\tstrain\tstress\tT\ns\t-\tPa\tC\n" + rows("\t", T, Y), "a.creep"))
 
 
+@pytest.mark.parametrize("before", ["", "0;123456789;400;"])
+def test_rows_of_samples_that_are_counted(before: str, tmp_path: Path) -> None:
+    """Lock-in amplifiers and transposed frames: a first line counts the samples, and each other one begins with its quantity."""
+    lines = [("chunk;timestamp;size;fieldname" if before else "") + "".join(f";{k}" for k in range(N))]
+    lines += [
+        f"{before}{name};" + ";".join(map(str, values)) for name, values in (("voltage_V", U), ("position_um", Y))
+    ]
+    record = one(tmp_path, "\n".join(lines) + "\n")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("V", "um")
+
+
 # Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
 
 
@@ -126,3 +151,9 @@ def test_magic_tables_of_a_temperature(name: str, unit: str, tmp_path: Path) -> 
     for record, code in zip(data, ("LP-FC", "LP-ZFC"), strict=True):
         is_pair(record, U, Y + len(code))
         assert (record.u_unit, record.y_unit) == ("K", unit)
+
+
+def test_records_of_json_are_named_by_what_tells_them_apart(tmp_path: Path) -> None:
+    tests = [{"lab": "X", "specimen": f"W{k}", "drift": (k * U).tolist(), "shear": Y.tolist()} for k in (1, 2)]
+    data = read(written(tmp_path, json.dumps({"tests": tests}), "walls.json"))
+    assert [record.name for record in Dataset.of(data)] == ["W1", "W2"]
