@@ -122,8 +122,18 @@ def test_units_behind_a_german_word(tmp_path: Path) -> None:
 
 def test_names_and_units_of_columns_that_no_row_has(tmp_path: Path) -> None:
     """The strain of a creep test beside its time, below names of a stress and a temperature that the file leaves out."""
-    with pytest.raises(DataError, match="1 column.* of changing numbers beside the time"):
+    with pytest.raises(DataError, match=r"1 column.* of changing numbers beside the time"):
         read(written(tmp_path, "stress=10;T=150\nt\tstrain\tstress\tT\ns\t-\tPa\tC\n" + rows("\t", T, Y), "a.creep"))
+
+
+def test_cycles_that_a_testing_machine_stores(tmp_path: Path) -> None:
+    """Every hundredth cycle, each below its head: the names begin a record although the clock goes on."""
+    head = "Cyclic Acquisition\t\t\t\tTime:\t{}\tSec\nStored at: \t{}\tcycle\nPoints: \t51\nTime\tAxial Fuerza\tAxial Weg\nSec\tkgf\tmm\n"
+    cycles = [head.format(100 * k, 100 * k) + rows("\t", T + 100 * k, U, Y) + "\n" for k in range(1, 4)]
+    data = Dataset.of(read(written(tmp_path, "MTS***|MPT|**|*|*\n\n" + "".join(cycles), "cycles.dat")))
+    assert len(data) == 3
+    texts = [note.text for note in data[0].notes]
+    assert not any("do not begin a curve" in text for text in texts), texts
 
 
 @pytest.mark.parametrize("before", ["", "0;123456789;400;"])
@@ -147,7 +157,8 @@ def test_magic_tables_of_a_temperature(name: str, unit: str, tmp_path: Path) -> 
     for code in ("LP-FC", "LP-ZFC"):
         lines += [f"A73\tA73-{code}\t{code}\t{u}\t0.0025\t{y}\n" for u, y in zip(U, Y + len(code), strict=True)]
     data = read(written(tmp_path, "".join(lines), "mpms.txt"))
-    assert isinstance(data, Dataset) and len(data) == 2
+    assert isinstance(data, Dataset)
+    assert len(data) == 2
     for record, code in zip(data, ("LP-FC", "LP-ZFC"), strict=True):
         is_pair(record, U, Y + len(code))
         assert (record.u_unit, record.y_unit) == ("K", unit)
