@@ -126,6 +126,12 @@ def test_names_and_units_of_columns_that_no_row_has(tmp_path: Path) -> None:
         read(written(tmp_path, "stress=10;T=150\nt\tstrain\tstress\tT\ns\t-\tPa\tC\n" + rows("\t", T, Y), "a.creep"))
 
 
+@pytest.mark.parametrize(("rate", "dt"), [("500 kSa/s", 2e-6), ("2 MSa/s", 5e-7), ("1 ksps", 1e-3), ("100 Sa/s", 0.01)])
+def test_samples_per_second_with_prefixes(rate: str, dt: float, tmp_path: Path) -> None:
+    record = one(tmp_path, f"Sample Rate: {rate}\nCH1(V),CH2(V)\n" + rows(",", U, Y))
+    assert record.dt == pytest.approx(dt)
+
+
 def test_cycles_that_a_testing_machine_stores(tmp_path: Path) -> None:
     """Every hundredth cycle, each below its head: the names begin a record although the clock goes on."""
     head = "Cyclic Acquisition\t\t\t\tTime:\t{}\tSec\nStored at: \t{}\tcycle\nPoints: \t51\nTime\tAxial Fuerza\tAxial Weg\nSec\tkgf\tmm\n"
@@ -146,6 +152,20 @@ def test_rows_of_samples_that_are_counted(before: str, tmp_path: Path) -> None:
     record = one(tmp_path, "\n".join(lines) + "\n")
     is_pair(record)
     assert (record.u_unit, record.y_unit) == ("V", "um")
+
+
+@pytest.mark.parametrize(
+    "names", ["time /s\tI /mA\tE /V", "time/s\tI/mA\tEwe/V", "Test_Time(s)\tCurrent(mA)\tVoltage(V)"]
+)
+def test_the_charge_of_a_cell_at_constant_currents(names: str, tmp_path: Path) -> None:
+    current = np.repeat([0.085, -0.085] * 2, 100)
+    time = 60.0 * np.arange(current.size)
+    charge = np.cumsum(current) / 60.0
+    voltage = np.round(3.0 + np.tanh(charge) + np.sign(current) * 0.1, 4)
+    record = one(tmp_path, names + "\n" + rows("\t", time, current, voltage))
+    np.testing.assert_allclose(record.u, charge - charge[0], atol=1e-12)
+    np.testing.assert_array_equal(record.y, voltage)
+    assert (record.u_unit, record.y_unit) == ("mAh", "V")
 
 
 # Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
