@@ -168,6 +168,14 @@ def test_the_charge_of_a_cell_at_constant_currents(names: str, tmp_path: Path) -
     assert (record.u_unit, record.y_unit) == ("mAh", "V")
 
 
+def test_a_voltage_that_is_swept_drives_a_current_of_two_values(tmp_path: Path) -> None:
+    """Cyclic voltammetry of a capacitor, of which the current is a rectangle."""
+    voltage = np.round(0.01 * np.concatenate([np.arange(100), np.arange(100, -100, -1), np.arange(-100, 0)]), 2)
+    current = np.round(np.sign(np.gradient(voltage)) * 0.002 + 1e-6 * voltage, 8)
+    text = "Time (s),Potential applied (V),WE(1).Current (A)\n"
+    is_pair(one(tmp_path, text + rows(",", 0.02 * np.arange(voltage.size), voltage, current)), voltage, current)
+
+
 # Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
 
 

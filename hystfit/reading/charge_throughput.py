@@ -18,7 +18,7 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, quantity
 from hystfit.reading.branch_files import joined
 from hystfit.reading.column_names import column_quantity
-from hystfit.reading.limits import MAJORITY, MOST, NEAR
+from hystfit.reading.limits import MAJORITY, MOST, RARE
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
@@ -38,9 +38,7 @@ _AMPERE_HOURS = re.compile(r"amp[ ._-]?h(?:ou)?rs?|ah", re.IGNORECASE)  # a name
 _OF_VOLTAGE = re.compile(r"(?:voltage|spannung|volts|potential|ecell|ewe|e|u|v|cell voltage|terminal voltage)\b|电压")
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
-_LEVELS = (
-    6  # currents at which a cell is charged and discharged: rests, voltages held at the end and ramps are the rest
-)
+_LEVELS = 6  # currents that charge and discharge a cell; rests, ramps and voltages that are held have others
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
@@ -97,12 +95,16 @@ def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] 
     if time is None or source is None or quantity(table.units[time] or "s") != "time":
         return None
     current, intervals = np.nan_to_num(table.columns[source]), np.diff(table.columns[time])
-    levels = np.round(current / (NEAR * max(np.ptp(current), np.finfo(float).tiny)))
+    if not current.min() < 0 < current.max() or not np.all(intervals >= 0) or not np.isfinite(np.diff(voltage)).any():
+        return None
+    levels = np.round(current / (RARE * np.ptp(current)))
     kept = np.sort(np.unique_counts(levels[levels != 0]).counts)[-_LEVELS:].sum() > MOST * np.count_nonzero(levels)
-    switched, steps = np.diff(levels) != 0, np.diff(voltage)
-    moves = np.add.reduceat(np.where(switched, 0.0, steps), np.append(0, np.flatnonzero(switched)))
-    changes = np.nansum(np.abs(moves)) > MAJORITY * np.nansum(np.abs(steps[switched]))
-    if not (kept and changes and current.min() < 0 < current.max() and np.all(intervals >= 0)):
+    switched, steps = np.diff(levels) != 0, np.abs(np.diff(voltage))
+    moves = np.add.reduceat(np.where(switched, 0.0, np.diff(voltage)), np.append(0, np.flatnonzero(switched)))
+    changes = np.nansum(np.abs(moves)) > MAJORITY * np.nansum(steps[switched])
+    most, median = np.nanquantile(steps, [MOST, 0.5])
+    swept = np.nanmax(steps[switched], initial=most) <= (1 + RARE) * median  # as in cyclic voltammetry
+    if not kept or not changes or swept:
         return None
     passed = np.append(0.0, np.cumsum(current[1:] * intervals)) * (conversion(table.units[time] or "s", "h") or 1.0)
     return passed, f"{table.units[source] or 'A'}h", f"{table.names[source]!r} over {table.names[time]!r}"
