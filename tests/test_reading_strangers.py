@@ -142,6 +142,14 @@ def test_cycles_that_a_testing_machine_stores(tmp_path: Path) -> None:
     assert not any("do not begin a curve" in text for text in texts), texts
 
 
+def test_loops_that_an_index_tells_apart(tmp_path: Path) -> None:
+    """Tables of piezoresponse microscopes: the loops follow each other, and each may be read alone."""
+    loops = np.repeat([1, 2], [N // 2, N - N // 2])
+    record = one(tmp_path, "Loop index\tWrite Volt (V)\tPiezoresponse (pm)\n" + rows("\t", loops, U, Y))
+    is_pair(record)
+    assert any("by='Loop index'" in note.text for note in record.notes)
+
+
 @pytest.mark.parametrize("before", ["", "0;123456789;400;"])
 def test_rows_of_samples_that_are_counted(before: str, tmp_path: Path) -> None:
     """Lock-in amplifiers and transposed frames: a first line counts the samples, and each other one begins with its quantity."""

@@ -293,7 +293,7 @@ def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
 
 def _plain(name: str) -> str:
     """A name without its unit and a word such as number, in lower case."""
-    return re.sub(r"[ _.](?:id|no|nr|number)$", "", split_unit(name)[0].strip(" .:#").lower())
+    return re.sub(r"[ _.](?:id|no|nr|number|index)$", "", split_unit(name)[0].strip(" .:#").lower())
 
 
 def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
