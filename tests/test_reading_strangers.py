@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -174,6 +175,14 @@ def test_the_charge_of_a_cell_at_constant_currents(names: str, tmp_path: Path) -
     np.testing.assert_allclose(record.u, charge - charge[0], atol=1e-12)
     np.testing.assert_array_equal(record.y, voltage)
     assert (record.u_unit, record.y_unit) == ("mAh", "V")
+
+
+def test_infinities_in_the_log_of_a_cell(tmp_path: Path) -> None:
+    charge = np.where(np.arange(N) % 50 < 2, np.inf, 1e-3 * np.arange(N))
+    path = written(tmp_path, "Time(s),Voltage(V),Current(A),Capacity(Ah)\n" + rows(",", T, U, Y, charge), "cell.csv")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        read(path, input="Voltage(V)", output="Current(A)")
 
 
 def test_a_voltage_that_is_swept_drives_a_current_of_two_values(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ _LEVELS = 6  # currents that charge and discharge a cell; rests, ramps and volta
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
+@np.errstate(all="ignore")  # of infinities, which a damaged file has
 def with_throughput(table: Table) -> Table | None:
     """Battery cyclers: the charge that passed, with its sign, is one more column and the input of the voltage; None for other tables."""
     if not table.named or table.part is not None or NAME in table.names:
@@ -127,7 +128,7 @@ def _is_charge(table: Table, position: int) -> bool:
 def _is_capacity(table: Table, position: int) -> bool:
     """Whether a column holds a charge that only grows, apart from where it starts again."""
     steps = np.diff(table.columns[position])
-    return _is_charge(table, position) and bool(np.mean(steps[np.isfinite(steps)] < 0) < _BACK)
+    return _is_charge(table, position) and bool((steps < 0).sum() < _BACK * np.isfinite(steps).sum())
 
 
 def _is_signed(table: Table, position: int, name: str) -> bool:
