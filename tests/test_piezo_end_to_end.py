@@ -49,7 +49,7 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
     posterior = tmp_path / "posterior"
     quick = ["--draws", "60", "--warmup", "20", "--chains", "2"]
     assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (0, 1)  # few draws, which may not have converged
-    assert json.loads((posterior / "posterior.json").read_text())["sampler"] == "weights"
+    assert json.loads((posterior / "result.json").read_text())["sampler"] == "weights"
 
     # What the model answers to a slow drive is a reference that the actuator can follow from its first sample on.
     drive = np.interp(t[:300], [0, 0.5, 1.1, 1.5], [rows[0, 0], 3.2, 0.6, 2.0])
