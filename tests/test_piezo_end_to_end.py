@@ -48,7 +48,10 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
     # It has 40 plays with three envelopes each, behind a time constant: the weights are sampled exactly, the constant beside them.
     posterior = tmp_path / "posterior"
     quick = ["--draws", "60", "--warmup", "20", "--chains", "2"]
-    assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (0, 1)  # few draws, which may not have converged
+    assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (
+        0,
+        1,
+    )  # few draws, which may not have converged
     assert json.loads((posterior / "result.json").read_text())["sampler"] == "weights"
 
     # What the model answers to a slow drive is a reference that the actuator can follow from its first sample on.

@@ -39,6 +39,7 @@ class WeightEquations(eqx.Module):
         squares: q_k(estimate), shape (m,).
         slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p).
         log_dets: log determinants of the noises' covariances over their variance, shape (m,).
+        log_priors: of the noises, up to a constant, shape (m,).
         roughness: R, shape (p, p).
         penalized: rank of R.
         precision: diagonal of D: priors of the weights without a penalty, shape (p,).
@@ -53,6 +54,7 @@ class WeightEquations(eqx.Module):
     slopes: Float[Array, "m p"]
     grams: Float[Array, "m p p"]
     log_dets: Float[Array, " m"]
+    log_priors: Float[Array, " m"]
     roughness: Float[Array, "p p"]
     penalized: Float[Array, ""]
     precision: Float[Array, " p"]
@@ -138,15 +140,22 @@ class NoiseGrid(eqx.Module):
     Attributes:
         ratios: of white to slow variance, shape (m,); None for independent noise.
         times: correlation times, typical sampling intervals, shape (m,).
+        log_prior: of each noise, up to a constant.
     """
 
     models: ClassVar[tuple[str, ...]] = ("iid", "ou")  # noise models that are on such grids
     ratios: Any
     times: Any
+    log_prior: Any = 0.0
 
     @classmethod
-    def about(cls, fit: SlowNoiseFit | None) -> NoiseGrid:
-        """Along the principal axes of the logarithms of both about the noise of a fit; one independent noise where that is None."""
+    def about(cls, fit: SlowNoiseFit | None, prior: AbstractPrior | None = None) -> NoiseGrid:
+        """Along the principal axes of the logarithms of both about the noise of a fit; one independent noise where that is None.
+
+        Args:
+            fit: slow and independent noise.
+            prior: of the correlation time; None for one that is uniform in its logarithm.
+        """
         if fit is None:
             return cls(None, np.zeros(1))
         place = lambda noise: np.log([(noise.white / noise.slow) ** 2, noise.time])
@@ -154,7 +163,9 @@ class NoiseGrid(eqx.Module):
         # Nodes of a 3 x 3 Gauss-Hermite rule: the neighbors of the middle one lie at sqrt(3) standard deviations.
         first, second = (others[5] - others[4]) / np.sqrt(3), (others[7] - others[4]) / np.sqrt(3)
         at = center + (_STEPS[:, None, None] * first + _STEPS[None, :, None] * second).reshape(-1, 2)
-        return cls(np.exp(at[:, 0]), np.exp(at[:, 1]))
+        times = np.exp(at[:, 1])
+        by_time = 0.0 if prior is None else np.asarray(prior.log_density(times)) + at[:, 1]
+        return cls(np.exp(at[:, 0]), times, by_time)
 
     def solvers(self, samples: Samples) -> list[tuple[Any, float]]:
         """For each noise: the inverse covariance over the variance times columns, and the log determinant."""
@@ -213,6 +224,7 @@ def weight_equations(
         slopes=device(grams[:, :-1, -1]),
         grams=device(grams[:, :-1, :-1]),
         log_dets=device(np.array(log_dets)),
+        log_priors=device(np.broadcast_to(grid.log_prior, len(log_dets))),
         roughness=device(roughness),
         penalized=device(float(penalized.sum())),
         precision=device(precision),

@@ -198,7 +198,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     prior = 0.5 * penalized * jnp.log(strength) - strength * rough + equations.log_prior(w)
     return new | {
         "strength": strength, "rate": rate, "accepted": accepted.astype(float), "log_prior": prior,
-        "log_density": new["fit"] + prior + new["excess"],
+        "log_density": new["fit"] + prior + new["excess"] + equations.log_priors[new["number"]],
     }  # fmt: skip
 
 
@@ -207,7 +207,7 @@ def _noise(equations: WeightEquations, squares: Array, key: Array) -> tuple[Arra
     first, second = jax.random.split(key)
     n = equations.count
     half = 0.5 * squares + n * _LEAST
-    number = jax.random.categorical(first, -0.5 * equations.log_dets - 0.5 * n * jnp.log(half))
+    number = jax.random.categorical(first, equations.log_priors - 0.5 * (equations.log_dets + n * jnp.log(half)))
     return number, half[number] / jax.random.gamma(second, 0.5 * n)
 
 
@@ -262,7 +262,9 @@ class WeightSetup(Prepared):
         if has(diagnosis.findings, Code.REPEATING_RESIDUALS):
             text = "part of the residuals recurs every loop: the model is incomplete, and its weights are biased by more than chance"
             notes.append(warn(Code.INCOMPLETE, text))
-        grid = NoiseGrid.about(residuals.slow if label == "ou" else None)
+        longest = max(row.size for row in residuals.rows)
+        of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")
+        grid = NoiseGrid.about(residuals.slow if label == "ou" else None, of_time)
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
         problem = problem.with_noise(NOISES.make(label))
         equations = weight_equations(problem, result.x, grid, chosen, size)
