@@ -282,8 +282,13 @@ def test_the_grid_of_noises_lies_about_the_most_probable_one() -> None:
     u = np.sin(0.05 * np.arange(2000))
     problem = Problem(hf.BoucWen(), hf.Record(u=u, y=u))
     residual, nothing = slow + 0.5 * rng.normal(size=2000), np.zeros((2000, 0))
-    grid = NoiseGrid.about(fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing)))
+    found = fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing))
+    grid = NoiseGrid.about(found, priors.LogNormal(10.0, 0.5))
     assert grid.ratios.size == 25
+    expected = norm.logpdf(
+        np.log(grid.times), np.log(10.0), 0.5
+    )  # in the logarithm of the time, in which the grid is even
+    np.testing.assert_allclose(grid.log_prior - grid.log_prior[0], expected - expected[0], atol=1e-9)
     low, high = np.quantile(grid.times, [0, 1])
     assert low < 15 < high
     assert grid.ratios.min() < 0.25 < grid.ratios.max()

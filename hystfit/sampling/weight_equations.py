@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -164,7 +165,7 @@ class NoiseGrid(eqx.Module):
         first, second = (others[5] - others[4]) / np.sqrt(3), (others[7] - others[4]) / np.sqrt(3)
         at = center + (_STEPS[:, None, None] * first + _STEPS[None, :, None] * second).reshape(-1, 2)
         times = np.exp(at[:, 1])
-        by_time = 0.0 if prior is None else np.asarray(prior.log_density(times)) + at[:, 1]
+        by_time = 0.0 if prior is None else np.asarray(jax.vmap(prior.log_density)(to_device(times))) + at[:, 1]
         return cls(np.exp(at[:, 0]), times, by_time)
 
     def solvers(self, samples: Samples) -> list[tuple[Any, float]]:
