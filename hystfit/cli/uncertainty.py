@@ -45,7 +45,8 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: auto (weights for weights of cells or plays beside few other parameters, and nuts for the others), {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights for weights of cells or plays beside few other parameters, and nuts for the others), {samplers}, or
+            my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
