@@ -31,7 +31,7 @@ from hystfit.params.units import Scales
 CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
 _FIRST = 3  # loops from whose starting values all others begin
 _LOOKED_AT = 512  # loops among which these are chosen
-_GLANCE = 2  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
+_GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
 

@@ -65,13 +65,15 @@ def solve_stack(
     count, several, p = starts.shape
     records, some = np.arange(count), full if short is None else short
     lanes = np.repeat(records, several)
+    # Records of which a fit alone has a short form too; the best starts of others go on with all samples.
+    long = short is not None and PAYS * max(short.samples, SAMPLES) <= full.samples
     rough = descend_lanes(some, lanes, starts.reshape(-1, p), gain=ROUGH, steps=steps)
     z, cost, damping, taken = rough.normal.z, rough.cost, rough.damping, rough.steps
     least = lambda: several * records + np.argmin(cost.reshape(count, several), axis=1)
     if several > 1 and steps >= ROUND:
         going = np.union1d(least(), several * records)
     else:
-        going = least() if short is not None else records[:0]
+        going = least() if long else records[:0]
     going = going[~rough.converged[going] & ~rough.beaten[going] & np.isfinite(cost[going])]
     if going.size:
         more = descend_lanes(some, lanes[going], z[going], gain=ROUGH, steps=ROUNDS * ROUND, beside=len(lanes))
@@ -79,9 +81,7 @@ def solve_stack(
         better = more.cost <= cost[going]
         at = going[better]
         z[at], cost[at], damping[at] = (values[better] for values in (more.normal.z, more.cost, more.damping))
-    # As exact as a fit alone, which compares starts of long records on a short form too.
-    long, best = short is not None and PAYS * max(short.samples, SAMPLES) <= full.samples, least()
-    gain = gain_within(NEAR if long else EXACT, full.samples)
+    best, gain = least(), gain_within(NEAR if long else EXACT, full.samples)  # as exact as a fit alone
     ends = descend_lanes(full, records, z[best], gain=gain, steps=_MORE, damping=damping[best])
     return ends, cost.reshape(count, several), ends.steps + taken.reshape(count, several).sum(axis=1)
 
