@@ -132,6 +132,21 @@ def test_a_repeated_cycle_counts_once_each_time():
     np.testing.assert_allclose(np.diff(geometry.cycles(u, 0.01)[:, 0]), 100, atol=1)
 
 
+def test_reversals_follow_an_array_that_changes_and_are_forgotten_with_one_that_cannot():
+    u = np.array([0.0, 2.0, 1.0, 3.0, 0.0])
+    view = u[:]
+    view.flags.writeable = False
+    assert geometry.reversals(view).tolist() == [1, 2, 3]
+    u[:] = [0.0, 1.0, 2.0, 1.0, 0.0]
+    assert geometry.reversals(view).tolist() == geometry.reversals(u).tolist() == [2]
+    record = Record(u=u, y=u)
+    key = id(record.u)
+    assert [geometry.reversals(record.u).tolist() for _ in range(2)] == [[2], [2]]
+    assert key in geometry._known
+    del record
+    assert key not in geometry._known
+
+
 def test_chatter_is_not_counted_as_reversals():
     _, u = signals.sine(7, 100)
     noisy = u + 0.02 * np.random.default_rng(1).normal(size=u.size)
