@@ -21,7 +21,7 @@ from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.remains import correlation_of, leaves_noise, without_loop
-from hystfit.fitting.sizes import SizeSearch, weights_of
+from hystfit.fitting.sizes import Known, SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.inference.problem import Problem
@@ -84,6 +84,7 @@ class ComparisonRun:
         self._early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Of the last fit, which the next one takes where its bounds alone differ.
         self._equations: tuple[Problem, Split] | None = None
+        self._known = Known()
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -179,7 +180,7 @@ class ComparisonRun:
             one.first = First(known.left_out, len(known.free_names))
             return
         progress("first fit")
-        one.sizes = SizeSearch(self.data, self.options.spacing, progress)
+        one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known)
         if (found := one.sizes.first(model)) is not None:
             one.first = First(found[1], weights_of(found[0]), found[0])
         else:
@@ -222,7 +223,7 @@ class ComparisonRun:
                 ready = set_up_fit(given, self.data, self.options, held=True)
                 ready.problem.equations = known[1].beside(known[0].space, ready.problem.space, len(self.data))
         elif not sized:
-            one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress)
+            one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress, self._known)
             chosen, one.choices = one.sizes.chosen(model)
             given = chosen if one.choices else given
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
@@ -359,7 +360,7 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        self._equations = None
+        self._equations, self._known = None, Known()
         known, result = self.fits[name], self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
