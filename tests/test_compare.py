@@ -484,6 +484,25 @@ def test_a_fit_of_the_size_that_was_chosen_goes_on_from_its_equations(monkeypatc
     assert ready.problem.equations is None  # hundreds of MB for the largest
 
 
+@pytest.mark.parametrize("names", [("preisach", "preisach-signed"), ("preisach-signed", "preisach")])
+def test_masses_of_one_sign_and_of_either_take_the_equations_of_a_size_from_each_other(monkeypatch, names):
+    data, known, collected, collect = stepped_loops(), sizes.Known(), [], smooth_weights.Split.of
+    apart = [SizeSearch(data).first(make_model(name)) for name in names]
+
+    def watched(*arguments, **options):
+        collected.append(1)
+        return collect(*arguments, **options)
+
+    monkeypatch.setattr(smooth_weights.Split, "of", watched)
+    beside = [SizeSearch(data, known=known).first(make_model(name)) for name in names]
+    assert len(collected) == len(make_model(names[0]).choices(list(data))[0])
+    assert not known.equations
+    for (model, error), (same, its) in zip(apart, beside, strict=True):
+        assert (model_name(same), its) == (model_name(model), pytest.approx(error, rel=1e-12))
+    SizeSearch(data, known=known).first(make_model("preisach-magnetic"))  # of other cells
+    assert len(collected) == 2 * len(make_model(names[0]).choices(list(data))[0])
+
+
 def test_a_thinned_search_of_sizes_has_no_equations_of_all_samples():
     u = 3 * np.sin(np.linspace(0, 40, 20_001))
     data = hf.Dataset.of(hf.Record(u, np.tanh(u) + 0.1 * np.sign(np.gradient(u))))

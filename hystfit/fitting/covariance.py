@@ -162,7 +162,7 @@ def ridge_shares(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Fl
 def _factor(
     problem: Problem, x: np.ndarray, linear: Linearization, at_bound: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A root of the normal matrix of the derivatives, triangular for few parameters, and which parameters have an influence on the data, shape (p,), bool.
+    """A root of the normal matrix of the derivatives, triangular for few parameters, and which ones act on the data, shape (p,), bool.
 
     Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
     """

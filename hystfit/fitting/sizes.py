@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -157,7 +156,9 @@ class SizeSearch:
 
     def _bound(self, model: AbstractHysteresis, most: float) -> LeftOutErrors | None:
         """The lower bound of a model with the same elements, whose bounds alone differ and which a bound does not know."""
-        alike = lambda other: type(model) is not type(other) and (isinstance(model, type(other)) or isinstance(other, type(model)))
+        alike = lambda other: (
+            type(model) is not type(other) and (isinstance(model, type(other)) or isinstance(other, type(model)))
+        )
         beaten = self._of_others.beaten
         found = (bound for other, bound in beaten if alike(other) and other.settings() == model.settings())
         return next((bound for bound in found if bound.held > most), None)
