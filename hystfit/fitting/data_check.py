@@ -9,6 +9,7 @@ from typing import Any
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
+from hystfit.fitting.candidates import candidates, timeless
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.fit_warnings import drift_note
 from hystfit.fitting.screening import Screened, best_screened, screen
@@ -102,4 +103,8 @@ def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
     if best.error * equal_errors(samples) >= baselines.curve:  # a single-valued curve describes them
         return None
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
-    return Advice(best.name, reason)
+    if any(one.leaves_noise for one in screened):
+        return Advice(best.name, reason)
+    searched = candidates(records).iterated
+    of_time = any(one.found is None or not one.found.model.rate_independent for one in screened[:1])
+    return Advice(best.name, reason, searched if of_time else timeless(searched))

@@ -19,7 +19,7 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import equal_errors
-from hystfit.results.accuracy import POOR
+from hystfit.results.accuracy import POOR, Limits
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Screened:
         found: what the search found, where it is its model.
         leaves_noise: whether it leaves nothing but noise, see `residuals_are_white`.
         beaten: whether its error is at least this one, which is enough to tell that it is not the model to try first.
+        rough: whether its error is larger than that of a usable description.
     """
 
     name: str
@@ -45,28 +46,35 @@ class Screened:
     found: Found | None = None
     leaves_noise: bool = False
     beaten: bool = False
+    rough: bool = False
 
     @property
     def ranked(self) -> float:
-        """The error by which it ranks, as in a comparison."""
-        return self.error * handicap(Status.OK, self.inverse)
+        """The error by which it ranks, as in a comparison; one on held-out samples alone does not count a rough fit twice."""
+        return self.error * handicap(Status.OK, self.inverse and not self.rough)
 
 
 def screen(data: Dataset) -> Iterator[Screened]:
     """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start.
 
-    The search comes first, and the only one where it leaves nothing but noise, as in `compare`.
+    The search comes first, and the only one where it leaves nothing but noise; the last candidates follow where the others describe the
+    loops roughly at best. So does `compare`.
     """
     data = without_faults(data)
-    look, most, samples = _Look(data), float("inf"), sum(int(record.used.sum()) for record in data)
-    for name in candidates(data).closed:
-        one = _searched(data) if name == SEARCH else look.at(name, most)
+    look, chosen, baselines = _Look(data), candidates(data), Baselines.of(data)
+    equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
+    least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
+    for name in (*chosen.closed, *chosen.last):
+        if name in chosen.last and least <= limit:
+            return
+        one = _searched(data, baselines) if name == SEARCH else look.at(name, most)
         if one is None:
             continue
+        one = dataclasses.replace(one, rough=one.error > limit)
         yield one
         if one.leaves_noise:
             return
-        most = min(most, equal_errors(samples) * one.ranked)
+        least, most = min(least, one.error), min(most, equal * one.ranked)
 
 
 def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
@@ -76,10 +84,10 @@ def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screene
     return [one for one in found if one is not None]
 
 
-def _searched(data: Dataset) -> Screened:
+def _searched(data: Dataset, baselines: Baselines) -> Screened:
     found = search_structure(data)
     weights = weights_of(found.model)
-    noise = residuals_are_white(found.residuals(), Baselines.of(data).curve, weights)
+    noise = residuals_are_white(found.residuals(), baselines.curve, weights)
     return Screened(model_name(found.model), found.score, weights, found.model.has_inverse, SEARCH, found, noise)
 
 
