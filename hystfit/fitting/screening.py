@@ -18,7 +18,7 @@ from hystfit.fitting.verdict import residuals_are_white
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
 from hystfit.quality.baselines import Baselines
-from hystfit.quality.held_out import equal_errors
+from hystfit.quality.held_out import Scheme, correlation_length, equal_errors, held_out
 from hystfit.results.accuracy import POOR, Limits
 
 
@@ -61,13 +61,17 @@ def screen(data: Dataset) -> Iterator[Screened]:
     loops roughly at best. So does `compare`.
     """
     data = without_faults(data)
-    look, chosen, baselines = _Look(data), candidates(data), Baselines.of(data)
+    chosen, baselines, look = candidates(data), Baselines.of(data), _Look(data)
     equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
     least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
     for name in (*chosen.closed, *chosen.last):
         if name in chosen.last and least <= limit:
             return
-        one = _searched(data, baselines) if name == SEARCH else look.at(name, most)
+        if name == SEARCH:
+            one, spacing = _searched(data, baselines)
+            look = _Look(data, spacing)
+        else:
+            one = look.at(name, most)
         if one is None:
             continue
         one = dataclasses.replace(one, rough=one.error > limit)
@@ -84,19 +88,24 @@ def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screene
     return [one for one in found if one is not None]
 
 
-def _searched(data: Dataset, baselines: Baselines) -> Screened:
-    found = search_structure(data)
+def _searched(data: Dataset, baselines: Baselines) -> tuple[Screened, int]:
+    """What the search finds, and the samples over which its residuals are correlated where scattered ones are held out, as in `compare`."""
+    found, spacing = search_structure(data), 1
+    if held_out(list(data)).scheme is Scheme.SCATTERED:
+        spacing = max(map(correlation_length, found.residuals()))
+        found = search_structure(data, spacing=spacing) if spacing > 1 else found
     weights = weights_of(found.model)
     noise = residuals_are_white(found.residuals(), baselines.curve, weights)
-    return Screened(model_name(found.model), found.score, weights, found.model.has_inverse, SEARCH, found, noise)
+    return Screened(model_name(found.model), found.score, weights, found.model.has_inverse, SEARCH, found, noise), spacing
 
 
 class _Look:
     """Solves models on thinned records; not the search, whose terms may depend on the rate."""
 
-    def __init__(self, data: Dataset):
-        self._data, self._short = data, thinned(data)
-        self._sizes = SizeSearch(self._short)
+    def __init__(self, data: Dataset, spacing: int = 1):
+        self._data, self._short, self._spacing = data, thinned(data), spacing
+        self._fewer = max(1, round(spacing * sum(map(len, self._short)) / sum(map(len, data))))
+        self._sizes = SizeSearch(self._short, self._fewer)
 
     def at(self, name: str, most: float) -> Screened | None:
         """A model, and whether it is beaten because it is ranked at an error above `most`; None where these records cannot start it."""
@@ -106,7 +115,10 @@ class _Look:
             model, error = first
             return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=error > most)
         try:  # it has no sizes to choose
-            problem, _ = started_problem(model, self._short if model.allows_thinning else self._data)
+            short = model.allows_thinning
+            problem, _ = started_problem(
+                model, self._short if short else self._data, spacing=self._fewer if short else self._spacing
+            )
             system = LinearSystem.of(problem, problem.space.vector(problem.model))
         except HystfitError:
             return None
