@@ -15,7 +15,7 @@ from hystfit.fitting.fit_warnings import drift_note
 from hystfit.fitting.screening import Screened, best_screened, screen
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
-from hystfit.models.registry import judged, judged_as
+from hystfit.models.registry import judged, judged_as, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
@@ -46,12 +46,14 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
-    damaged = any(note.code is Code.DEGRADING for note in report.findings)
     short = coarse(without_faults(records))
     every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(short)
     shown = _traits(short, every) if every else ()
-    screened = () if damaged or all(record.single_valued for record in report.records) else every
+    screened = () if all(record.single_valued for record in report.records) else every
     advice = _advice(short, screened) if screened else None
+    damaged = has(report.findings, Code.DEGRADING)
+    if damaged and advice is not None and not make_model(advice.model).degrades:
+        advice, screened = None, ()
     explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)

@@ -65,7 +65,7 @@ def screen(data: Dataset) -> Iterator[Screened]:
     equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
     least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
     for name in (*chosen.closed, *chosen.last):
-        if name in chosen.last and least <= limit:
+        if name in chosen.last and not limit < least < baselines.curve:
             return
         if name == SEARCH:
             one, spacing = _searched(data, baselines)
