@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
@@ -12,9 +14,11 @@ from hystfit.fitting.comparison import handicap
 from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
+from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
+from hystfit.inference.problem import Problem
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
 from hystfit.quality.baselines import Baselines
@@ -96,7 +100,19 @@ def _searched(data: Dataset, baselines: Baselines) -> tuple[Screened, int]:
         found = search_structure(data, spacing=spacing) if spacing > 1 else found
     weights = weights_of(found.model)
     noise = residuals_are_white(found.residuals(), baselines.curve, weights)
-    return Screened(model_name(found.model), found.score, weights, found.model.has_inverse, SEARCH, found, noise), spacing
+    error = _ranking_error(Problem(found.model, data, spacing=spacing), found.score)
+    return Screened(model_name(found.model), error, weights, found.model.has_inverse, SEARCH, found, noise), spacing
+
+
+def _ranking_error(problem: Problem, error: float) -> float:
+    """The error on held-out samples where smaller loops count too, see `hystfit.fitting.left_out.ranking_error`."""
+    inner = problem.by_inner_loops() if problem.held_out.scheme is Scheme.SCATTERED else None
+    if inner is None:
+        return error
+    x = inner.space.vector(inner.model)
+    if inner.model.estimator == "preisach":
+        return float(np.sqrt(error * left_out_scores(inner, x).held))
+    return float(np.sqrt(error * fit_ridge(LinearSystem.of(inner, x)).score))
 
 
 class _Look:
@@ -113,7 +129,10 @@ class _Look:
         most /= handicap(Status.OK, model.has_inverse)
         if (first := self._sizes.first(model, most)) is not None:
             model, error = first
-            return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=error > most)
+            if not (beaten := error > most):
+                problem, _ = started_problem(model, self._short, spacing=self._fewer)
+                error = _ranking_error(problem, error)
+            return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=beaten)
         try:  # it has no sizes to choose
             short = model.allows_thinning
             problem, _ = started_problem(
@@ -122,7 +141,7 @@ class _Look:
             system = LinearSystem.of(problem, problem.space.vector(problem.model))
         except HystfitError:
             return None
-        model, error = problem.model, float(fit_ridge(system).score)
+        model, error = problem.model, _ranking_error(problem, float(fit_ridge(system).score))
         return Screened(model_name(model), error, weights_of(model), model.has_inverse, name)
 
 

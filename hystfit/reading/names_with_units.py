@@ -160,7 +160,7 @@ def _quotient_in_words(name: str) -> tuple[str, str] | None:
 def _behind_mark(name: str) -> tuple[str, str] | None:
     """H_kA/m, Moment / A m2, "Force, kN", "Field in kA/m"; None for other names."""
     # Of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
-    if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
+    if (match := re.fullmatch(r"([^/]+)[_ ]([^_/\s]+/[^_/\s]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
