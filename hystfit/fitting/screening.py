@@ -15,6 +15,7 @@ from hystfit.fitting.fit_setup import started_problem, without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.smooth_weights import left_out_scores
+from hystfit.fitting.structure import structure_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
@@ -58,24 +59,33 @@ class Screened:
         return self.error * handicap(Status.OK, self.inverse and not self.rough)
 
 
-def screen(data: Dataset) -> Iterator[Screened]:
+def screen(data: Dataset) -> list[Screened]:
     """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start.
 
     The search comes first, and the only one where it leaves nothing but noise; the last candidates follow where the others describe the
-    loops roughly at best. So does `compare`.
+    loops roughly at best. Where it is the best on scattered samples, these are as far apart as its residuals are correlated. So does
+    `compare`.
     """
     data = without_faults(data)
-    chosen, baselines, look = candidates(data), Baselines.of(data), _Look(data)
+    screened = list(_screened(data))
+    best = min(screened, key=lambda one: one.ranked, default=None)
+    if best is None or best.found is None or held_out(list(data)).scheme is not Scheme.SCATTERED:
+        return screened
+    spacing = max(map(correlation_length, best.found.residuals()))
+    return list(_screened(data, spacing)) if spacing > 1 else screened
+
+
+def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
+    """The models in turn; arguments as of `held_out`."""
+    chosen, baselines, look = candidates(data), Baselines.of(data), _Look(data, spacing)
     equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
     least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
-    for name in (*chosen.closed, *chosen.last):
+    names = [*chosen.closed, *chosen.last]
+    while names:
+        name = names.pop(0)
         if name in chosen.last and not limit < least < baselines.curve:
             return
-        if name == SEARCH:
-            one, spacing = _searched(data, baselines)
-            look = _Look(data, spacing)
-        else:
-            one = look.at(name, most)
+        one = _searched(data, baselines, spacing) if name == SEARCH else look.at(name, most)
         if one is None:
             continue
         one = dataclasses.replace(one, rough=one.error > limit)
@@ -83,6 +93,8 @@ def screen(data: Dataset) -> Iterator[Screened]:
         if one.leaves_noise:
             return
         least, most = min(least, one.error), min(most, equal * one.ranked)
+        if one.found is not None:
+            names[len(chosen.closed) - 1 : len(chosen.closed) - 1] = chosen.beside(*structure_of(one.found.model)).closed
 
 
 def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
@@ -92,16 +104,12 @@ def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screene
     return [one for one in found if one is not None]
 
 
-def _searched(data: Dataset, baselines: Baselines) -> tuple[Screened, int]:
-    """What the search finds, and the samples over which its residuals are correlated where scattered ones are held out, as in `compare`."""
-    found, spacing = search_structure(data), 1
-    if held_out(list(data)).scheme is Scheme.SCATTERED:
-        spacing = max(map(correlation_length, found.residuals()))
-        found = search_structure(data, spacing=spacing) if spacing > 1 else found
+def _searched(data: Dataset, baselines: Baselines, spacing: int) -> Screened:
+    found = search_structure(data, spacing=spacing)
     weights = weights_of(found.model)
     noise = residuals_are_white(found.residuals(), baselines.curve, weights)
     error = _ranking_error(Problem(found.model, data, spacing=spacing), found.score)
-    return Screened(model_name(found.model), error, weights, found.model.has_inverse, SEARCH, found, noise), spacing
+    return Screened(model_name(found.model), error, weights, found.model.has_inverse, SEARCH, found, noise)
 
 
 def _ranking_error(problem: Problem, error: float) -> float:

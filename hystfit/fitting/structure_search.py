@@ -139,9 +139,9 @@ def _next(structure: Structure, score: float, terms: Terms, options: dict[str, t
 
 
 def _is_sure(changed: Structure, structure: Structure, terms: Terms) -> bool:
-    """Whether a change adds no force of the rate and no lag, or one that the records tell from the place in the loop."""
-    added = changed.rate > structure.rate or (changed.lag > 0 and not structure.lag)
-    return not added or terms.several_paces or terms.score(changed) < _AT_ONE_PACE * terms.score(structure)
+    """Whether a change adds no first force of the rate or lag, or one that the records tell from the place in the loop."""
+    first = (changed.lag or changed.rate) and not (structure.lag or structure.rate)
+    return not first or terms.several_paces or terms.score(changed) < _AT_ONE_PACE * terms.score(structure)
 
 
 def max_plays(data: Dataset) -> int:
