@@ -16,11 +16,11 @@ from hystfit.quality.baselines import BLOCK, plays_residuals
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, place_of
+from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, conducts, place_of
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import APART, clear_reversals, cycles
-from hystfit.quality.summary import delay_of, outliers_of
+from hystfit.quality.summary import delay_of, outliers_of, paces
 from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
@@ -39,6 +39,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
         _chattering(fitted),
+        _at_one_rate(fitted.data),
     )
     notes = [note for note in found if note is not None]
     drift = _drift(fitted)
@@ -71,6 +72,17 @@ def _followed_drift(fitted: Fitted) -> Note | None:
                 "sensor drifts, subtract it before the fit; else a longer record shows how the creep goes on",
             )
     return None
+
+
+def _at_one_rate(data: Dataset) -> Note | None:
+    """A warning where currents against voltages were measured at one rate, or nobody knows at which."""
+    if not conducts(data.units) or paces(data) > 1:
+        return None
+    text = (
+        "a current against a voltage at one scan rate: charging and slow reactions open such loops, so that this one holds for that rate "
+        "alone; measure at rates a factor of three apart"
+    )
+    return warn(Code.RATE, text)
 
 
 def _means(data: Dataset) -> list[np.ndarray]:
