@@ -85,6 +85,7 @@ def test_at_one_pace_a_force_of_the_rate_needs_clear_evidence():
     assert paces([still]) == 1
     assert not search_structure(hf.Dataset.of(still)).structure.timed
     assert search_structure(hf.Dataset.of(viscous)).structure.rate
+    assert still.t is not None
     other = hf.Record(still.u, still.y, 5 * still.t)
     assert paces([still, other]) == 2
 

@@ -94,7 +94,9 @@ def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
             return
         least, most = min(least, one.error), min(most, equal * one.ranked)
         if one.found is not None:
-            names[len(chosen.closed) - 1 : len(chosen.closed) - 1] = chosen.beside(*structure_of(one.found.model)).closed
+            names[len(chosen.closed) - 1 : len(chosen.closed) - 1] = chosen.beside(
+                *structure_of(one.found.model)
+            ).closed
 
 
 def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:

@@ -235,7 +235,7 @@ class _Curve:
 
 def _is_resolved(record: Record) -> bool:
     """Whether the cycles have samples enough on average to tell the noise from the output."""
-    return 2 * np.count_nonzero(record.used) >= FEWEST_SAMPLES * (clear_reversals(record.u).size + 1)
+    return bool(2 * np.count_nonzero(record.used) >= FEWEST_SAMPLES * (clear_reversals(record.u).size + 1))
 
 
 def _noise(outputs: Sequence[np.ndarray]) -> float | None:

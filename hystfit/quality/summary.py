@@ -277,9 +277,7 @@ def paces(records: Iterable[Record]) -> int:
     durations = [
         np.log10(record.t[at[1:]] - record.t[at[:-1]])
         for record in records
-        if record.t is not None
-        and np.diff(record.t).min() > 0
-        and (at := geometry.clear_reversals(record.u)).size > 1
+        if record.t is not None and np.diff(record.t).min() > 0 and (at := geometry.clear_reversals(record.u)).size > 1
     ]
     return len(geometry.distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
 
