@@ -10,7 +10,6 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, rounding_rms
-from hystfit.quality.loops import clear_reversals
 from hystfit.quality.plays import play_positions
 
 DEGREE = 7  # of the single-valued curve
@@ -234,8 +233,9 @@ class _Curve:
 
 
 def _is_resolved(record: Record) -> bool:
-    """Whether the cycles have samples enough on average to tell the noise from the output."""
-    return bool(2 * np.count_nonzero(record.used) >= FEWEST_SAMPLES * (clear_reversals(record.u).size + 1))
+    """Whether there are samples enough for each time that the input goes there and back over its range to tell noise from the output."""
+    cycles = float(np.abs(np.diff(record.u)).sum()) / (2 * float(np.ptp(record.u)) or np.inf)
+    return bool(np.count_nonzero(record.used) >= FEWEST_SAMPLES * cycles)
 
 
 def _noise(outputs: Sequence[np.ndarray]) -> float | None:
