@@ -24,6 +24,7 @@ def fitdir(tmp_path_factory):
 
 
 def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdir, tmp_path, capsys):
+    """Its folder predicts with bands."""
     out = tmp_path / "p"
     words = [
         "sample",
@@ -49,6 +50,23 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
     assert {"model.json", "records.npz"} <= {file.name for file in (out / "fit").iterdir()}
     assert "hystfit-new" not in (out / "report.html").read_text()
     assert hf.load_posterior(out).draws.shape[1] in (10, 20, 40, 80, 160)  # continued to 16 times as many at most
+
+    record = hf.load_fit(fitdir).data[0]
+    loop, columns = tmp_path / "loop.csv", np.column_stack([record.t, record.u, record.y + 0.1])
+    np.savetxt(loop, columns, delimiter=",", header="t_s,u_V,y_um", comments="")
+    for shifted, option in ((False, []), (True, ["--refit-offset"])):
+        place = tmp_path / f"predicted-{shifted}"
+        assert run(["predict", str(out), str(loop), *option, "--out", str(place)]) in (0, 1)
+        table = np.genfromtxt(place / "prediction.csv", delimiter=",", names=True)
+        low, _, high = hf.load_posterior(out).bands(hf.Record(u=record.u, y=record.y + 0.1, t=record.t, name="loop"))
+        shift = 0.1 if shifted else 0.0
+        np.testing.assert_allclose(table["lower"], low + shift, atol=0.005 * shifted + 1e-9)
+        np.testing.assert_allclose(table["upper"], high + shift, atol=0.005 * shifted + 1e-9)
+        content = json.loads((place / "result.json").read_text())["bands"]
+        measured = record.y + 0.1
+        assert content["inside"] == pytest.approx(np.mean((table["lower"] <= measured) & (measured <= table["upper"])))
+        assert content["width"] == pytest.approx(np.max(table["upper"] - table["lower"]))
+        assert (content["inside"] > 0.8) == shifted
 
 
 def test_profile_writes_limits(fitdir, tmp_path, capsys):

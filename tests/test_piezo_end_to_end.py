@@ -1,7 +1,6 @@
 """The way of a piezo actuator from its record to the board, at the shell: fit, sample, invert, export, compile, run."""
 
 import json
-import re
 import subprocess
 from pathlib import Path
 
@@ -46,15 +45,14 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
     assert result["metrics"]["train"]["nrmse_percent"] < 0.4
     assert result["model"].startswith("lag")
 
-    # It has 40 plays with three envelopes each, which is more than can be sampled: the refusal names the model that can.
+    # It has 40 plays with three envelopes each, behind a time constant: the weights are sampled exactly, the constant beside them.
     posterior = tmp_path / "posterior"
-    quick = ["--draws", "20", "--warmup", "50", "--chains", "2"]
-    capsys.readouterr()
-    assert run(["sample", str(fit), *quick, "--out", str(posterior)]) == 2
-    smaller = re.search(r"--model '?(\S+plays=10[^'\s]*)", capsys.readouterr().err)[1]
-    assert run(["fit", str(loop), "--model", smaller, "--out", str(tmp_path / "smaller")]) == 0
-    assert run(["sample", str(tmp_path / "smaller"), *quick, "--out", str(posterior)]) == 1  # too few draws to converge
-    assert (posterior / "posterior.nc").is_file()
+    quick = ["--draws", "60", "--warmup", "20", "--chains", "2"]
+    assert run(["sample", str(fit), *quick, "--out", str(posterior)]) in (
+        0,
+        1,
+    )  # few draws, which may not have converged
+    assert json.loads((posterior / "result.json").read_text())["sampler"] == "weights"
 
     # What the model answers to a slow drive is a reference that the actuator can follow from its first sample on.
     drive = np.interp(t[:300], [0, 0.5, 1.1, 1.5], [rows[0, 0], 3.2, 0.6, 2.0])

@@ -808,7 +808,7 @@ def test_names_of_columns_whatever_the_shape_of_the_header(kind: str, tmp_path: 
 
 def test_settings_of_an_oscilloscope_beside_the_first_rows(tmp_path: Path) -> None:
     """Two exported channels, each with its settings to the left, pasted beside each other."""
-    settings = ["Record Length,810,Points", "Source,{},", "Vertical Scale,200.0E-3,", "Probe Atten,1.0,"]
+    settings = ["Record Length,810,Points", "Source,{},", "Vertical Units,V,", "Horizontal Units,s,"]
     beside = [*settings, *[",,"] * (10 * 81 - len(settings))]
     cells = lambda k, channel, value: f"{beside[k].format(channel)},{1e-5 * k:.6f},{value:.8f},"
     rows = [
@@ -818,6 +818,7 @@ def test_settings_of_an_oscilloscope_beside_the_first_rows(tmp_path: Path) -> No
     record = one(written(tmp_path, "\n".join(rows) + "\n"))
     is_loop(record, np.repeat(FIELD, 10), np.repeat(MOMENT, 10))
     assert record.dt == pytest.approx(1e-5)
+    assert (record.u_name, record.y_name, record.u_unit, record.y_unit) == ("CH1", "CH2", "V", "V")
 
 
 def test_an_oscilloscope_states_its_interval_beside_the_names(tmp_path: Path) -> None:

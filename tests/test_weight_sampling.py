@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import gamma
+from scipy.stats import gamma, norm
 from scipy.stats import t as student
 
 import hystfit as hf
@@ -23,7 +23,7 @@ from hystfit.outcome import Status
 from hystfit.sampling.sample import suited_sampler
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, weight_equations, weight_priors
-from hystfit.sampling.weight_sampler import overrelaxed
+from hystfit.sampling.weight_sampler import Weights, overrelaxed
 
 
 def turning(seed: int, count: int, steps: int = 12) -> np.ndarray:
@@ -200,7 +200,7 @@ def test_every_weight_that_acts_has_an_error_by_its_posterior(cells: hf.FitResul
 
 
 def test_what_the_sampler_cannot_do_is_named(plays: hf.FitResult, cells: hf.FitResult) -> None:
-    assert suited_sampler(plays) == "nuts"
+    assert suited_sampler(plays, "student-t") == "nuts"
     with pytest.raises(ParameterError, match="iid and ou"):
         hf.sample(plays, "weights", noise="student-t")
     with pytest.raises(ParameterError, match="normal priors"):
@@ -208,8 +208,68 @@ def test_what_the_sampler_cannot_do_is_named(plays: hf.FitResult, cells: hf.FitR
     u = turning(1, 12)
     y = np.asarray(hf.simulate(hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), u)[0])
     problem = Problem(hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5), hf.Record(u=u, y=y))
-    with pytest.raises(ParameterError, match="c, mu, tau, rho"):
-        weight_equations(problem, problem.space.vector(problem.model), NoiseGrid.about(None), {}, 1.0)
+    with pytest.raises(ParameterError, match="needs weights"):
+        hf.sample(hf.fit(problem.model, problem.data, fix={"mu": 0.5}, free=["tau", "rho"]), "weights")
+
+
+@pytest.fixture(scope="module")
+def lagging() -> hf.FitResult:
+    """Two plays behind a lag, with much noise."""
+    u, noise = turning(21, 8), 0.12
+    model = hf.Series(hf.Lag(tau=2.0), PrandtlIshlinskii(w=[[1.0, 0.8]], r=[0.0, 0.4], low=-1.0, high=1.0))
+    y = np.asarray(hf.simulate(model, u, np.ones(u.size))[0]) + noise * np.random.default_rng(22).normal(size=u.size)
+    return hf.fit(model, hf.Record(u=u, y=y, t=np.arange(float(u.size))))
+
+
+def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitResult) -> None:
+    # Given the time constant, the weights are normal with a variance in closed form: the posterior of the constant by sums over a grid.
+    fit = lagging
+    prior = priors.LogNormal(2.0, 0.5)
+    vague = {
+        name: priors.HalfNormal(30) if name.startswith("w") else priors.Normal(0, 30) for name in fit.free_names[1:]
+    }
+    posterior = hf.sample(fit, "weights", noise="iid", priors={"tau": prior} | vague, draws=1000, seed=1)
+    assert fit.free_names[0] == "tau"
+    y, taus = fit.data[0].y, np.linspace(0.5, 3.4, 300)
+
+    def log_marginal(tau: float) -> float:
+        X = np.column_stack([fit.problem.predict(np.array([tau, *unit]))[0] for unit in np.eye(3)])
+        rss = np.sum((y - X @ np.linalg.lstsq(X, y, rcond=None)[0]) ** 2)
+        spread = np.linalg.slogdet(X.T @ X)[1] + (y.size - X.shape[1]) * np.log(rss)
+        return norm.logpdf(np.log(tau / 2.0), scale=0.5) - np.log(tau) - 0.5 * spread
+
+    logs = np.array([log_marginal(tau) for tau in taus])
+    p = np.exp(logs - np.max(logs))
+    p /= p.sum()
+    assert max(p[0], p[-1]) < 1e-3
+    mean = p @ taus
+    sd = np.sqrt(p @ (taus - mean) ** 2)
+    assert sd / mean > 0.05  # the output is far from linear in the time constant over its posterior
+    assert np.mean(posterior.stats["acceptance"]) < 0.95
+    found = posterior["tau"].reshape(-1)
+    assert found.mean() == pytest.approx(mean, abs=0.1 * sd)
+    assert found.std() == pytest.approx(sd, rel=0.1)
+    np.testing.assert_allclose(
+        np.quantile(found, [0.05, 0.95]), np.interp([0.05, 0.95], np.cumsum(p), taus), atol=0.2 * sd
+    )
+
+
+@pytest.mark.parametrize("noise", ["iid", "ou"])
+def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
+    lagging: hf.FitResult, noise: str
+) -> None:
+    fit = lagging
+    equations = Weights().prepare(fit, noise, None).equations
+    rng, k, m = np.random.default_rng(0), fit.free_names.index("tau"), equations.squares.size
+    found = []
+    for number in rng.integers(m, size=8):
+        w = np.asarray(equations.estimate) * rng.uniform(0.5, 1.5, equations.estimate.size)
+        w[k], variance = equations.estimate[k], rng.uniform(0.5, 2.0) * equations.squares[number] / equations.count
+        found.append(equations.excess(w, number, variance, equations.fit(equations.squares_at(w), number, variance)))
+    np.testing.assert_allclose(found, found[0], atol=1e-6)
+    w[k] += 0.5
+    fit_there = equations.fit(equations.squares_at(w), number, variance)
+    assert abs(equations.excess(w, number, variance, fit_there) - found[0]) > 0.1
 
 
 def test_the_grid_of_noises_lies_about_the_most_probable_one() -> None:
@@ -222,8 +282,13 @@ def test_the_grid_of_noises_lies_about_the_most_probable_one() -> None:
     u = np.sin(0.05 * np.arange(2000))
     problem = Problem(hf.BoucWen(), hf.Record(u=u, y=u))
     residual, nothing = slow + 0.5 * rng.normal(size=2000), np.zeros((2000, 0))
-    grid = NoiseGrid.about(fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing)))
+    found = fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing))
+    grid = NoiseGrid.about(found, priors.LogNormal(10.0, 0.5))
     assert grid.ratios.size == 25
+    expected = norm.logpdf(
+        np.log(grid.times), np.log(10.0), 0.5
+    )  # in the logarithm of the time, in which the grid is even
+    np.testing.assert_allclose(grid.log_prior - grid.log_prior[0], expected - expected[0], atol=1e-9)
     low, high = np.quantile(grid.times, [0, 1])
     assert low < 15 < high
     assert grid.ratios.min() < 0.25 < grid.ratios.max()

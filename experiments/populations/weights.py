@@ -17,7 +17,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models import Preisach
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations
-from hystfit.sampling.weight_sampler import sweep
+from hystfit.sampling.weight_sampler import state_at, sweep
 
 TURNS, STEPS = 20, 12  # of the input, and samples between them
 WARMUP, KEPT, THIN = 60, 99, 4  # sweeps, draws that are ranked, sweeps between them
@@ -68,10 +68,7 @@ def _ranks(equations: WeightEquations, columns: Any, rest: Any, key: Any) -> Any
     y = rest + columns @ w + sigma * jax.random.normal(keys[3], rest.shape)
     r = rest + columns @ equations.estimate - y
     own = dataclasses.replace(equations, squares=(r @ r)[None], slopes=(columns.T @ r)[None])
-    start = {
-        "w": jnp.full(p, 1.0 / p), "strength": equations.penalized**2, "variance": r @ r / r.size,
-        "number": jnp.zeros((), int), "rate": jnp.zeros(()), "log_density": jnp.zeros(()), "log_prior": jnp.zeros(()),
-    }  # fmt: skip
+    start = state_at(own, jnp.full(p, 1.0 / p), jnp.zeros((), int), r @ r / r.size, equations.penalized**2)
     once = lambda state, key: (new := sweep(own, state, key), new)
     after = jax.lax.scan(once, start, jax.random.split(keys[4], WARMUP))[0]
     draws = jax.lax.scan(once, after, jax.random.split(keys[5], THIN * KEPT))[1]

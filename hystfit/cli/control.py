@@ -18,7 +18,7 @@ from hystfit.cli.options import (
     Trust,
     input_limits,
 )
-from hystfit.cli.records import chosen_covariates, load_one_sided, open_fit
+from hystfit.cli.records import fit_folder, load_one_sided, open_fit, open_posterior
 from hystfit.cli.write import finish, items, named, progress, prose_width, write_csv, written
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Status, Table
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from hystfit.data.record import Record
     from hystfit.results.result import FitResult
     from hystfit.results.webpage import Page
+    from hystfit.sampling.posterior import Posterior
 
 _ABOUT_READING = (Code.COLUMN_CHOICE, Code.LEFT_OUT, Code.UNITS)  # notes of a reference that are printed
 
@@ -60,13 +61,12 @@ def invert(
     """
     from hystfit.control.inverse import invert as solve
 
-    sampled = (fitdir / "posterior.nc").is_file()
-    place = fitdir / "fit" if sampled else fitdir
-    result = open_fit(place, output, trust, covariates=covariates)
+    result = open_fit(fitdir, output, trust, covariates=covariates)
+    posterior = open_posterior(fitdir, trust, covariates)
     target = result.in_fitted_units(_target(reference, reading, result.data[0]).replace(u_unit=result.data.units["u"]))
     span = input_limits(limits)
     dt = target.dt if target.t is not None else None
-    bands = _bands(fitdir, target.y, dt, span, rest, trust, covariates) if sampled else None
+    bands = None if posterior is None else _bands(posterior, target.y, dt, span, rest)
     inverse = solve(result, target.y, dt, limits=span, rest=rest) if bands is None else bands.given
     missed = [warn(Code.MISSED, note) for note in inverse.notes()]
     content = _content(fitdir, result, target, inverse, bands, span)
@@ -96,7 +96,7 @@ def invert(
 
         figure = inverse_figure(target, inverse, bands, units["input"] or "")
         same_limits = f" --limits={limits}" if limits else ""
-        following = f"hystfit export {opened(result, shlex.quote(str(place)))} --c code{same_limits}"
+        following = f"hystfit export {opened(result, shlex.quote(str(fit_folder(fitdir))))} --c code{same_limits}"
         return invert_page(title, content, remarks, figure, following)
 
     return finish("\n".join(lines), content, output, save, page=page)
@@ -150,20 +150,11 @@ def _target(path: str, reading: Reading, fitted: Record) -> Record:
 
 
 def _bands(
-    folder: Path,
-    reference: Any,
-    dt: Any,
-    limits: tuple[float, float] | None,
-    rest: float | None,
-    trust: bool,
-    covariates: list[str] | None,
+    posterior: Posterior, reference: Any, dt: Any, limits: tuple[float, float] | None, rest: float | None
 ) -> InverseBands:
     from hystfit.control.bands import inverse_bands
-    from hystfit.sampling.files import load_posterior
 
     with progress("inverting by draws"):
-        posterior = load_posterior(folder, trust=trust)
-        posterior = posterior.at(**chosen_covariates(covariates)) if covariates else posterior
         return inverse_bands(posterior, reference, dt, limits=limits, rest=rest)
 
 

@@ -13,6 +13,7 @@ from hystfit.cli.options import (
     STDOUT,
     Covariates,
     FitFolder,
+    FitOrDraws,
     Loop,
     Output,
     Part,
@@ -20,7 +21,7 @@ from hystfit.cli.options import (
     Trust,
     bounds_of,
 )
-from hystfit.cli.records import load, load_one_sided, open_fit
+from hystfit.cli.records import load, load_one_sided, open_fit, open_posterior
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
 from hystfit.outcome import Code, Note, Severity, Status
@@ -28,8 +29,13 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.wrapping import listed
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hystfit.data.dataset import Dataset
     from hystfit.results.result import FitResult
+    from hystfit.sampling.posterior import Posterior
+
+_LEVEL = 0.9  # of measurements that lie in a band
 
 
 def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOUT) -> int:
@@ -56,7 +62,7 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
 
 
 def predict(
-    fitdir: FitFolder,
+    fitdir: FitOrDraws,
     /,
     *loops: Loop,
     input_only: Annotated[bool, Parameter(group=SPLIT)] = False,
@@ -69,14 +75,17 @@ def predict(
 ) -> int:
     """Simulate a fitted model on the input of a record, and compare it with the measured output where there is one.
 
-    With --out, the folder holds prediction.csv and a picture.
+    With --out, the folder holds prediction.csv and a picture. The folder of `hystfit sample` adds bands in which 90 % of measurements lie.
 
     Args:
         input_only: the file has no output: predict it (give --input, and --time).
         window: compare only the samples in start:stop.
         refit_offset: shift the prediction to the mean of the measurement (the zero of the sensor may differ).
     """
+    import numpy as np
+
     result = open_fit(fitdir, output, trust, covariates=covariates)
+    posterior = open_posterior(fitdir, trust, covariates)
     if input_only:
         unit = result.data.units["y"]
         data = load_one_sided(loops, reading, "output", result.data[0])
@@ -89,14 +98,44 @@ def predict(
         data = data.map(lambda record: record.window(*part))
     runs = [result.predict(record, refit_offset=refit_offset) for record in data]
     content, text = _compared(result, data, runs, fitdir, refit_offset)
+    columns, unit = {"predicted": runs}, result.data.units["y"]
+    if posterior is not None:
+        edges = _edges(result, posterior, data, runs)
+        content["bands"], words = _of_bands(data, edges)
+        text = "\n".join([text, *items([words])])
+        columns |= {"lower": [low for low, _ in edges], "upper": [high for _, high in edges]}
 
     def save(folder: Path) -> None:
-        unit = result.data.units["y"]
-        predicted = {named("predicted", unit): [value for run in runs for value in run]}
+        predicted = {named(name, unit): np.concatenate(rows).tolist() for name, rows in columns.items()}
         write_csv(folder / "prediction.csv", record_columns(data, "measured", unit) | predicted)
         _draw(folder / "prediction.png", result, data, refit_offset)
 
     return finish(text, content, output, save)
+
+
+def _edges(
+    result: FitResult, posterior: Posterior, data: Dataset, runs: list[Any]
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Lower and upper edge of the predictive band of each record, shifted as the predictions in `runs` are, shapes (T,)."""
+    with progress("predicting by draws"):
+        bands = [posterior.bands(record, _LEVEL) for record in data]
+    shifts = [run[0] - result.predict(record)[0] for record, run in zip(data, runs, strict=True)]
+    return [(low + shift, high + shift) for (low, _, high), shift in zip(bands, shifts, strict=True)]
+
+
+def _of_bands(data: Dataset, edges: list[tuple[np.ndarray, np.ndarray]]) -> tuple[dict[str, Any], str]:
+    """Content of result.json for bands, and their words."""
+    import numpy as np
+
+    widest = max(float(np.max(high - low)) for low, high in edges)
+    inside = np.concatenate([
+        ((low <= record.y) & (record.y <= high))[record.used] for record, (low, high) in zip(data, edges, strict=True)
+    ])  # fmt: skip
+    share = float(np.mean(inside)) if inside.size else None
+    words = f"band of {100 * _LEVEL:.0f} % of measurements, at most {widest:.3g} {data.units['y']}".rstrip() + " wide"
+    if share is not None:
+        words += f"; {100 * share:.0f} % of the measured samples lie in it"
+    return {"level": _LEVEL, "width": widest, "inside": share}, words
 
 
 def _compared(

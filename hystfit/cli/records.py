@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from hystfit.data.record import Record
     from hystfit.reading.raw_table import Table
     from hystfit.results.result import FitResult
+    from hystfit.sampling.posterior import Posterior
 
 
 def open_fit(
     folder: Path, output: Output, trust: bool, own: str = "", covariates: Sequence[str] | None = None
 ) -> FitResult:
-    """The saved fit of a folder, after a check that the result can be written.
+    """The saved fit of a folder, or that behind the draws of a folder, after a check that the result can be written.
 
     Args:
         trust: see `hystfit.load_fit`.
@@ -33,9 +34,24 @@ def open_fit(
     """
     from hystfit.results.saved import load_fit
 
-    result = load_fit(folder, trust=trust)
+    result = load_fit(fit_folder(folder), trust=trust)
     output.check(own)
     return result.at(**chosen_covariates(covariates)) if covariates else result
+
+
+def fit_folder(folder: Path) -> Path:
+    """The folder itself, or where it holds draws that of the fit behind them."""
+    return folder / "fit" if (folder / "posterior.nc").is_file() else folder
+
+
+def open_posterior(folder: Path, trust: bool, covariates: Sequence[str] | None = None) -> Posterior | None:
+    """The draws of a folder; None where it holds a fit. Arguments and errors are those of `open_fit`."""
+    if fit_folder(folder) == folder:
+        return None
+    from hystfit.sampling.files import load_posterior
+
+    posterior = load_posterior(folder, trust=trust)
+    return posterior.at(**chosen_covariates(covariates)) if covariates else posterior
 
 
 def chosen_covariates(pairs: Sequence[str]) -> dict[str, float]:

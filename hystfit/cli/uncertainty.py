@@ -45,13 +45,13 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: auto (weights for smooth weights and nothing else, such as those of a Preisach model, and nuts for the others),
-            {samplers}, or my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights for weights of cells or plays beside few other parameters, and nuts for the others), {samplers}, or
+            my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
             take none); --prior replaces single ones.
-        draws: draws per chain of nuts (500, up to 16 times as many until the chains have converged) or weights (450, up to 8 times); per
+        draws: draws per chain of nuts (500, up to 16 times as many until the chains have converged) or weights (300, up to 8 times); per
             run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of nuts or weights (4); runs of nested (2).
         warmup: warm-up steps of nuts (300) or weights (50).
@@ -146,8 +146,8 @@ def errors(
 ) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
-    For smooth weights and nothing else, such as those of a Preisach model, also by their posterior (as `hystfit sample` draws it), which
-    has an error for every weight that acts on the data.
+    For weights of cells or plays beside few other parameters, also by their posterior (as `hystfit sample` draws it), which has an error
+    for every weight that acts on the data.
 
     With --out, the folder holds errors.txt. result.json has every parameter.
 

@@ -57,8 +57,11 @@ class Density(eqx.Module):
 
     def log_likelihood(self, z: Float[Array, " d"]) -> Scalar:
         """Log density of the data that count."""
-        r = self.objective.residual(self.objective.coordinates.physical(z[: self.p]))
-        return self._of_residual(self.noise.tree(z[self.p :]), r)
+        return self.log_likelihood_of(self.physical(z))
+
+    def log_likelihood_of(self, x: Float[Array, " d"]) -> Scalar:
+        """`log_likelihood` at physical parameters, which may lie on their bounds."""
+        return self._of_residual(self.noise.assemble(x[self.p :]), self.objective.residual(x[: self.p]))
 
     def _of_residual(self, noise: AbstractNoise, r: Float[Array, "R T"]) -> Array:
         # Constant residuals, such as those of broken simulations, would be very likely under a repeating error.

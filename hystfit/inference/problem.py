@@ -300,10 +300,16 @@ class Problem:
     @property
     def _has_design(self) -> bool:
         """Whether derivatives come from design matrices: those of many weights, beside few other parameters."""
-        linear = int(np.count_nonzero(self.space.linear))
-        if self.space.ties or not self.model.has_fast_run or linear < _WEIGHTS * (len(self.space) - linear):
+        if not self.mostly_linear or not self.model.has_fast_run:
             return False
+        linear = int(np.count_nonzero(self.space.linear))
         return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
+
+    @property
+    def mostly_linear(self) -> bool:
+        """Whether the output is linear in all free parameters but few."""
+        linear = int(np.count_nonzero(self.space.linear))
+        return not self.space.ties and linear >= _WEIGHTS * (len(self.space) - linear)
 
     @property
     def closed_form(self) -> bool:

@@ -36,20 +36,7 @@ _STAMP = re.compile(
         (?P<zone>Z|[+-]\d{2}:?\d{2})?""",
     re.VERBOSE | re.ASCII,
 )
-_MONTHS = (
-    "jan",
-    "feb",
-    "mar|mär|mrz",
-    "apr",
-    "may|mai",
-    "jun",
-    "jul",
-    "aug",
-    "sep",
-    "o[ck]t",
-    "nov",
-    "de[cz]",
-)  # English and German
+_MONTHS = "jan feb mar|mär|mrz apr may|mai jun jul aug sep o[ck]t nov de[cz]".split()  # English and German
 _NAMED_MONTH = re.compile(
     rf"(\d{{1,2}})[-/. ]{{1,2}}(?:{'|'.join(f'({month})' for month in _MONTHS)})[a-z]*[-/.,: ]{{1,2}}(\d{{4}}|\d{{2}})(?!\d)",
     re.IGNORECASE,

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystfit.params.units import quantity
 from hystfit.reading.column_names import (
+    MEANS,
     SIDES,
     column_quantity,
     column_role,
@@ -103,9 +104,17 @@ class ColumnFacts:
         return {k: own - common for k, own in words.items()}
 
     def is_secondary(self, k: int) -> int:
-        """By how many words of its name a column comes after another one of its quantity."""
-        alike = [secondary(self.table.names[j]) for j in self.ranks if self.kinds[j] == self.kinds[k]]
-        return secondary(self.table.names[k]) - min(alike, default=0)
+        """By how many words of its name a column comes after another one of its quantity, as two sides come after their mean."""
+        alike = {j: self._parts[j] for j in self.ranks if self.kinds[j] == self.kinds[k]}
+        mean = next((j for j, own in alike.items() if own & MEANS and self._sides_of(own - MEANS, alike) > 1), None)
+        if mean is not None and (k == mean or self._parts[k] & SIDES):
+            return int(k != mean)
+        return secondary(self.table.names[k]) - min((secondary(self.table.names[j]) for j in alike), default=0)
+
+    @staticmethod
+    def _sides_of(words: frozenset[str], columns: Mapping[int, frozenset[str]]) -> int:
+        """How many columns are a side of what these words name."""
+        return sum(bool(own & SIDES) and own - SIDES == words for own in columns.values())
 
     @functools.cached_property
     def is_held(self) -> ByColumn:

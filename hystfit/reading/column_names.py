@@ -17,6 +17,7 @@ _DRIVERS = frozenset(VOCABULARY["drivers"].split())
 _MEASURED = frozenset(VOCABULARY["measured"].split())
 _SECONDARY = frozenset(VOCABULARY["secondary"].split())
 SIDES = frozenset(VOCABULARY["sides"].split())
+MEANS = frozenset(VOCABULARY["means"].split())
 _CHANNEL = re.compile(
     r"(?:lock-?in|ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
@@ -35,7 +36,7 @@ _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|
 _TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
-_RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
+RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -57,7 +58,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     if re.fullmatch(r"(?i)theta_?(?:[vw]|c?m3_?c?m3)", base):
         return "loading"  # the water in soil, and no angle
     base = _field(base)
-    if RATIO.fullmatch(base) and not _RELATIVE_PRESSURE.search(base):
+    if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
     if of_matrix and "_" in base:
@@ -74,7 +75,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     if by_unit == "stress" and {"potential", "tension"}.intersection(_words(base)):
         return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge
-        if strong in kinds:
+        if strong in kinds and (strong, by_unit) != ("frequency", "time"):
             return strong
     if base.lower() == "time":
         return "time"  # whatever stands in the place of its unit
@@ -194,7 +195,7 @@ def _named_quantities(base: str) -> list[str]:
     kinds += [kind for word, kind in WORDS.items() if not word.isascii() and word in base.lower()]
     if "displac" in base.lower():
         kinds.append("displacement")
-    if _RELATIVE_PRESSURE.search(base):
+    if RELATIVE_PRESSURE.search(base):
         kinds.append("pressure")
     if symbol := _FIELD_SYMBOL.match(base):
         kinds.append({"H": "field", "B": "induction"}.get(symbol[1], "magnetization"))

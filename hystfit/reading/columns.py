@@ -164,9 +164,9 @@ def _of_results(table: Table) -> dict[str, str]:
 
 
 def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
-    named = [k for k in free if k in table.stamps] or [k for k in free if kinds[k] == "time"]
     # A duration that goes up and down is no clock, unless its name is that of a time.
-    named = [k for k in named if k in table.stamps or _is_clock(table, k)]
+    named = [k for k in free if k in table.stamps or (kinds[k] == "time" and _is_clock(table, k))]
+    named.sort(key=lambda k: k not in table.stamps)
     if not named and len(free) + given > 2:
         # The abscissa of a report of Abaqus is its X; of an oscilloscope, whose file states the interval, X numbers the samples.
         numbers = lambda k: table.interval is not None and table.counts(k)

@@ -186,16 +186,15 @@ def _by_part(table: Table, choice: Choice, notes: list[Note]) -> list[tuple[str,
 
 def _numbers_of_curves(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
     """Number of the curve that each row is in, by blank lines and repeated headers, shape (rows,)."""
-    begins = np.append(False, np.diff(table.section) > 0)
+    begins, apart = (np.append(False, np.diff(of) > 0) for of in (table.section, table.curve))
     if choice.time is not None:  # a header repeated while time continues is a page break
         clock = table.columns[choice.time]
-        page_breaks = begins & np.append(False, clock[1:] > clock[:-1])
+        page_breaks = begins & ~apart & np.append(False, clock[1:] > clock[:-1])
         if page_breaks.any():
             text = f"{page_breaks.sum()} repeated header rows do not begin a curve: time continues there"
             notes.append(Note(Code.CURVES, text))
         begins &= ~page_breaks
-    begins[1:] |= np.diff(table.curve) > 0
-    return np.cumsum(begins)
+    return np.cumsum(begins | apart)
 
 
 def _restarts(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
@@ -294,7 +293,7 @@ def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
 
 def _plain(name: str) -> str:
     """A name without its unit and a word such as number, in lower case."""
-    return re.sub(r"[ _.](?:id|no|nr|number)$", "", split_unit(name)[0].strip(" .:#").lower())
+    return re.sub(r"[ _.](?:id|no|nr|number|index)$", "", split_unit(name)[0].strip(" .:#").lower())
 
 
 def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:

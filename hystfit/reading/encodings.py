@@ -46,6 +46,8 @@ _WORDS = {
     "데이터 번호",
     "cp1251": "время напряжение ток перемещение смещение сила нагрузка деформация поле намагниченность момент температура давление "
     "частота скорость положение вход выход испытание измерение данные образец номер дата ход",
+    "cp1250": "siła napięcie prąd natężenie obciążenie odkształcenie naprężenie próbka próbki ciśnienie prędkość długość położenie "
+    "čas napětí zatížení měření řízení vzorků průhyb idő erő hőmérséklet jegyzőkönyv",
     "cp1253": "χρόνος τάση ρεύμα μετατόπιση δύναμη θερμοκρασία πίεση συχνότητα ταχύτητα θέση είσοδος έξοδος",
 }  # fmt: skip
 _SAME_WORDS = {"euc_jp": "cp932", "koi8_r": "cp1251", "iso8859_5": "cp1251"}
@@ -104,8 +106,11 @@ def _legacy_encoding(raw: bytes, source: str) -> str:
         return "mac_roman"
     if _is_western(sample):
         return "cp1252"
-    if shares[first] > 0 or any(_is_common(sample, name) for name in _COMMON):
-        names = [name for name in shares if shares[name] or (name in _COMMON and _is_common(sample, name))]
+    common = [name for name in _COMMON if _is_common(sample, name)]
+    if common == ["cp932"] and not shares[first]:  # whose first bytes begin no common character of the others
+        return "cp932"
+    if shares[first] > 0 or common:
+        names = [name for name in shares if shares[name] or name in common]
         raise DataError(
             f"{source}: the text is not UTF-8, and its encoding cannot be recognized ({' or '.join(names)}?): give it by "
             "--encoding (encoding=), such as gbk, shift_jis, big5, euc_kr or cp1252"
@@ -143,9 +148,10 @@ def _is_western(sample: bytes) -> bool:
 
 
 def _is_common(sample: bytes, name: str) -> bool:
-    """Whether all characters of two bytes are common ones of this encoding."""
-    characters = re.findall(r"[^\x00-\x7f]", _decoded(sample, name))
-    return bool(characters) and all(c.encode(name)[0] in _COMMON[name] for c in characters)
+    """Whether all characters of two bytes are common ones of this encoding, and there are several."""
+    encoded = [c.encode(name) for c in re.findall(r"[^\x00-\x7f]", _decoded(sample, name))]
+    wide = [c[0] for c in encoded if len(c) > 1]
+    return len(wide) > 1 and {*wide} <= {*_COMMON[name]}
 
 
 def _controls(plain: bytes) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from hystfit.params.units import quantity
 from hystfit.reading import cells
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity
 from hystfit.reading.limits import FEW, LONGEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
@@ -106,13 +106,18 @@ def _cut(text: str, mark: str | None) -> list[str]:
     return [cells.clean(part) for part in parts]
 
 
-def _longer(line: str, width: int, delimiter: str | None) -> list[str] | None:
-    """The first `width` names of a line that names further columns, which have no numbers in any row; None for other lines."""
+def _longer(line: str, width: int, delimiter: str | None, below: Sequence[str]) -> list[str] | None:
+    """The first `width` names of a line that names further columns, which have no numbers in any row, or their units; None for other lines.
+
+    Args:
+        below: cells of the line below, of units.
+    """
     parts = _cut(line, delimiter) if delimiter else []
-    units = any(map(is_unit, parts))  # Force, kN
-    return (
-        parts[:width] if len(parts) > width > 2 and len({*parts}) == len(parts) and all(parts) and not units else None
-    )
+    if len(parts) <= width or not all(parts):
+        return None
+    units = sum(map(is_unit, parts))  # Force, kN
+    told = _are_units(parts, parts) and units > 1 if not below else len(below) == len(parts)
+    return parts[:width] if told or (width > 2 and len({*parts}) == len(parts) and not units) else None
 
 
 def _named(parts: list[str]) -> list[str]:
@@ -209,7 +214,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
         units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
         known = [unit for unit in units if is_unit(unit)]  # "TTL" is that of no quantity
         enough = len(known) > 1 and 2 * len(known) >= len([*filter(None, units)])
-        if re.search("unit", title, re.IGNORECASE) and enough and len(units) < width:
+        if (re.search("unit", title, re.IGNORECASE) or _UNIT_CELL.fullmatch(title)) and enough and len(units) < width:
             units = [unit if unit in known else "" for unit in units]
             if all(quantity(unit) == "time" for unit in known):
                 continue
@@ -241,7 +246,9 @@ def _bare(parts: Sequence[str]) -> list[str]:
 
 def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
     """Whether every cell of a line, given without and with its brackets, is a unit or nothing."""
-    nothing = ("", "-", "1", "#")
+    nothing = ["", "-", "1", "#"]
+    if any("/" in cell and is_unit(cell) for cell in bare):  # P/Po beside cc/g
+        nothing += filter(RELATIVE_PRESSURE.fullmatch, bare)
     return all(is_unit(cell) or cell in nothing or cell != part for cell, part in zip(bare, parts, strict=True))
 
 
@@ -342,6 +349,7 @@ def read_header(
     if delimiter is None and (aligned := _aligned(above, width)) is not None:
         return aligned
     headers: list[tuple[int, list[str]]] = []
+    longer: list[str] = []
     for position in range(len(above) - 1, max(-1, len(above) - 7), -1):
         if not above[position].strip(" \t,;"):
             if headers and not (above[position].strip("\r\n") and _are_units(_bare(headers[0][1]), headers[0][1])):
@@ -351,7 +359,9 @@ def read_header(
         if parts is None or len(parts) != width or re.match(_COMMENT, parts[0]):
             apart = any(not line.strip() for line in above[position + 1 :])
             parts = _cut(above[position], "  ") if apart else _fields(above[position], width, delimiter)
-            parts = parts or (_longer(above[position], width, delimiter) if position == len(above) - 1 else None)
+            if parts is None and len(above) - 1 - position == len(headers) < 2 and bool(longer) == bool(headers):
+                parts = _longer(above[position], width, delimiter, longer)
+                longer = _cut(above[position], delimiter) if parts else []
         if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
             continue
         if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):

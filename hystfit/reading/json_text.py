@@ -60,7 +60,11 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
     table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
     if len(parts) > 1 and len({*(part.name for part in described), ""}) <= len(parts):
-        described = [dataclasses.replace(part, name=f"record={k}") for k, part in enumerate(described)]
+        names = [f"record={k}" for k in range(len(parts))]
+        for key in reversed([*parts[0][2]]):  # the first setting that tells them apart, as in "specimen": "W1"
+            told = [scalars.get(key) for _, _, scalars in parts]
+            names = told if len({*told}) == len(told) and all(isinstance(one, str) for one in told) else names
+        described = [dataclasses.replace(part, name=name) for part, name in zip(described, names, strict=True)]
     return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
 
 

@@ -25,7 +25,11 @@ _MOMENTS = {
     "measurement_magn_mass": "Am2/kg",
     "magn_volume": "A/m",
     "measurement_magn_volume": "A/m",
+    "susc_chi_mass": "m3/kg",
+    "susc_chi_volume": "",
 }
+_TEMPERATURES = {"meas_temp": "K", "measurement_temp": "K"}  # the input where the field is held
+_EXPERIMENTS = ("experiment", "magic_experiment_names")
 _LOOPS = re.compile(r"\bLP-HYS\b")  # method code of hysteresis loops; others are remanence in zero field
 
 
@@ -42,9 +46,11 @@ def read_magic(text: TextFile) -> Table | None:
     if len(tables) > 1:
         others = ", ".join(other for other, _ in tables if other != name)
         table = table.noted(Note(Code.FILE_FORMAT, f"the MagIC table {name!r} is read; beside it: {others}"))
-    field, moment = (_best(table, names) for names in (_FIELDS, _MOMENTS))
-    units = [(_FIELDS | _MOMENTS).get(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
-    pair = None if field is None or moment is None else (field, moment)
+    drive, temperature, moment = (_best(table, names) for names in (_FIELDS, _TEMPERATURES, _MOMENTS))
+    known = _FIELDS | _TEMPERATURES | _MOMENTS
+    units = [known.get(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    drive = temperature if drive is None else drive
+    pair = None if drive is None or moment is None else (drive, moment)
     return dataclasses.replace(table, units=tuple(units), pair=pair)
 
 
@@ -85,7 +91,9 @@ def _without_loops(table: Table, loops: np.ndarray) -> list[str]:
 
 
 def _best(table: Table, names: dict[str, str]) -> int | None:
-    """Position of the column with most numbers among those of these names; None without one."""
-    filled = {k: int(np.isfinite(table.columns[k]).sum()) for k, name in enumerate(table.names) if name in names}
-    best = max(filled, key=lambda k: filled[k], default=None)
-    return best if best is not None and filled[best] else None
+    """Position of the column with most numbers among those of these names that vary within an experiment; None without one."""
+    held = max((len({*table.labels[k]}) for k in table.labels if table.names[k] in _EXPERIMENTS), default=1)
+    numbers = {k: table.columns[k] for k, name in enumerate(table.names) if name in names and k not in table.labels}
+    finite = {k: column[np.isfinite(column)] for k, column in numbers.items()}
+    varied = {k: column.size for k, column in finite.items() if np.unique(column).size > held}
+    return max(varied, key=lambda k: varied[k], default=None)

@@ -15,12 +15,13 @@ from hystfit.reading import cells
 from hystfit.reading.coded_names import with_meanings
 from hystfit.reading.dialect import Text
 from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
-from hystfit.reading.limits import BESIDE, FEW
+from hystfit.reading.limits import ABOVE, BESIDE, FEW
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
+_SETTINGS = {"source": (0, 1), "horizontal units": (1, 0), "vertical units": (1, 1)}  # name or unit of which column
 _WORDS = {
     "header": "repeated header",
     "cells": "row with another number of cells than {width}",
@@ -89,7 +90,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         ([], []) if used or listed else titled_names(text.lines[:first], dialect.width, dialect.delimiter)
     )
     place = 0 if used or listed or titled else _apart(text, block)
-    if titled:
+    if not first:
+        names, units = _beside(block.rows, dialect.kinds)
+    elif titled:
         names, units = titled, of_titled
     elif listed:
         names, units = listed, [split_unit(name, listed)[1] for name in listed]
@@ -111,6 +114,18 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     if used > 2 and not over and not place:
         over = _over(text, block, first - 1)
     return Header(names, units, used, apart=place > 0, over=over)
+
+
+def _beside(rows: Sequence[Sequence[str]], kinds: str) -> tuple[list[str], list[str]]:
+    """Names and units in the settings of an oscilloscope to the left of its instants and its values."""
+    found: tuple[list[str], list[str]] = ([""] * len(kinds), [""] * len(kinds))
+    for row in rows[:ABOVE]:
+        for k, (setting, value) in enumerate(itertools.pairwise(map(cells.clean, row))):
+            part, column = _SETTINGS.get(setting.lower(), (0, len(kinds)))
+            numbers = [j for j in range(k, len(kinds)) if kinds[j] == cells.NUMBER]
+            if column < len(numbers):
+                found[part][numbers[column]] = value
+    return found
 
 
 def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:

@@ -21,19 +21,7 @@ _LINE = re.compile(
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
 )
-_HERTZ = {
-    "": 1.0,
-    "hz": 1.0,
-    "khz": 1e3,
-    "mhz": 1e6,
-    "s/s": 1.0,
-    "sa/s": 1.0,
-    "samples/s": 1.0,
-    "1/s": 1.0,
-    "sps": 1.0,
-    "ks/s": 1e3,
-    "ms/s": 1e6,
-}
+_HERTZ = re.compile(r"([km]?)(?:hz|sa?/s|samples/s|1/s|sps|)", re.IGNORECASE)
 _AGREE = 0.01  # part of an interval within which a clock has it: its stamps are rounded
 
 
@@ -60,8 +48,8 @@ def _interval(line: str) -> float | None:
     if len(values) != 1 or not (value := values.pop()) > 0:
         return None
     if match["rate"]:
-        factor = _HERTZ.get(unit.lower())
-        return None if factor is None else 1.0 / (factor * value)
+        hertz = _HERTZ.fullmatch(unit)
+        return hertz and 1.0 / (value * {"": 1.0, "k": 1e3, "m": 1e6}[hertz[1].lower()])
     if unit and quantity(unit) != "time":  # "Sample Interval (V) = 0.001": a step of a sweep
         return None
     factor = conversion(unit, "s") if unit else 1.0

@@ -28,7 +28,13 @@ def read_transposed(text: TextFile) -> Table | None:
 
 
 def turned(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
-    """The rows of a table on its side, from its lines; None for other tables."""
+    """The rows of a table on its side, from its lines; None for other tables.
+
+    A first line may count the samples, from the column behind the names, and settings stand before the names in the rows below it.
+    """
+    if rows and len(counted := [k for k, cell in enumerate(rows[0]) if cell == "0"]) == 1 and (first := counted[0]):
+        if rows[0][first:] == [str(k) for k in range(len(rows[0]) - first)]:
+            rows = [row[first - 1 :] for row in rows[1:]]
     quantities = [row for row in rows if _is_quantity(row)]
     width = {len(row) for row in quantities}
     headed = any(

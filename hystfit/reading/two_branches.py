@@ -187,6 +187,8 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
     drive = min(drives, key=lambda k: (heated(k), k))
     u, outputs = table.columns[drive], [table.columns[k] for k in columns]
     if not pairs[0].directed:
+        if table.counts(drive):  # two gauges over the numbers of the rows
+            return None
         outputs = _numbered_branches(u, *outputs, over=_is_force_loop(table, drive, columns[0]))
         if outputs is None:
             return None

@@ -21,7 +21,13 @@ from hystfit.quality.held_out import FOLDS, correlation_length
 from hystfit.quality.loops import APART, clear_reversals, distinct, extents
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
+from hystfit.sampling.weight_equations import (
+    NoiseGrid,
+    WeightEquations,
+    parameters_of,
+    weight_equations,
+    weight_priors,
+)
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
 # Moves of the weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation.
@@ -149,7 +155,8 @@ def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, 
     grid = NoiseGrid(slow, np.array([noise.get("noise_time", 0.0)]))
     equations = weight_equations(problem, x, grid, weight_priors(problem, x, None), size)
     strength = float(np.median(posterior.stats["smoothness"])) * posterior.result.problem.used.sum()
-    return size * np.asarray(_mean(equations, (unit / size) ** 2, strength, jax.random.key(posterior.seed)))
+    w = np.asarray(_mean(equations, (unit / size) ** 2, strength, jax.random.key(posterior.seed)))
+    return parameters_of(problem.space, w, size)
 
 
 @compiled

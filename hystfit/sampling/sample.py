@@ -19,7 +19,9 @@ from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import Dependence
 from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import SEEN, AbstractPrior, LogNormal
+from hystfit.inference.residuals import analyze, diagnose
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
@@ -33,7 +35,8 @@ from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
-from hystfit.sampling.setup import Prepared
+from hystfit.sampling.setup import MOST, Prepared
+from hystfit.sampling.weight_equations import NoiseGrid
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
@@ -55,8 +58,8 @@ def sample(
 
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
-        sampler: "auto" ("weights" for smooth weights and nothing else, such as those of a Preisach model, and "nuts" for the others),
-            "nuts" (blackjax), "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
+        sampler: "auto" ("weights" for weights of cells or plays beside few other parameters, and "nuts" for the others), "nuts"
+            (blackjax), "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
             posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
             my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
@@ -74,7 +77,9 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     seed = require_seed(seed)
-    chosen = _make(suited_sampler(result) if isinstance(sampler, str) and sampler == "auto" else sampler, settings)
+    chosen = _make(
+        suited_sampler(result, noise) if isinstance(sampler, str) and sampler == "auto" else sampler, settings
+    )
     with contextlib.nullcontext() if folder is None else alone(folder):
         setup = chosen.prepare(result, noise, priors)
         started = time.perf_counter()
@@ -129,9 +134,18 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
     return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
 
 
-def suited_sampler(result: FitResult) -> str:
-    """The sampler that suits a fit."""
-    return "weights" if result.problem.model.estimator == "preisach" and result.problem.space.linear.all() else "nuts"
+def suited_sampler(result: FitResult, noise: str | type[AbstractNoise] = "auto") -> str:
+    """The sampler that suits a fit: "weights" where its parameters are weights but for few, and its noise model can be used with them.
+
+    Args:
+        noise: as in `sample`. Where the residuals need a noise model that "weights" does not have, NUTS has it, up to its most parameters.
+    """
+    problem = result.problem
+    if not problem.mostly_linear or not problem.space.weights.any():
+        return "nuts"
+    if problem.model.estimator is None and noise == "auto" and len(problem.space) <= MOST:
+        noise = diagnose(analyze(problem.with_loss("linear"), result.x)).recommended
+    return "weights" if noise == "auto" or NOISES.label(noise) in NoiseGrid.models else "nuts"
 
 
 def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
@@ -211,10 +225,12 @@ def drift_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"], lon
     time = middle.get("noise_time", 0.0)
     if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):
         return []
+    missing, remedy = "drift or creep", "add creep (+log-creep), or remove the drift"
+    if setup.problem.model.creeps:
+        missing, remedy = "drift", "remove it"
     text = (
-        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is drift or creep, "
-        "which the model does not include. Parameters are biased by more than their intervals show; add creep (+log-creep), or remove "
-        "the drift"
+        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is {missing}, "
+        f"which the model does not include. Parameters are biased by more than their intervals show; {remedy}"
     )
     return [warn(Code.INCOMPLETE, text)]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,7 +30,7 @@ from hystfit.results.result import FitResult
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.target import Target
 
-_MOST = 100  # parameters beyond which sampling is refused
+MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
@@ -105,14 +104,6 @@ def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise])
     return name, [Note(Code.NOISE_MODEL, f"noise model {name}: {reasons}")]
 
 
-def _fewer(name: str) -> str:
-    """What reduces the free parameters of a model."""
-    smaller = re.sub(r"plays=\d{2,}", "plays=10", name)
-    if smaller == name:
-        return "fix most of them, or fit a model with fewer cells"
-    return f"fit fewer plays first, with model={smaller!r}"
-
-
 def prepare(
     result: FitResult,
     *,
@@ -128,9 +119,10 @@ def prepare(
         by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
     """
     problem = result.problem.with_loss("linear")
-    if len(problem.space) > _MOST:
+    if len(problem.space) > MOST:
         raise ParameterError(
-            f"{len(problem.space)} free parameters are too many for this sampler (at most {_MOST}): {_fewer(result.name)}"
+            f"{len(problem.space)} free parameters are too many for this sampler (at most {MOST}): use sampler='weights' for linear "
+            "weights, or fix most of them"
         )
     residuals = analyze(problem, result.x)
     choice, notes = choose_noise(residuals, noise)
@@ -144,7 +136,7 @@ def prepare(
     x = np.concatenate([refined.x, refined.values])
     given = priors if isinstance(priors, CorrelatedPriors) else dict(priors or {})
     problem = refined.problem.with_noise(refined.noise, own | given, x).trimmed()
-    z = np.concatenate([_inside(problem.space, refined.x), _inside(refined.space, refined.values)])
+    z = np.concatenate([inside(problem.space, refined.x), inside(refined.space, refined.values)])
     if not np.isfinite(problem.log_prior(z)):
         rows = zip(problem.names, problem.priors, x, strict=True)
         outside = [name for name, prior, v in rows if not np.isfinite(float(prior.log_density(jnp.asarray(v))))]
@@ -152,8 +144,8 @@ def prepare(
             f"the fit lies outside the prior of {', '.join(outside)}: widen it, or fit again within it"
         )
     widths = to_device(_widths(problem, refined.root))
-    inside = _within_priors(problem, x)
-    starts = [z] if np.array_equal(inside, x) else [z, problem.unconstrained(inside)]
+    central = _within_priors(problem, x)
+    starts = [z] if np.array_equal(central, x) else [z, problem.unconstrained(central)]
     targets = [Target.about(problem.density, to_device(start), widths) for start in starts]
     modes = [(target, *whiten_by_curvature(Optimum(*_mode(target)))) for target in targets]
     target, center, factor, value = max(modes, key=lambda mode: np.nan_to_num(mode[-1], nan=-np.inf))
@@ -172,7 +164,7 @@ def given_others(setup: Setup, key: Array) -> Setup:
     return setup if linear is None else dataclasses.replace(setup, target=setup.target.given_others(linear))
 
 
-def _inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
+def inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
     """z, with parameters that lie on a bound moved to where a mode can be found."""
     z, kinds = space.unconstrained(space.clip(x)), space.kinds
     one_sided = (kinds == LOWER) | (kinds == UPPER)

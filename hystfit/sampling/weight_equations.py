@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import gram
+from hystfit.inference.density import Density
 from hystfit.inference.noise.slow_likelihood import Samples, SlowNoiseFit, slow_solver
 from hystfit.inference.priors import AbstractPrior, HalfNormal, Normal, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import smoothness_penalty
+from hystfit.models.shapes import Scalar
 from hystfit.params.host_arrays import to_device
+from hystfit.params.space import ParameterSpace
+from hystfit.sampling.setup import inside
 
 _STEPS = np.array([-2.4, -1.2, 0.0, 1.2, 2.4])  # of the grid of noises along each axis, in standard deviations
+_QUARTILES = 1.349  # standard deviations between the quartiles of a normal distribution
 _INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
 
@@ -27,19 +32,22 @@ class WeightEquations(eqx.Module):
     """Normal equations of weights w about an estimate, the outputs in units of `size`, at m noises of the same variance unit.
 
     Given noise number k of variance s and a strength of the penalty, w has the density exp(-q_k(w) / 2s - strength w'R w / 2 - w'D w / 2
-    + d'w) on w >= 0 where `bounded`, with q_k(w) the squares of the residuals, whitened by that noise.
+    + d'w) on w >= 0 where `bounded`, with q_k(w) the squares of the residuals, whitened by that noise. Among w are also the other
+    parameters, as unconstrained coordinates, in which the residuals are not linear: `exact` then corrects the density.
 
     Attributes:
         estimate: about which the equations are expanded, shape (p,).
         squares: q_k(estimate), shape (m,).
         slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p).
         log_dets: log determinants of the noises' covariances over their variance, shape (m,).
+        log_priors: of the noises, up to a constant, shape (m,).
         roughness: R, shape (p, p).
         penalized: rank of R.
         precision: diagonal of D: priors of the weights without a penalty, shape (p,).
         pull: d, shape (p,).
         bounded: which weights are >= 0, shape (p,).
         count: number of samples.
+        exact: the density without linearization; None where the residuals are linear in all of w.
     """
 
     estimate: Float[Array, " p"]
@@ -47,18 +55,40 @@ class WeightEquations(eqx.Module):
     slopes: Float[Array, "m p"]
     grams: Float[Array, "m p p"]
     log_dets: Float[Array, " m"]
+    log_priors: Float[Array, " m"]
     roughness: Float[Array, "p p"]
     penalized: Float[Array, ""]
     precision: Float[Array, " p"]
     pull: Float[Array, " p"]
     bounded: Bool[Array, " p"]
     count: Float[Array, ""]
+    exact: Exact | None = None
 
     def conditional(self, number: Any, variance: Any, strength: Any) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
         """s and P of the weights' density exp(-w'P w / 2 + s'w) for number and variance of the noise, and a strength of the penalty."""
         gram = self.grams[number]
         precision = gram / variance + strength * self.roughness + jnp.diag(self.precision)
         return (gram @ self.estimate - self.slopes[number]) / variance + self.pull, precision
+
+    def squares_at(self, w: Float[Array, " p"]) -> Float[Array, " m"]:
+        """q_k(w)."""
+        away = w - self.estimate
+        return jnp.maximum(self.squares + 2 * self.slopes @ away + (self.grams @ away) @ away, 0.0)
+
+    def fit(self, squares: Float[Array, " m"], number: Any, variance: Any) -> Scalar:
+        """Log likelihood of noise number `number` with a variance, up to a constant."""
+        return -0.5 * (self.log_dets[number] + self.count * jnp.log(variance) + squares[number] / variance)
+
+    def log_prior(self, w: Float[Array, " p"]) -> Scalar:
+        """Log prior without the penalty, up to a constant."""
+        return self.pull @ w - 0.5 * jnp.sum(self.precision * w**2)
+
+    def excess(self, w: Float[Array, " p"], number: Any, variance: Any, fit: Any) -> Scalar:
+        """Log of the exact density over that of the equations, whose log likelihood is `fit`, up to a constant."""
+        if self.exact is None:
+            return jnp.zeros(())
+        others = jnp.where(self.exact.linear, 0.0, w)
+        return self.exact.log_density(w, number, variance) - fit - self.log_prior(others)
 
     @property
     def inside(self) -> Float[Array, " p"]:
@@ -68,21 +98,65 @@ class WeightEquations(eqx.Module):
         return jnp.where(bounded, jnp.maximum(w, _INSIDE * mean), w)
 
 
-@dataclasses.dataclass(frozen=True)
-class NoiseGrid:
+class Exact(eqx.Module):
+    """The density over w of a model with parameters in which its output is not linear, up to a constant.
+
+    Attributes:
+        density: of model and noise; its priors do not count.
+        grid: of the noises.
+        linear: which parameters are weights, shape (p,).
+        priors: of the others, None for weights.
+        size: of the output.
+    """
+
+    density: Density
+    grid: NoiseGrid
+    linear: Bool[Array, " p"]
+    priors: tuple[AbstractPrior | None, ...]
+    size: float
+
+    @classmethod
+    def of(cls, problem: Problem, grid: NoiseGrid, priors: Mapping[str, AbstractPrior], size: float) -> Exact | None:
+        """That of a problem with the noise model of the grid; None where all its parameters are weights."""
+        linear = problem.space.linear
+        if linear.all():
+            return None
+        rows = zip(problem.space.names, linear, strict=True)
+        others = tuple(None if weight else priors[name] for name, weight in rows)
+        return cls(problem.density, grid, to_device(linear), others, size)
+
+    def log_density(self, w: Float[Array, " p"], number: Any, variance: Any) -> Scalar:
+        """Log likelihood given a noise of the grid, and log prior of the parameters that are not weights."""
+        coordinates, z = self.density.objective.coordinates, jnp.where(self.linear, 0.0, w)
+        x = jnp.where(self.linear, w * self.size, coordinates.physical(z))
+        noise = self.grid.parameters(number, variance * self.size**2, jnp)
+        stretch = jnp.log(coordinates.slope(z))
+        rows = ((prior.log_density(x[k]) + stretch[k]) for k, prior in enumerate(self.priors) if prior is not None)
+        return sum(rows, self.density.log_likelihood_of(jnp.concatenate([x, noise])))
+
+
+class NoiseGrid(eqx.Module):
     """Noises among which the sampler moves, on a grid about the most probable one.
 
     Attributes:
         ratios: of white to slow variance, shape (m,); None for independent noise.
         times: correlation times, typical sampling intervals, shape (m,).
+        log_prior: of each noise, up to a constant.
     """
 
-    ratios: np.ndarray | None
-    times: np.ndarray
+    models: ClassVar[tuple[str, ...]] = ("iid", "ou")  # noise models that are on such grids
+    ratios: Any
+    times: Any
+    log_prior: Any = 0.0
 
     @classmethod
-    def about(cls, fit: SlowNoiseFit | None) -> NoiseGrid:
-        """Along the principal axes of the logarithms of both about the noise of a fit; one independent noise where that is None."""
+    def about(cls, fit: SlowNoiseFit | None, prior: AbstractPrior | None = None) -> NoiseGrid:
+        """Along the principal axes of the logarithms of both about the noise of a fit; one independent noise where that is None.
+
+        Args:
+            fit: slow and independent noise.
+            prior: of the correlation time; None for one that is uniform in its logarithm.
+        """
         if fit is None:
             return cls(None, np.zeros(1))
         place = lambda noise: np.log([(noise.white / noise.slow) ** 2, noise.time])
@@ -90,7 +164,9 @@ class NoiseGrid:
         # Nodes of a 3 x 3 Gauss-Hermite rule: the neighbors of the middle one lie at sqrt(3) standard deviations.
         first, second = (others[5] - others[4]) / np.sqrt(3), (others[7] - others[4]) / np.sqrt(3)
         at = center + (_STEPS[:, None, None] * first + _STEPS[None, :, None] * second).reshape(-1, 2)
-        return cls(np.exp(at[:, 0]), np.exp(at[:, 1]))
+        times = np.exp(at[:, 1])
+        by_time = 0.0 if prior is None else np.asarray(jax.vmap(prior.log_density)(to_device(times))) + at[:, 1]
+        return cls(np.exp(at[:, 0]), times, by_time)
 
     def solvers(self, samples: Samples) -> list[tuple[Any, float]]:
         """For each noise: the inverse covariance over the variance times columns, and the log determinant."""
@@ -98,40 +174,45 @@ class NoiseGrid:
             return [(lambda rows: rows, 0.0)]
         return [slow_solver(samples, ratio, time) for ratio, time in zip(self.ratios, self.times, strict=True)]
 
-    def parameters(self, number: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    def parameters(self, number: Any, variance: Any, xp: Any = np) -> Any:
         """Parameters of the noise model from numbers and variances [y^2], in the order of its declarations: shape (..., q)."""
         if self.ratios is None:
-            return np.sqrt(variance)[..., None]
-        white = np.sqrt(variance * self.ratios[number])
-        return np.stack([white, np.sqrt(variance), self.times[number]], axis=-1)
+            return xp.sqrt(variance)[..., None]
+        white = xp.sqrt(variance * xp.asarray(self.ratios)[number])
+        return xp.stack([white, xp.sqrt(variance), xp.asarray(self.times)[number]], axis=-1)
+
+
+def parameters_of(space: ParameterSpace, w: Float[np.ndarray, "... p"], size: float) -> Float[np.ndarray, "... p"]:
+    """Physical parameters of a model from w."""
+    return np.where(space.linear, w * size, space.physical(w))
 
 
 def weight_equations(
     problem: Problem, x: np.ndarray, grid: NoiseGrid, priors: Mapping[str, AbstractPrior], size: float
 ) -> WeightEquations:
-    """The equations of a problem whose free parameters are all linear weights.
+    """The equations of a problem about an estimate.
 
     Args:
+        problem: model, data and weights of its samples.
         x: estimate, shape (p,).
+        grid: of the noises.
+        priors: of weights without a penalty, and of the other parameters.
         size: of the output, by which it is divided.
     """
-    space = problem.space
-    if not space.linear.all():
-        names = [name for name, linear in zip(space.names, space.linear, strict=True) if not linear]
-        raise ParameterError(
-            f"sampler='weights' needs parameters in which the output is linear, and {', '.join(names[:4])} "
-            f"{'is' if len(names) == 1 else 'are'} not: fix them, or use sampler='nuts'"
-        )
-    bounded = space.lower == 0
-    if np.any(np.isfinite(space.upper)) or np.any(np.isfinite(space.lower) & ~bounded):
+    space, linear = problem.space, problem.space.linear
+    bounded = linear & (space.lower == 0)
+    if np.any(linear & (np.isfinite(space.upper) | (np.isfinite(space.lower) & ~bounded))):
         raise ParameterError("sampler='weights' knows one bound, weights >= 0: use sampler='nuts'")
+    z = inside(space, x)
+    x = np.where(linear, x, space.physical(z))
+    unit = np.where(linear, 1.0, space.slope(z) / size)
     roughness = smoothness_penalty(space, list(problem.data), x)
     penalized = np.diag(roughness) > 0
-    precision, pull = _of_priors(problem, priors)
+    precision, pull = _of_priors(problem, priors, size)
     residual, jacobian = problem.linearize(x)
     samples, root = Samples.of(problem.host_setting), np.sqrt(np.asarray(problem.objective.batch.weight))
     on = problem.used
-    rows, r = (jacobian * root[..., None])[on], (residual * root)[on][:, None] / size
+    rows, r = (jacobian * unit * root[..., None])[on], (residual * root)[on][:, None] / size
     joint, log_dets = [], []
     for solve, log_det in grid.solvers(samples):
         joint.append(gram([rows, r], solve))
@@ -139,15 +220,16 @@ def weight_equations(
     grams = np.stack(joint)
     device = to_device
     return WeightEquations(
-        estimate=device(x / size),
+        estimate=device(np.where(linear, x / size, z)),
         squares=device(grams[:, -1, -1]),
         slopes=device(grams[:, :-1, -1]),
         grams=device(grams[:, :-1, :-1]),
         log_dets=device(np.array(log_dets)),
+        log_priors=device(np.broadcast_to(grid.log_prior, len(log_dets))),
         roughness=device(roughness),
         penalized=device(float(penalized.sum())),
-        precision=device(precision * size**2),
-        pull=device(pull * size),
+        precision=device(precision),
+        pull=device(pull),
         bounded=device(bounded),
         count=device(float(on.sum())),
     )
@@ -167,17 +249,25 @@ def weight_priors(
     return {name: prior for name, prior, smooth in rows if not smooth or {name, name.partition("@")[0]} & own}
 
 
-def _of_priors(problem: Problem, priors: Mapping[str, AbstractPrior]) -> tuple[np.ndarray, np.ndarray]:
-    """Precision, and precision times mean, of the priors of all weights; zero for those with a penalty alone."""
-    precision, pull = np.zeros((2, len(problem.space)))
+def _of_priors(problem: Problem, priors: Mapping[str, AbstractPrior], size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Precision, and precision times mean, of the priors of all w; zero for those with a penalty alone.
+
+    That of a parameter in which the output is not linear is normal in its coordinate, with the quartiles of the prior.
+    """
+    space = problem.space
+    precision, pull = np.zeros((2, len(space)))
     for name, prior in priors.items():
-        k = problem.space.names.index(name)
-        if isinstance(prior, Normal):
-            precision[k], pull[k] = float(prior.sd) ** -2.0, float(prior.mean) / float(prior.sd) ** 2
+        k = space.names.index(name)
+        if not space.linear[k]:
+            low, high = (inside(space, np.full(len(space), q))[k] for q in prior.quantiles([0.25, 0.75]))
+            mean, sd = (low + high) / 2, (high - low) / _QUARTILES
+        elif isinstance(prior, Normal):
+            mean, sd = float(prior.mean) / size, float(prior.sd) / size
         elif isinstance(prior, HalfNormal) and float(prior.edge) == 0 and prior.side > 0:
-            precision[k] = float(prior.sd) ** -2.0
+            mean, sd = 0.0, float(prior.sd) / size
         else:
             raise ParameterError(
                 f"sampler='weights' takes normal priors, and half-normal ones from zero; that of {name} is {prior}: use sampler='nuts'"
             )
+        precision[k], pull[k] = sd**-2, mean / sd**2
     return precision, pull

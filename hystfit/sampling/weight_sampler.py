@@ -1,5 +1,7 @@
 """Gibbs sampling of linear weights by hundreds with the strength of their penalty and the noise; resumes after interruption, bit for bit.
 
+Few other parameters, such as a time constant, move with the weights in the linearized model; the exact density accepts the sweep or not.
+
 Each sweep draws the weights by exact Hamiltonian motion within their bounds (`hystfit.sampling.truncated_normal`), the noise from a grid
 with its variance in closed form, and the strength of the penalty as a precision whose inverse square root is half-Cauchy (Wand et al.
 2011, Bayesian Analysis 6): the penalty is the prior that the weights are smooth.
@@ -36,7 +38,14 @@ from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.setup import Prepared
 from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations, weight_priors
+from hystfit.sampling.weight_equations import (
+    Exact,
+    NoiseGrid,
+    WeightEquations,
+    parameters_of,
+    weight_equations,
+    weight_priors,
+)
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
@@ -85,7 +94,7 @@ class Weights(AbstractSampler):
                 break
             draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
         smoothness = joined["strength"] / float(setup.equations.count)
-        stats = {"smoothness": smoothness, "log_prior": joined["log_prior"]}
+        stats = {"smoothness": smoothness, "log_prior": joined["log_prior"], "acceptance": joined["accepted"]}
         return Raw(z, joined["log_density"], stats, complete=convergence.good)
 
     def _draw(self, chains: list[_Chain], draws: int, report: Progress) -> list[dict[str, np.ndarray]]:
@@ -147,8 +156,15 @@ def _start(equations: WeightEquations, key: Array) -> State:
     strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
     number = jax.random.randint(second, (), 0, equations.squares.size)
     variance = equations.squares[number] / equations.count + _LEAST
-    start = {"w": w, "strength": strength, "variance": variance, "number": number}
-    return start | dict.fromkeys(("rate", "log_density", "log_prior"), jnp.zeros(()))
+    return state_at(equations, w, number, variance, strength)
+
+
+def state_at(equations: WeightEquations, w: Array, number: Array, variance: Array, strength: Array) -> State:
+    """A state from which sweeps start; for use inside traced code."""
+    fit = equations.fit(equations.squares_at(w), number, variance)
+    own = {"w": w, "number": number, "variance": variance, "strength": strength, "fit": fit}
+    own["excess"] = equations.excess(w, number, variance, fit)
+    return own | dict.fromkeys(("rate", "accepted", "log_density", "log_prior"), jnp.zeros(()))
 
 
 @compiled
@@ -159,26 +175,40 @@ def _advance(equations: WeightEquations, state: State, key: Array) -> State:
 
 
 def sweep(equations: WeightEquations, state: State, key: Array) -> State:
-    """One sweep: weights, noise, strength of the penalty; for use inside traced code."""
-    keys = jax.random.split(key, 5)
-    n = equations.count
-    slope, precision = equations.conditional(state["number"], state["variance"], state["strength"])
-    w = draw_truncated(keys[0], state["w"], slope, precision, equations.bounded, _MOVES)[-1]
-    away = w - equations.estimate
-    squares = equations.squares + 2 * equations.slopes @ away + (equations.grams @ away) @ away
-    half = 0.5 * jnp.maximum(squares, 0.0) + n * _LEAST
-    number = jax.random.categorical(keys[1], -0.5 * equations.log_dets - 0.5 * n * jnp.log(half))
-    variance = half[number] / jax.random.gamma(keys[2], 0.5 * n)
+    """One sweep: noise, weights, noise again, and the strength of the penalty; for use inside traced code.
+
+    The first three together leave the density of the equations as it is in either direction of time, so that one comparison with the
+    exact density accepts them or not (delayed acceptance: Christen and Fox 2005, J. Comput. Graph. Stat. 14).
+    """
+    keys = jax.random.split(key, 6)
+    number, variance = _noise(equations, equations.squares_at(state["w"]), keys[0])
+    slope, precision = equations.conditional(number, variance, state["strength"])
+    w = draw_truncated(keys[1], state["w"], slope, precision, equations.bounded, _MOVES)[-1]
+    squares = equations.squares_at(w)
+    number, variance = _noise(equations, squares, keys[2])
+    new = {"w": w, "number": number, "variance": variance, "fit": equations.fit(squares, number, variance)}
+    new["excess"] = equations.excess(w, number, variance, new["fit"])
+    accepted = jnp.log(jax.random.uniform(keys[3])) < new["excess"] - state["excess"]
+    new = {name: jnp.where(accepted, value, state[name]) for name, value in new.items()}
+    w, penalized = new["w"], equations.penalized
     rough = 0.5 * w @ equations.roughness @ w
-    rate = jax.random.exponential(keys[3]) / (state["strength"] + equations.penalized**2)
-    others = jax.random.gamma(keys[4], 0.5 * (equations.penalized + 1), (_OTHERS,)) / (rate + rough)
-    strength = jnp.where(equations.penalized > 0, overrelaxed(state["strength"], others), 1.0)
-    prior = 0.5 * equations.penalized * jnp.log(strength) - strength * rough
-    prior += equations.pull @ w - 0.5 * jnp.sum(equations.precision * w**2)
-    fit = -0.5 * equations.log_dets[number] - 0.5 * n * jnp.log(variance) - half[number] / variance
-    return {
-        "w": w, "strength": strength, "variance": variance, "number": number, "rate": rate, "log_density": fit + prior, "log_prior": prior,
+    rate = jax.random.exponential(keys[4]) / (state["strength"] + penalized**2)
+    others = jax.random.gamma(keys[5], 0.5 * (penalized + 1), (_OTHERS,)) / (rate + rough)
+    strength = jnp.where(penalized > 0, overrelaxed(state["strength"], others), 1.0)
+    prior = 0.5 * penalized * jnp.log(strength) - strength * rough + equations.log_prior(w)
+    return new | {
+        "strength": strength, "rate": rate, "accepted": accepted.astype(float), "log_prior": prior,
+        "log_density": new["fit"] + prior + new["excess"] + equations.log_priors[new["number"]],
     }  # fmt: skip
+
+
+def _noise(equations: WeightEquations, squares: Array, key: Array) -> tuple[Array, Array]:
+    """Number and variance of a noise given the squares of the residuals, whitened by each."""
+    first, second = jax.random.split(key)
+    n = equations.count
+    half = 0.5 * squares + n * _LEAST
+    number = jax.random.categorical(first, equations.log_priors - 0.5 * (equations.log_dets + n * jnp.log(half)))
+    return number, half[number] / jax.random.gamma(second, 0.5 * n)
 
 
 def overrelaxed(value: Array, others: Array) -> Array:
@@ -189,9 +219,6 @@ def overrelaxed(value: Array, others: Array) -> Array:
     """
     rank = jnp.sum(others < value)
     return jnp.sort(jnp.append(others, value))[others.size - rank]
-
-
-_KNOWN = ("iid", "ou")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -217,24 +244,32 @@ class WeightSetup(Prepared):
         """Prepare the weights of a fit.
 
         Raises:
-            ParameterError: another noise model than iid and ou; see `weight_equations`.
+            ParameterError: another noise model than iid and ou, no weights; see `weight_equations`.
         """
+        if not result.problem.space.weights.any():
+            raise ParameterError("sampler='weights' needs weights in which the output is linear: use sampler='nuts'")
         if isinstance(priors, CorrelatedPriors):
             raise ParameterError("sampler='weights' takes independent priors: use sampler='nuts'")
         problem = result.problem.with_loss("linear")
         residuals = analyze(problem, result.x)
         diagnosis = diagnose(residuals)
         label = NOISES.label(noise) if noise != "auto" else "ou" if residuals.correlated else "iid"
-        if label not in _KNOWN:
-            raise ParameterError(f"sampler='weights' knows the noise models {' and '.join(_KNOWN)}, got {label}")
+        if label not in NoiseGrid.models:
+            raise ParameterError(
+                f"sampler='weights' knows the noise models {' and '.join(NoiseGrid.models)}, got {label}"
+            )
         notes = [Note(Code.NOISE_MODEL, f"noise model {label}: {'; '.join(note.text for note in diagnosis.findings)}")]
         if has(diagnosis.findings, Code.REPEATING_RESIDUALS):
             text = "part of the residuals recurs every loop: the model is incomplete, and its weights are biased by more than chance"
             notes.append(warn(Code.INCOMPLETE, text))
-        grid = NoiseGrid.about(residuals.slow if label == "ou" else None)
+        longest = max(row.size for row in residuals.rows)
+        of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")
+        grid = NoiseGrid.about(residuals.slow if label == "ou" else None, of_time)
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
+        problem = problem.with_noise(NOISES.make(label))
         equations = weight_equations(problem, result.x, grid, chosen, size)
-        return cls(problem.with_noise(NOISES.make(label)), label, tuple(notes), chosen, equations, grid, size)
+        equations = dataclasses.replace(equations, exact=Exact.of(problem, grid, chosen, size))
+        return cls(problem, label, tuple(notes), chosen, equations, grid, size)
 
     @property
     def priors(self) -> dict[str, AbstractPrior]:
@@ -244,7 +279,7 @@ class WeightSetup(Prepared):
     def parameters(self, draws: Mapping[str, np.ndarray]) -> np.ndarray:
         """Physical parameters of model and noise from draws of the chains, shape (chains, draws, d)."""
         noise = self.grid.parameters(draws["number"], draws["variance"] * self.size**2)
-        return np.concatenate([draws["w"] * self.size, noise], axis=-1)
+        return np.concatenate([parameters_of(self.problem.space, draws["w"], self.size), noise], axis=-1)
 
     def physical(self, z: np.ndarray) -> np.ndarray:
         """The draws are physical."""

@@ -32,7 +32,7 @@ class StandardErrors:
     Attributes:
         result: the fit.
         errors: of each free parameter by method, shape (p,): "fit", as the report prints them, "iid", "sandwich", "bootstrap", and
-            for smooth weights "posterior" (`hystfit.sampling.weight_sampler`); NaN where the data do not determine the parameter.
+            for weights "posterior" (`hystfit.sampling.weight_sampler`); NaN where the data do not determine the parameter.
         factors: half a 95 % interval over the error, by method except "fit", shape (p,).
         block: samples of a block; None where the records hold too few of them.
         notes: what is missing and why.
@@ -137,7 +137,7 @@ def _typical(ratio: np.ndarray) -> float:
 
 
 def _of_draws(result: FitResult, seed: int, progress: Progress | None) -> tuple[np.ndarray, np.ndarray, list[Note]]:
-    """Standard deviations of smooth weights over their posterior, half a 95 % interval over each, and notes.
+    """Standard deviations over the posterior of weights, half a 95 % interval over each, and notes.
 
     Weights without any influence on the data have none: their posterior is the smoothness prior.
     """
@@ -160,7 +160,7 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
 
-    For smooth weights and nothing else, such as those of a Preisach model, also the standard deviations of their posterior.
+    For weights beside few other parameters, also the standard deviations of their posterior.
 
     Args:
         result: a least-squares fit.

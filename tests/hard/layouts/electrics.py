@@ -233,6 +233,20 @@ def biologic(draw: Draw) -> Layout:
     return Layout("", {draw.pick("GCPL_C20.mpt", "cell.mpt.txt"): packed(draw, lines, ("cp1252",))}, loops(loop(q, v)))
 
 
+@kind("cell at constant currents, without capacities")
+def uncounted(draw: Draw) -> Layout:
+    n = 2 * draw.whole(80, 300)
+    charge, volts, _ = _cell(draw, n)
+    amps = 60.0 * np.diff(charge, prepend=charge[0])  # a row a minute
+    time, current, voltage = draw.pick(
+        ("time /s", "I /mA", "E /V"), ("time/s", "I/mA", "Ewe/V"), ("Test_Time(s)", "Current(mA)", "Voltage(V)")
+    )
+    i, v = Column(current, 1e3 * amps, "", ".12g", ""), Column(voltage, volts, "V", ".6f", "")
+    lines = table(draw, [Column(time, 60.0 * np.arange(n), "", ".3f"), i, v], Dialect("\t", style="none"))
+    truth = Loop(1e3 * (charge - charge[0]), v.written, "mAh", "V", slack=1e-6)
+    return Layout("", {draw.pick("3.9V_10cyc.txt", "cell 12.txt"): packed(draw, lines)}, loops(truth))
+
+
 @kind("Neware report of cycles, steps and records")
 def neware(draw: Draw) -> Layout:
     """The records of a step are set in below it, and the steps below their cycle."""
