@@ -28,7 +28,7 @@ from hystfit.quality.summary import delay_of, slow_lag_of
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 # Of the error, below which a first force of the rate or a lag is taken where all branches have one duration, so that the speed is a
-# function of amplitude and place, which static terms describe too: such a term leaves 0.88 to 0.98 of it in seven simulated static loops,
+# function of amplitude and place, which static terms describe too: such a term leaves 0.88 to 0.98 of it in simulated static loops,
 # 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
 _AT_ONE_PACE = 0.8
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
