@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.covariance import _spectrum, uncertainty
+from hystfit.fitting.covariance import _spectrum, _wide_axes, uncertainty
 from hystfit.fitting.error_ratios import RANK
 from hystfit.fitting.fit_setup import solve
 from hystfit.fitting.near_bounds import Information, centered, centered_lengths
@@ -19,6 +19,7 @@ from hystfit.inference import blocks, objective
 from hystfit.inference import problem as inference_problem
 from hystfit.inference.linearization import Linearization
 from hystfit.models.preisach import smooth_system
+from hystfit.params.relative_size import OPEN
 
 T = np.arange(3000) / 500
 U = 20 * (1 - np.cos(2 * np.pi * T)) * (0.4 + 0.1 * T)
@@ -191,6 +192,33 @@ def test_errors_of_many_columns_are_those_of_the_inverse_where_all_are_known() -
     expected = np.linalg.svd(centered(rows, offsets)[0] / np.linalg.norm(centered(rows, offsets)[0], axis=0))[1]
     np.testing.assert_allclose(values, expected, rtol=1e-9)
     np.testing.assert_allclose(back @ root @ root.T @ back.T, 4.0 * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_errors_of_many_columns_under_a_ridge_are_those_of_the_normal_matrix_with_it(held: bool) -> None:
+    """Offsets of two records, without a ridge or with one; the first and only column of the second explains another."""
+    rng = np.random.default_rng(0)
+    rows, ridge = rng.normal(size=(300, 100)) + 1.0, np.geomspace(1e-2, 1e2, 100)
+    rows[:, 7], rows[:, 8] = np.arange(300) < 120, np.arange(300) >= 120
+    rows[:, 9] = 3.0 * rows[:, 8]
+    offsets = np.isin(np.arange(100), (7, 8))
+    ridge[offsets] = 0.1 * held
+    values, root, back = _spectrum(Information(rows, 4.0, ridge), np.ones(100, bool), offsets)
+    stacked = centered(np.vstack([rows, np.diag(np.sqrt(ridge))]), offsets)[0]
+    expected = np.linalg.svd(stacked / np.linalg.norm(stacked, axis=0), compute_uv=False)
+    np.testing.assert_allclose(values, expected, rtol=1e-9)
+    inverse = 4.0 * np.linalg.inv(rows.T @ rows + np.diag(ridge))
+    np.testing.assert_allclose(back @ root @ root.T @ back.T, inverse, rtol=1e-6, atol=1e-9)
+
+
+def test_wide_axes_are_the_directions_of_variances_above_the_size_of_a_parameter() -> None:
+    axes = np.linalg.qr(np.random.default_rng(0).normal(size=(60, 60)))[0]
+    deviations = np.geomspace(1e-3, 0.99, 60) * OPEN
+    assert _wide_axes(axes * deviations)[0].size == 0
+    deviations[-2:] = 3 * OPEN, 5 * OPEN
+    variances, wide = _wide_axes(axes * deviations)
+    np.testing.assert_allclose(variances, deviations[-2:] ** 2)
+    np.testing.assert_allclose(np.abs(np.sum(wide * axes[:, -2:], axis=0)), 1.0)
 
 
 def test_errors_of_many_weights_never_hold_the_whole_jacobian(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -354,6 +354,8 @@ def test_of_first_fits_that_are_not_told_apart_that_with_the_fewest_parameters_i
     error = {"many": (1.00, 9), "few": (1.02, 5), "worse": (1.5, 2)}
     waiting = [Candidate(name, first=First(*first)) for name, first in error.items()]
     assert [found.name for equal in (1.05, 1.0) if (found := leader(waiting, equal))] == ["few", "many"]
+    waiting.append(Candidate("without an inverse", first=First(0.9, 2, inverse=False)))
+    assert leader(waiting).name == "many"
 
 
 def beside(rival: Row, name: str, data: hf.Dataset, purpose: Purpose = "prediction") -> ComparisonRun:
@@ -482,6 +484,25 @@ def test_a_fit_of_the_size_that_was_chosen_goes_on_from_its_equations(monkeypatc
     assert found.estimate.left_out == pytest.approx(plain.left_out, rel=1e-9)
     assert found.estimate.effective == pytest.approx(plain.effective, rel=1e-9)
     assert ready.problem.equations is None  # hundreds of MB for the largest
+
+
+@pytest.mark.parametrize("names", [("preisach", "preisach-signed"), ("preisach-signed", "preisach")])
+def test_masses_of_one_sign_and_of_either_take_the_equations_of_a_size_from_each_other(monkeypatch, names):
+    data, known, collected, collect = stepped_loops(), sizes.Known(), [], smooth_weights.Split.of
+    apart = [SizeSearch(data).first(make_model(name)) for name in names]
+
+    def watched(*arguments, **options):
+        collected.append(1)
+        return collect(*arguments, **options)
+
+    monkeypatch.setattr(smooth_weights.Split, "of", watched)
+    beside = [SizeSearch(data, known=known).first(make_model(name)) for name in names]
+    assert len(collected) == len(make_model(names[0]).choices(list(data))[0])
+    assert not known.equations
+    for (model, error), (same, its) in zip(apart, beside, strict=True):
+        assert (model_name(same), its) == (model_name(model), pytest.approx(error, rel=1e-12))
+    SizeSearch(data, known=known).first(make_model("preisach-magnetic"))  # of other cells
+    assert len(collected) == 2 * len(make_model(names[0]).choices(list(data))[0])
 
 
 def test_a_thinned_search_of_sizes_has_no_equations_of_all_samples():
@@ -784,14 +805,15 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
         assert _ranked(judged, "prediction", 0.11, equal=equal)[0].name == "worse"  # of rounding errors it is none
 
 
-def test_a_search_that_did_not_end_is_not_first_beside_a_fit_of_negligible_error():
-    """The calibration of a sensor: errors of 0.004 and 0.008 % of the range."""
+def test_a_search_that_did_not_end_is_not_first_beside_a_fit_that_can_be_used():
+    """A piezo actuator whose creep goes on: errors of 0.103 % by a search without end, and of 0.19 % by plays and creep."""
     row = lambda name, score, status: Row(name, name, score, 1.0, 1.0, 5, 0.0, status)
     rows = [row("stuck", 0.004, Status.NOT_CONVERGED), row("ended", 0.008, Status.OK), row("curve", 0.02, Status.OK)]
     assert [r.name for r in _ranked(rows, "prediction")] == ["ended", "stuck", "curve"]
     larger = [dataclasses.replace(r, score_percent=100 * r.score_percent) for r in rows]
-    assert [r.name for r in _ranked(larger, "prediction")] == ["stuck", "ended", "curve"]
-    assert _ranked([rows[0], row("poor", 0.008, Status.POOR)], "prediction")[0].name == "stuck"
+    assert [r.name for r in _ranked(larger, "prediction")] == ["ended", "stuck", "curve"]
+    for status in (Status.POOR, Status.ROUGH):
+        assert _ranked([rows[0], row("unlike", 0.008, status)], "prediction")[0].name == "stuck"
 
 
 def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -60,6 +61,11 @@ class Candidates:
         around = lambda name: f"{before}{name}" + "+linear" * found.line
         lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop
         return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)), self.last)
+
+
+def timeless(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the models that do not depend on time."""
+    return tuple(name for name in names if make_model(name).rate_independent)
 
 
 def candidates(data: Dataset) -> Candidates:

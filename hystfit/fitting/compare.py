@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from hystfit.config import verb
 from hystfit.errors import ModelError, ParameterError
-from hystfit.fitting.candidates import Candidates, candidates
+from hystfit.fitting.candidates import Candidates, candidates, timeless
 from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row, handicap
 from hystfit.fitting.comparison_run import NO_LOOP, WHITE, ComparisonRun, score_of
 from hystfit.fitting.contender import Candidate
@@ -32,7 +32,6 @@ from hystfit.quality.equal_inputs import none_describes
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
-from hystfit.results.accuracy import NEGLIGIBLE
 from hystfit.runs.threads import Workers
 
 
@@ -49,7 +48,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
         return
     if white := first == SEARCH and run.is_white():
-        lasting = _timeless(chosen.iterated)
+        lasting = timeless(chosen.iterated)
         run.skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), WHITE)
         chosen, others = Candidates((first,), lasting), []
         if not run.overfits():
@@ -63,7 +62,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
     rings, iterated = _rings(run), chosen.iterated
     if not (white or rings or delay or found.timed):
-        iterated = _timeless(chosen.iterated)
+        iterated = timeless(chosen.iterated)
         run.skip(
             [name for name in chosen.iterated if name not in iterated], "the search found no term that depends on time"
         )
@@ -85,11 +84,6 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         waiting = []
     if run.best_row is not None and run.best_row.status in (Status.ROUGH, Status.POOR):
         run.run(chosen.last)
-
-
-def _timeless(names: Sequence[str]) -> tuple[str, ...]:
-    """Those of the models that do not depend on time."""
-    return tuple(name for name in names if make_model(name).rate_independent)
 
 
 def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
@@ -218,7 +212,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     against them by BIC, fewer determined parameters and an inverse come first.
 
     A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better. A fit that has
-    not converged is not first beside one that has, whose error is negligible.
+    not converged is not first beside one that can be used.
 
     Args:
         rows: of the models.
@@ -232,7 +226,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     least = _error(ranked[0])
     ended = [row for row in ranked if row.status not in UNFIT]
     unfinished = ranked[0].status is Status.NOT_CONVERGED
-    if unfinished and ended and 0 < _error(ended[0]) < NEGLIGIBLE:  # nothing is left to gain
+    if unfinished and ended and ended[0].status is Status.OK:
         first = _ranked(ended, purpose, floor, equal=equal)[0]
         return [first, *(row for row in ranked if row is not first)]
     kind = _rank(ranked[0], purpose)[:-1]

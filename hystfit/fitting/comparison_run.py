@@ -21,7 +21,7 @@ from hystfit.fitting.least_squares import LeastSquares
 from hystfit.fitting.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.registry import ESTIMATORS
 from hystfit.fitting.remains import correlation_of, leaves_noise, without_loop
-from hystfit.fitting.sizes import SizeSearch, weights_of
+from hystfit.fitting.sizes import Known, SizeSearch, weights_of
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.trial import with_left_out
 from hystfit.inference.problem import Problem
@@ -84,6 +84,7 @@ class ComparisonRun:
         self._early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Of the last fit, which the next one takes where its bounds alone differ.
         self._equations: tuple[Problem, Split] | None = None
+        self._known = Known()
         # Final cross-validation errors over those of first fits, of models with elements.
         self._lowered: list[float] = []
 
@@ -176,12 +177,12 @@ class ComparisonRun:
         model = make_model(one.name)
         known = self._alike(model)
         if known is not None and known.left_out is not None:
-            one.first = First(known.left_out, len(known.free_names))
+            one.first = First(known.left_out, len(known.free_names), inverse=model.has_inverse)
             return
         progress("first fit")
-        one.sizes = SizeSearch(self.data, self.options.spacing, progress)
+        one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known)
         if (found := one.sizes.first(model)) is not None:
-            one.first = First(found[1], weights_of(found[0]), found[0])
+            one.first = First(found[1], weights_of(found[0]), found[0], inverse=model.has_inverse)
         else:
             fitted = thinned(self.data) if model.allows_thinning else self.data
             problem, points = started_problem(model, fitted)
@@ -193,7 +194,8 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
+            error = rms if np.isfinite(rms) else np.inf
+            one.first = First(error, estimate.x.size, None, lowered, model.has_inverse)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
         """The fit of another model with the same elements, whose bounds alone differ: one size serves both.
@@ -222,7 +224,7 @@ class ComparisonRun:
                 ready = set_up_fit(given, self.data, self.options, held=True)
                 ready.problem.equations = known[1].beside(known[0].space, ready.problem.space, len(self.data))
         elif not sized:
-            one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress)
+            one.sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress, self._known)
             chosen, one.choices = one.sizes.chosen(model)
             given = chosen if one.choices else given
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
@@ -359,7 +361,7 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        self._equations = None
+        self._equations, self._known = None, Known()
         known, result = self.fits[name], self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)

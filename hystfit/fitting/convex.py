@@ -138,6 +138,8 @@ def search_nonlinear(
         solution = scipy.optimize.minimize_scalar(of_number, bracket, method="brent", options=limits)
     else:
         solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
+    # Along a direction that the data do not determine a simplex moves on without end, at costs that no longer differ.
+    level = others.size > 1 and bool(np.ptp(solution.final_simplex[1]) <= options["fatol"])
     stopped = f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
-    message = "converged" if solution.success else stopped
-    return at(np.atleast_1d(solution.x)), int(solution.nfev), bool(solution.success), message
+    converged = bool(solution.success) or level
+    return at(np.atleast_1d(solution.x)), int(solution.nfev), converged, "converged" if converged else stopped

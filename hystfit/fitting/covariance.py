@@ -162,13 +162,14 @@ def ridge_shares(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Fl
 def _factor(
     problem: Problem, x: np.ndarray, linear: Linearization, at_bound: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The triangular factor of the derivatives, and which parameters have an influence on the data, shape (p,), bool.
+    """A root of the normal matrix of the derivatives, triangular for few parameters, and which ones act on the data, shape (p,), bool.
 
     Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
     """
     offsets = problem.space.offsets
     if x.size <= FEW or not at_bound.any() or linear.root is not None:
-        factor = linear.triangle()
+        # Of hundreds of weights any root will do: what it is for squares it.
+        factor = linear.triangle() if x.size <= FEW or linear.root is None else linear.root[:, :-1]
         return factor, _acting(problem, x, np.linalg.norm(centered(factor, offsets)[0], axis=0))
     acts = _acting(problem, x, centered_lengths(linear, offsets))
     needed = acts if np.count_nonzero(acts & at_bound) <= FEW else acts & ~at_bound
@@ -210,14 +211,14 @@ def determine(
     values, root, back = _spectrum(information, live, space.offsets[live])
     kept, relative = values > RANK * values[0], relative[live]
     scaled = root / relative[:, None]
-    spreads, wide = _wide_axes(scaled[:, kept])
+    determining = slice(None) if kept.all() else kept
+    spreads, wide = _wide_axes(scaled[:, determining])
     open_axes = np.hstack([wide, scaled[:, ~kept] / np.linalg.norm(scaled[:, ~kept], axis=0)])
-    every = root.copy()
     shifts = space.offsets[live]
-    every[shifts] = back[shifts] @ root  # the other rows of this matrix are those of the identity
-    known = every[:, kept]
+    root[shifts] = back[shifts] @ root  # the other rows of this matrix are those of the identity
+    known = root[:, determining]
     full = known @ known.T if inside is None else inside[np.ix_(at, at)]
-    joint[np.ix_(at, at)] = full if kept.all() else every @ every.T
+    joint[np.ix_(at, at)] = full if kept.all() else root @ root.T
     touched = _touched(open_axes, spreads, (space.kinds == BOTH)[live])
     # Linear weights may well be zero.
     room = np.where(space.linear, np.inf, np.minimum(*distances_to_bounds(space, x)))
@@ -244,7 +245,10 @@ def determine(
 def _wide_axes(deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Variances above `OPEN` squared, rising, (m,), and their directions, (k, m), of a covariance D D' in relative coordinates."""
     covariance = deviations @ deviations.T
-    if np.linalg.norm(covariance) <= OPEN**2:  # no variance is larger than this norm
+    below = -covariance
+    below[np.diag_indices_from(below)] += OPEN**2
+    with contextlib.suppress(np.linalg.LinAlgError):  # positive definite where no variance is larger
+        np.linalg.cholesky(below)
         return np.zeros(0), np.zeros((len(covariance), 0))
     return scipy.linalg.eigh(covariance, subset_by_value=(OPEN**2, np.inf))
 
@@ -260,16 +264,16 @@ def _spectrum(
         Singular values, falling, (k,); a square root of the covariance, (k, k), whose columns are the directions with their standard
         deviations as lengths where some values are tiny: these are large but finite; and the matrix that takes it to parameters, (k, k).
     """
-    rows = information.root[:, live]
-    if information.ridge.any():
-        rows = np.vstack([rows, np.diag(np.sqrt(information.ridge[live]))])
+    rows, ridge = information.root[:, live], information.ridge[live]
+    if ridge.any() and (ridge.size <= FEW or ridge[offsets].any()):
+        rows, ridge = np.vstack([rows, np.diag(np.sqrt(ridge))]), np.zeros(ridge.size)
     if rows.shape[1] <= FEW and rows.shape[0] > rows.shape[1]:
         rows = np.linalg.qr(rows, mode="r")
-    rows, back = centered(rows, offsets)
-    size = np.linalg.norm(rows, axis=0)
+    rows, back = centered(rows, offsets, ridge)
+    size = np.hypot(np.linalg.norm(rows, axis=0), np.sqrt(ridge))
     size[size == 0] = 1.0
     if size.size > FEW:
-        values, inverse = _inverse_root(rows / size)
+        values, inverse = _inverse_root(rows / size, ridge / size**2)
     else:
         _, values, vectors = np.linalg.svd(rows / size, full_matrices=True)
         values = np.pad(values, (0, len(vectors) - values.size))
@@ -277,13 +281,16 @@ def _spectrum(
     return values, np.sqrt(information.variance) * inverse / size[:, None], back
 
 
-def _inverse_root(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values of rows R, falling, and a square root of the inverse of R'R, whose columns are directions where values are tiny.
+def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values of rows R and a diagonal `ridge`, falling, and a square root of the inverse of the normal matrix R'R + ridge.
+
+    Its columns are directions where values are tiny.
 
     In a tenth of the time of a decomposition of R where none is tiny, else in a third; values as small as `RANK` of the largest are
     still told from zero.
     """
     gram = rows.T @ rows
+    gram[np.diag_indices_from(gram)] += ridge
     squares = np.linalg.eigvalsh(gram)
     if squares[0] > RANK**2 * squares[-1]:
         with contextlib.suppress(np.linalg.LinAlgError):  # rounding errors

@@ -9,12 +9,13 @@ from typing import Any
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
+from hystfit.fitting.candidates import candidates, timeless
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.fit_warnings import drift_note
 from hystfit.fitting.screening import Screened, best_screened, screen
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
-from hystfit.models.registry import judged, judged_as
+from hystfit.models.registry import judged, judged_as, make_model
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
@@ -45,12 +46,14 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
-    damaged = any(note.code is Code.DEGRADING for note in report.findings)
     short = coarse(without_faults(records))
     every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(short)
     shown = _traits(short, every) if every else ()
-    screened = () if damaged or all(record.single_valued for record in report.records) else every
+    screened = () if all(record.single_valued for record in report.records) else every
     advice = _advice(short, screened) if screened else None
+    damaged = has(report.findings, Code.DEGRADING)
+    if damaged and advice is not None and not make_model(advice.model).degrades:
+        advice, screened = None, ()
     explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
     searched = next((one.found for one in screened if one.found is not None), None)
@@ -102,4 +105,8 @@ def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
     if best.error * equal_errors(samples) >= baselines.curve:  # a single-valued curve describes them
         return None
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
-    return Advice(best.name, reason)
+    if any(one.leaves_noise for one in screened):
+        return Advice(best.name, reason)
+    searched = candidates(records).iterated
+    of_time = any(one.found is None or not one.found.model.rate_independent for one in screened[:1])
+    return Advice(best.name, reason, searched if of_time else timeless(searched))

@@ -16,14 +16,14 @@ from hystfit.quality.baselines import BLOCK, plays_residuals
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, place_of
+from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, conducts, place_of
+from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import APART, clear_reversals, cycles
-from hystfit.quality.summary import delay_of, outliers_of
+from hystfit.quality.summary import delay_of, outliers_of, paces
 from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_EXPLAINED = 0.5  # least share of a squared error that a drift explains
 _TURNS = 5  # reversals of three cycles, without which a drift cannot be told from a loop that does not close
 
 
@@ -39,6 +39,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
         _chattering(fitted),
+        _at_one_rate(fitted.data),
     )
     notes = [note for note in found if note is not None]
     drift = _drift(fitted)
@@ -71,6 +72,17 @@ def _followed_drift(fitted: Fitted) -> Note | None:
                 "sensor drifts, subtract it before the fit; else a longer record shows how the creep goes on",
             )
     return None
+
+
+def _at_one_rate(data: Dataset) -> Note | None:
+    """A warning where currents against voltages were measured at one rate, or nobody knows at which."""
+    if not conducts(data.units) or paces(data) > 1:
+        return None
+    text = (
+        "a current against a voltage at one scan rate: charging and slow reactions open such loops, so that this one holds for that rate "
+        "alone; measure at rates a factor of three apart"
+    )
+    return warn(Code.RATE, text)
 
 
 def _means(data: Dataset) -> list[np.ndarray]:
@@ -156,9 +168,9 @@ def _chattering(fitted: Fitted) -> Note | None:
 
 
 def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
-    """A warning where most of the squared error of a record lies along a straight line in time or in the order of its samples.
+    """A warning where the error of a record has a slope in time, or in the order of its samples, that is no chance.
 
-    No model includes it.
+    No model includes it. Errors count once for the samples over which they are correlated.
 
     Args:
         rows: prediction less measurement at the samples of each record that count [y].
@@ -171,8 +183,9 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         t = np.arange(len(record)) if record.t is None else record.t
         passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))
-        change = slope * float(np.ptp(passed))
-        if slope**2 * (passed @ passed) < _EXPLAINED * (missed @ missed) or 100 * abs(change) < VISIBLE * span:
+        change, rest = slope * float(np.ptp(passed)), missed - slope * passed
+        error = float(np.sqrt(correlation_length(rest) * np.mean(rest**2) / (passed @ passed)))
+        if abs(slope) < CLEAR * error or 100 * abs(change) < VISIBLE * span:
             continue
         size = f"{change:.3g} {record.y_unit}".rstrip()
         return warn(
@@ -209,7 +222,7 @@ def _at_an_end(fitted: Fitted) -> Note | None:
     which, window = ("last", f":{number}") if last else ("first", f"{number}:")
     remedy = f"the model starts in equilibrium at the first input: fit the record from {place} on (window=)"
     if last:
-        remedy = f"if the device failed there, fit the record before {place} (window=)"
+        remedy = f"if the device failed or was stopped there, fit the record before {place} (window=)"
     elif held:
         remedy = f"the initial state {held[0]} is fixed: free it with free='{held[0]}'"
     text = (

@@ -150,18 +150,25 @@ class NearBounds(NamedTuple):
         return inside
 
 
-def centered(J: np.ndarray, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def centered(J: np.ndarray, offsets: np.ndarray, ridge: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Columns without what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
 
     Columns of offsets stay, as do columns that the offsets explain altogether.
+
+    Args:
+        J: derivatives, shape (n, p).
+        offsets: which columns are offsets, shape (p,), bool.
+        ridge: squares of the only entries of further rows of J, one for each column, zero for the offsets, shape (p,).
     """
     back = np.eye(J.shape[1])
     if not offsets.any():
         return J, back
     some = J[:, offsets]
     explained = np.linalg.pinv(some, ROUNDING * max(some.shape)) @ J
-    rest = J - some @ explained
-    explained[:, offsets | (np.linalg.norm(rest, axis=0) <= _REST * np.linalg.norm(J, axis=0))] = 0.0
+    rest = some @ explained
+    np.subtract(J, rest, out=rest)
+    length = lambda columns: np.hypot(np.linalg.norm(columns, axis=0), np.sqrt(ridge))
+    explained[:, offsets | (length(rest) <= _REST * length(J))] = 0.0
     kept = ~explained.any(axis=0)
     rest[:, kept] = J[:, kept]
     back[offsets] -= explained

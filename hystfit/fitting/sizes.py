@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from hystfit.fitting.fit_setup import FitSetup
 from hystfit.fitting.smooth_weights import left_out_scores
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
+from hystfit.inference.weights import Split
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.smooth import SMOOTHNESS, LeftOutErrors
 from hystfit.models.registry import model_name
@@ -30,6 +32,24 @@ def weights_of(model: AbstractHysteresis) -> int:
     return sum(leaf.size for leaf in leaves_of(model) if not leaf.info.fixed)
 
 
+@dataclasses.dataclass
+class Known:
+    """What the search for the size of one model tells of another with the same elements, whose bounds alone differ.
+
+    Attributes:
+        equations: of choices whose free parameters all are weights, by settings and spacing, until another model takes them.
+        beaten: choices with lower bounds of their errors, which hold for weights of either sign.
+    """
+
+    equations: dict[str, tuple[Problem, Split]] = dataclasses.field(default_factory=dict)
+    beaten: list[tuple[AbstractHysteresis, LeftOutErrors]] = dataclasses.field(default_factory=list)
+
+    def take(self, key: str, problem: Problem) -> Split | None:
+        """Equations of the same cells for the weights of a problem."""
+        of, split = self.equations.pop(key, (None, None))
+        return None if of is None or split is None else split.beside(of.space, problem.space, len(problem.data))
+
+
 class SizeSearch:
     """Search over the choices of one model, one after another; the weights are solved for at the starting values of all others.
 
@@ -41,16 +61,22 @@ class SizeSearch:
         data: records; of long ones every k-th sample and the reversals count.
         spacing: samples over which errors are correlated, see `held_out`.
         progress: called with the name of each model that is tried.
+        known: of other models on these records.
     """
 
-    def __init__(self, data: Dataset, spacing: int = 1, progress: Callable[[str], object] = lambda _: None):
-        self._data, self._progress = thinned(data, _SAMPLES), progress
+    def __init__(
+        self,
+        data: Dataset,
+        spacing: int = 1,
+        progress: Callable[[str], object] = lambda _: None,
+        known: Known | None = None,
+    ):
+        self._data, self._progress, self._of_others = thinned(data, _SAMPLES), progress, known or Known()
         # The spacing is that of samples, of which fewer are left.
         self._spacing = max(1, round(spacing * sum(map(len, self._data)) / sum(map(len, data))))
         self._scores: dict[str, LeftOutErrors] = {}
         self._whole = [*map(len, self._data)] == [*map(len, data)]
         self._best: tuple[str, Problem] | None = None  # with its equations, where all samples count
-        self._beaten: list[tuple[AbstractHysteresis, LeftOutErrors]] = []  # with lower bounds of their errors
 
     def first(self, model: AbstractHysteresis, most: float = np.inf) -> tuple[AbstractHysteresis, float] | None:
         """The best of its first choice, that of its levels, and its rms error on held-out samples [y]; None without choices.
@@ -111,11 +137,14 @@ class SizeSearch:
                 problem = Problem(model.start(list(self._data)), self._data, spacing=self._spacing)
                 x = problem.space.vector(problem.model)
                 likely = min(self._known(), key=lambda score: score.overall, default=_NONE).smoothness
-                self._scores[name] = found = left_out_scores(
-                    problem, x, _COARSE, keep=self._whole, most=most, likely=likely
-                )
+                key = f"{model.settings()} {self._spacing}"
+                problem.equations = self._of_others.take(key, problem)
+                taken = problem.equations is not None
+                self._scores[name] = found = left_out_scores(problem, x, _COARSE, keep=True, most=most, likely=likely)
+                if not (taken or problem.equations is None or model.from_saturation):
+                    self._of_others.equations[key] = problem, problem.equations
                 if found.beaten:
-                    self._beaten.append((model, found))
+                    self._of_others.beaten.append((model, found))
                 if self._whole and found.known and found.overall == min(score.overall for score in self._known()):
                     self._best = name, problem
             except (HystfitError, np.linalg.LinAlgError):
@@ -127,6 +156,9 @@ class SizeSearch:
 
     def _bound(self, model: AbstractHysteresis, most: float) -> LeftOutErrors | None:
         """The lower bound of a model with the same elements, whose bounds alone differ and which a bound does not know."""
-        alike = lambda other: isinstance(model, type(other)) and type(model) is not type(other)
-        found = (bound for other, bound in self._beaten if alike(other) and other.settings() == model.settings())
+        alike = lambda other: (
+            type(model) is not type(other) and (isinstance(model, type(other)) or isinstance(other, type(model)))
+        )
+        beaten = self._of_others.beaten
+        found = (bound for other, bound in beaten if alike(other) and other.settings() == model.settings())
         return next((bound for bound in found if bound.held > most), None)

@@ -148,7 +148,7 @@ def left_out_scores(
     The weights in x are solved for; `smoothness` has two or more strengths, of which a similar model chose the `likely` one. With `keep`
     the equations stay with the problem for its fit, where all free parameters are weights.
     """
-    now = Split.of(problem.space, list(problem.data), x, held=problem.held_out)
+    now = problem.equations or Split.of(problem.space, list(problem.data), x, held=problem.held_out)
     if keep and (now.place >= 0).all():
         problem.equations = now
     size = now.system.size

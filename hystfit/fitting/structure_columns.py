@@ -25,6 +25,7 @@ from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.quality.held_out import HeldOut, Scheme
 from hystfit.quality.slow_lag import SHORT
+from hystfit.quality.summary import paces
 
 _DEGREES = (1, 3, 5)
 _COARSE = (1e-9, 1e-7, 1e-5, 1e-3, 1e-1)
@@ -66,6 +67,7 @@ class Terms:
         self.data, self.plays, self.held = data, plays, held
         self.thresholds = np.asarray(PrandtlIshlinskii.of(plays).r)
         self.timed = interval_of(data) > 0 and all(record.t is not None for record in data)
+        self.several_paces = self.timed and paces(data) > 1
         self.span = output_range(data).width
         self.falls = falls(data)
         self.used = np.concatenate([record.used for record in data])

@@ -24,8 +24,8 @@ from hystfit.models.viscoelastic import Viscoelastic
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Trait
 from hystfit.quality.held_out import equal_errors
-from hystfit.quality.loops import clear_reversals, distinct
-from hystfit.quality.record_quality import SPEEDS_APART
+from hystfit.quality.loops import clear_reversals
+from hystfit.quality.summary import paces
 
 _OF_TIME = ("viscoelastic", "rate-dependent")
 _STATIC = (
@@ -56,7 +56,7 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
         if name != SEARCH and name not in known:
             scores += _scored(name, short)
     branches = sum(clear_reversals(record.u).size + 1 for record in short)
-    left_out = {None} if _paces(data) > 1 else {None, *_OF_TIME}
+    left_out = {None} if paces(data) > 1 else {None, *_OF_TIME}
     (error, name, kind), (other, rival, _) = _first_two(scores, left_out)
     equal = equal_errors(branches)
     # A beaten model may be the best without the term, or the best of all with another.
@@ -86,16 +86,6 @@ def _first_two(scores: Sequence[_Score], left_out: set[str | None]) -> tuple[_Sc
     scores = [score for score in scores if score[2] not in left_out]
     first = min(scores)
     return first, min((score for score in scores if score[2] != first[2]), default=first)
-
-
-def _paces(data: Dataset) -> int:
-    """Number of durations of branches that differ as speeds do: at one, the speed is a function of the amplitude and the place."""
-    durations = [
-        np.log10(record.t[at[1:]] - record.t[at[:-1]])
-        for record in data
-        if record.t is not None and np.diff(record.t).min() > 0 and (at := clear_reversals(record.u)).size > 1
-    ]
-    return len(distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
 
 
 def _kind(model: AbstractHysteresis) -> str | None:

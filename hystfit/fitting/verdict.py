@@ -105,7 +105,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if percent <= POOR and share < _LEAST_SHARE:
         text = f"hysteresis accounts for {100 * share:.2g} % of the dissipation: the data show damping, but no hysteresis of the spring"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    white = residuals_are_white(fitted.rows, baselines.curve, parameters)
+    # Where nobody knows the noise, errors of the model are as white.
+    white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, parameters)
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white

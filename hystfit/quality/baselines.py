@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.quality.faults import noise_rms, rounding_rms
+from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, rounding_rms
 from hystfit.quality.plays import play_positions
 
 DEGREE = 7  # of the single-valued curve
@@ -32,7 +32,8 @@ class Baselines:
 
     Attributes:
         span: largest minus smallest measured output.
-        noise: rms noise as the differences of neighboring samples show it; None where they still contain the signal.
+        noise: rms noise as the differences of neighboring samples show it; None where they still contain the signal, as those of cycles
+            of a few samples do.
         line: of the best straight line over the input.
         curve: of the best single-valued curve over the input (a polynomial), without hysteresis.
         plays: of ten plays and a cubic curve; None where the samples are too few.
@@ -70,7 +71,8 @@ class Baselines:
             squares += _squares(misses, about_mean=refit_offset)
         line, curve, *plays = np.sqrt(squares / sum(y.size for y in outputs)).tolist()
         span = max(y.max(initial=-np.inf) for y in outputs) - min(y.min(initial=np.inf) for y in outputs)
-        return cls(float(span), _noise(outputs), line, curve, *(plays or [None]))
+        noise = _noise(outputs) if all(map(_is_resolved, judged)) else None
+        return cls(float(span), noise, line, curve, *(plays or [None]))
 
 
 def plays_residuals(data: Dataset) -> list[np.ndarray]:
@@ -228,6 +230,12 @@ class _Curve:
         part = (u[inside] - self.inputs[k]) / (self.inputs[k + 1] - self.inputs[k])
         line = (1 - part) * self.means[k] + part * self.means[k + 1]
         return (y[inside] - line) / np.sqrt(1 + (1 - part) ** 2 / self.many[k] + part**2 / self.many[k + 1])
+
+
+def _is_resolved(record: Record) -> bool:
+    """Whether there are samples enough for each time that the input goes there and back over its range to tell noise from the output."""
+    cycles = float(np.abs(np.diff(record.u)).sum()) / (2 * float(np.ptp(record.u)) or np.inf)
+    return bool(np.count_nonzero(record.used) >= FEWEST_SAMPLES * cycles)
 
 
 def _noise(outputs: Sequence[np.ndarray]) -> float | None:

@@ -14,7 +14,7 @@ from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
-from hystfit.outcome.wrapping import shortened
+from hystfit.outcome.wrapping import listed, shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
@@ -30,10 +30,17 @@ _MOST_RECORDS, _MOST_FINDINGS = 8, 40  # shown in the text
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """The model to try first, as an expression such as "lag+prandtl-ishlinskii+creep", and why."""
+    """The model to try first.
+
+    Attributes:
+        model: as an expression such as "lag+prandtl-ishlinskii+creep".
+        reason: why, in words.
+        searched: models that a fit tries beside it, whose parameters it has to search for.
+    """
 
     model: str
     reason: str
+    searched: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,6 +137,8 @@ class QualityReport:
             lines += ["", "What the loops show", *(f"  - {trait}" for trait in self.traits)]
         if self.advice is not None:
             lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
+            if self.advice.searched:
+                lines.append(f"A fit without a model searches for the parameters of {listed(self.advice.searched)} too")
         return "\n".join(lines)
 
     def __str__(self) -> str:

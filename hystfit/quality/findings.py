@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
@@ -117,9 +117,14 @@ def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
         yield warn(Code.OUTPUT_NOISE, text)
 
 
+def conducts(units: Mapping[str, str]) -> bool:
+    """Whether records with these units of u and y are currents against voltages, as of electrodes and capacitors."""
+    of = {name: quantity(unit) for name, unit in units.items()}
+    return of["y"] in ("current", "current density") and of["u"] in ("voltage", "electric field")
+
+
 def _response(record: RecordQuality) -> Iterator[Note]:
     """How the output responds to the input, apart from the shape of loops."""
-    u_kind, y_kind = quantity(record.units["u"]), quantity(record.units["y"])
     if record.dynamics is not None and record.dynamic:
         yield warn(Code.DYNAMICS, _resonance(record.dynamics, record.units["t"]))
     if record.delay is not None:
@@ -136,12 +141,11 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         )
     if record.output_controlled:
         yield CONTROLLED
-    timed = record.sampling.rate is not None
-    if timed and y_kind in ("current", "current density") and u_kind in ("voltage", "electric field"):
+    if record.sampling.rate is not None and conducts(record.units):
         yield Note(
             Code.RATE,
-            f"the output is a {y_kind} against a {u_kind}: for a loop of charge or polarization, --integrate (integrate=True) "
-            "integrates it over time",
+            f"the output is a {quantity(record.units['y'])} against a {quantity(record.units['u'])}: for a loop of charge or "
+            "polarization, --integrate (integrate=True) integrates it over time",
             option=("integrate", "true") if record.charges else None,
         )
 

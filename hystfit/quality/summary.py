@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import math
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -270,6 +270,16 @@ def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
     way, time = np.abs(record.u[b] - record.u[a]), record.t[b] - record.t[a]
     moved = (way > _WAY * np.ptp(record.u)) & (time > 0)
     return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
+
+
+def paces(records: Iterable[Record]) -> int:
+    """Number of durations of branches that differ as speeds do: at one, the speed is a function of the amplitude and the place."""
+    durations = [
+        np.log10(record.t[at[1:]] - record.t[at[:-1]])
+        for record in records
+        if record.t is not None and np.diff(record.t).min() > 0 and (at := geometry.clear_reversals(record.u)).size > 1
+    ]
+    return len(geometry.distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
 
 
 def _change(y: np.ndarray) -> float:

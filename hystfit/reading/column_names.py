@@ -55,6 +55,8 @@ def column_quantity(name: str, unit: str = "") -> str:
         return "temperature"  # T or Ta in degrees Celsius without their sign
     if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
         return "pressure"  # whose unit is that of a stress, also the capillary one
+    if re.fullmatch(r"(?i)theta_?(?:[vw]|c?m3_?c?m3)", base):
+        return "loading"  # the water in soil, and no angle
     base = _field(base)
     if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]

@@ -25,7 +25,7 @@ _JOINED = re.compile(
     r"|([mun]?mol|mg|c?m3|cc|m[lL])_(k?g)|(1)_([cm]?m))"
 )
 # Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
-_FLOW = re.compile(r"(.+?)_(c?m3|ft3|[mu]?[Ll])_?(s|min|h)")
+_FLOW = re.compile(r"(.+?)[_ ](c?m3|ft3|[mu]?[Ll])[_/]?(s|min|h)")
 _FLOWS = {"cms": "m3/s", "cfs": "ft3/s", "lpm": "L/min", "slpm": "L/min", "sccm": "cm3/min", "gpm": "gal/min"}
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
 _WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
@@ -160,7 +160,7 @@ def _quotient_in_words(name: str) -> tuple[str, str] | None:
 def _behind_mark(name: str) -> tuple[str, str] | None:
     """H_kA/m, Moment / A m2, "Force, kN", "Field in kA/m"; None for other names."""
     # Of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
-    if (match := re.fullmatch(r"([^/]+)_([^_/]+/[^_/]+)", name)) and is_unit(match[2]) and quantity(match[2]):
+    if (match := re.fullmatch(r"([^/]+)[_ ]([^_/\s]+/[^_/\s]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
     if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]

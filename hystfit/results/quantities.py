@@ -166,8 +166,11 @@ class QuantityEstimate:
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def vaguer_than(self, stderr: float | None) -> bool:
-        """Whether its error is visible, and larger than this one of a value that was read off other loops than the steady one."""
-        if None in (self.value, self.stderr, stderr) or self.measured is not None:
+        """Whether its error is visible, and larger than that of the measured loop or, where none covers the fitted range, than this one of
+        a value that was read off other loops.
+        """
+        stderr = stderr if self.measured is None else self.measured_stderr
+        if None in (self.value, self.stderr, stderr):
             return False
         return self.stderr > max(stderr, _VISIBLE * abs(self.value))  # type: ignore[operator,arg-type,type-var]
 

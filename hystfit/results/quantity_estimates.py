@@ -22,7 +22,6 @@ from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.loop_branches import turns_of
-from hystfit.results.loop_values import quantities
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
 from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
@@ -57,18 +56,19 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     outputs = lambda record: _perturbed(result, record, _STEP * size, linear)
     values = values_of_outputs(result.data, excitation, outputs, timed=result.model.creeps)
     scales, rows = result.problem.scales, []
-    read = {one.name: one for values in quantities(result.data).rows.values() for one in values}
+    read = {one.name: one for values in result.measured.rows.values() for one in values}
     measured = measured_quantities(result.data) if read else {}  # none of loops that noise alone opens
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
     if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
         part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
-    between = _between_samples(result)
+    between, joint = _between_samples(result), result.joint
+    known = None if joint is None else np.where(np.isfinite(joint), joint, 0.0)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
             change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
-        one = _estimate(result, name, float(y[0]), change, size, natural)
+        one = _estimate(result, name, float(y[0]), change, size, natural, known)
         if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
             one = dataclasses.replace(one, reason=_MISSING[name])
         if one.stderr is not None and name in between:
@@ -101,25 +101,31 @@ def _between_samples(result: FitResult) -> dict[str, float]:
 
 
 def _estimate(
-    result: FitResult, name: str, value: float, change: np.ndarray, size: np.ndarray, natural: float
+    result: FitResult,
+    name: str,
+    value: float,
+    change: np.ndarray,
+    size: np.ndarray,
+    natural: float,
+    known: np.ndarray | None,
 ) -> QuantityEstimate:
     """A quantity from its value and its derivatives.
 
     Args:
         change: derivative by each free parameter in units of its size, shape (p,).
+        known: covariance with zeros where it is not finite, shape (p, p); None without one.
     """
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
     if not np.isfinite(value):
         return made(None, None, Unknown.NOT_FINITE)
-    covariance = result.joint
-    if covariance is None:
+    if known is None or result.joint is None:
         return made(value, None, Unknown.NO_ERRORS)
-    without = ~np.isfinite(np.diag(covariance))
+    without = ~np.isfinite(np.diag(result.joint))
     if not np.isfinite(change).all() or (np.abs(change[without]) > _NEGLIGIBLE * natural).any():
         return made(None, None, Unknown.NOT_DETERMINED)
     slope = np.where(without, 0.0, change / size)
-    error = float(np.sqrt(max(slope @ np.where(np.isfinite(covariance), covariance, 0.0) @ slope, 0.0)))
+    error = float(np.sqrt(max(slope @ known @ slope, 0.0)))
     if error > OPEN * natural:
         return made(None, None, Unknown.NOT_DETERMINED)
     return made(
@@ -177,7 +183,8 @@ def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.n
     """
     x = np.asarray(result.x)
     middle = _simulated(result, record, x[None])
-    larger, smaller = np.repeat(middle, x.size, axis=0), np.repeat(middle, x.size, axis=0)
+    every = np.repeat(middle, 1 + 2 * x.size, axis=0)
+    larger, smaller = every[1 : 1 + x.size], every[1 + x.size :]
     columns = _columns(result, record) if x.size > _MANY else {}
     for k in range(x.size):
         if k in columns:
@@ -190,7 +197,7 @@ def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.n
             continue
         larger[k] += change
         smaller[k] -= change
-    return np.concatenate([middle, larger, smaller])
+    return every
 
 
 def _columns(result: FitResult, record: Record) -> dict[int, np.ndarray]:

@@ -257,8 +257,8 @@ class _Gram:
 
     def __init__(self, basis: Basis | None, inside: slice, others: np.ndarray, whole: np.ndarray):
         self._basis, self._inside, self._others = basis, inside, others
-        q, width, self._whole = 0 if basis is None else basis.shape[0], others.size, whole
-        self._few, self._between, self._spread = np.zeros((q, q)), np.zeros((q, width)), False
+        self._whole, self._few = whole, None
+        self._between = np.zeros((0 if basis is None else basis.shape[0], others.size))
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
@@ -298,17 +298,18 @@ class _Gram:
             return
         if few.nnz > _SPARSE * few.shape[0] * few.shape[1]:
             few = few.toarray()
-        product, self._spread = few.T @ few, True
-        self._few += product.toarray() if scipy.sparse.issparse(product) else product
+        product = few.T @ few
+        self._few = product if self._few is None else self._few + product
         self._between += few.T @ rows
         self._whole[np.ix_(self._others, self._others)] += rows.T @ rows
 
     def finish(self) -> None:
         """Complete the sum."""
         self._multiply()
-        if self._basis is not None and self._spread:
+        if self._basis is not None and self._few is not None:
             inside, others, spread = self._inside, self._others, self._basis.spread
+            few = self._few.toarray() if scipy.sparse.issparse(self._few) else self._few
+            self._whole[inside, inside] += spread(spread(few).T)
             between = spread(self._between)
-            self._whole[inside, inside] += spread(spread(self._few).T)
             self._whole[inside, others] += between
             self._whole[others, inside] += between.T

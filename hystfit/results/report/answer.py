@@ -142,7 +142,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         known = f" +- {error}" if q.stderr else ""
         text = f"{value}{known} {q.unit}".rstrip()
         read = measured.get(q.name)
-        if q.differs:
+        if q.differs or (q.measured is not None and q.vaguer_than(None)):
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
         elif read is not None and read.unit == q.unit:
             at_zero = crossed and one.at_middle
