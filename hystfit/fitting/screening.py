@@ -80,11 +80,9 @@ def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
     chosen, baselines, look = candidates(data), Baselines.of(data), _Look(data, spacing)
     equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
     least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
-    names = [*chosen.closed, *chosen.last]
-    while names:
-        name = names.pop(0)
-        if name in chosen.last and not limit < least < baselines.curve:
-            return
+    waiting, last = list(chosen.closed), list(chosen.last)
+    while waiting or (last and limit < least < baselines.curve):
+        name = (waiting or last).pop(0)
         one = _searched(data, baselines, spacing) if name == SEARCH else look.at(name, most)
         if one is None:
             continue
@@ -94,9 +92,7 @@ def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
             return
         least, most = min(least, one.error), min(most, equal * one.ranked)
         if one.found is not None:
-            names[len(chosen.closed) - 1 : len(chosen.closed) - 1] = chosen.beside(
-                *structure_of(one.found.model)
-            ).closed
+            waiting += chosen.beside(*structure_of(one.found.model)).closed
 
 
 def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
