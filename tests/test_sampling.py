@@ -769,6 +769,23 @@ def test_a_prior_that_contradicts_the_data_is_told_and_one_that_they_narrow_is_n
     assert not has(posterior.notes, Code.PRIOR), posterior.notes
 
 
+@pytest.mark.parametrize(
+    ("prior", "middle", "told"),
+    [
+        (priors.HalfNormal(8.0), 1e-6, False),  # where a weight that the data rule out has to lie
+        (priors.HalfNormal(8.0), 60.0, True),
+        (priors.HalfNormal(8.0, 0.0, -1.0), -1e-6, False),
+        (priors.LogNormal(1.0, 3.0), 1e-8, True),
+        (priors.Normal(0.0, 1.0), -8.0, True),
+        (priors.Uniform(0.0, 1.0), 1e-9, False),
+    ],
+)
+def test_a_value_is_in_the_tail_of_a_prior_where_its_density_falls(prior, middle, told):
+    from hystfit.sampling.sample import _in_tail
+
+    assert _in_tail(prior, middle, np.asarray(prior.sample(jax.random.key(0), (4000,)))) == told
+
+
 def test_width_beside_a_prior_over_a_logarithm_is_that_of_the_logarithm(fitted):
     setup = prepare(fitted, noise="iid")
     at = setup.names.index("noise_white")

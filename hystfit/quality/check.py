@@ -138,7 +138,9 @@ class QualityReport:
         if self.advice is not None:
             lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
             if self.advice.searched:
-                lines.append(f"A fit without a model also tries {listed(self.advice.searched)}, whose parameters need a search")
+                lines.append(
+                    f"A fit without a model also tries {listed(self.advice.searched)}, whose parameters need a search"
+                )
         return "\n".join(lines)
 
     def __str__(self) -> str:

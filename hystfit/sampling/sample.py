@@ -189,7 +189,7 @@ def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draw
         k = setup.names.index(name)
         expected = np.asarray(prior.sample(jax.random.fold_in(key, k), (SEEN,)))
         middle = np.median(draws[:, :, k])
-        if not np.any(expected < middle) or not np.any(expected > middle):
+        if _in_tail(prior, middle, expected):
             text = f"the posterior of {name} lies in the far tail of its prior ({prior}): the prior is inconsistent with the data"
             notes.append(warn(Code.PRIOR, text))
             continue
@@ -197,6 +197,15 @@ def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draw
         if ratio > _AS_WIDE:
             wide.setdefault(str(prior), []).append((name, 100 * ratio))
     return [*notes, *(warn(Code.PRIOR, _as_wide_words(prior, rows)) for prior, rows in wide.items())]
+
+
+def _in_tail(prior: AbstractPrior, middle: float, expected: Float[np.ndarray, " n"]) -> bool:
+    """Whether a value lies beyond all draws of a prior, on a side to which its density falls: a weight near zero is no surprise."""
+    beyond = not np.any(expected < middle) or not np.any(expected > middle)
+    if not beyond or prior.has_score:
+        return beyond
+    densities = np.asarray(jax.vmap(prior.log_density)(jnp.append(expected, middle)))
+    return bool(densities[-1] < densities[:-1].min())
 
 
 def _as_wide_words(prior: str, rows: Sequence[tuple[str, float]]) -> str:
