@@ -200,7 +200,12 @@ def test_every_weight_that_acts_has_an_error_by_its_posterior(cells: hf.FitResul
 
 
 def test_what_the_sampler_cannot_do_is_named(plays: hf.FitResult, cells: hf.FitResult) -> None:
-    assert suited_sampler(plays, "student-t") == "nuts"
+    assert suited_sampler(plays, "iid") == suited_sampler(plays, "iid", {"w[0,0]": priors.HalfNormal(2.0)}) == "weights"
+    assert (
+        suited_sampler(plays, "student-t")
+        == suited_sampler(plays, "iid", {"w[0,0]": priors.LogNormal(0.5, 0.3)})
+        == "nuts"
+    )
     with pytest.raises(ParameterError, match="iid and ou"):
         hf.sample(plays, "weights", noise="student-t")
     with pytest.raises(ParameterError, match="normal priors"):

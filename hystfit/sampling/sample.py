@@ -17,10 +17,10 @@ from jaxtyping import Array, Float
 
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
-from hystfit.inference.correlated_priors import Dependence
+from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
-from hystfit.inference.priors import SEEN, AbstractPrior, LogNormal
+from hystfit.inference.priors import SEEN, AbstractPrior, HalfNormal, LogNormal, Normal
 from hystfit.inference.residuals import analyze, diagnose
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
@@ -36,7 +36,7 @@ from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.setup import MOST, Prepared
-from hystfit.sampling.weight_equations import NoiseGrid
+from hystfit.sampling.weight_equations import NoiseGrid, are_free_or_positive
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
@@ -78,7 +78,7 @@ def sample(
     """
     seed = require_seed(seed)
     chosen = _make(
-        suited_sampler(result, noise) if isinstance(sampler, str) and sampler == "auto" else sampler, settings
+        suited_sampler(result, noise, priors) if isinstance(sampler, str) and sampler == "auto" else sampler, settings
     )
     with contextlib.nullcontext() if folder is None else alone(folder):
         setup = chosen.prepare(result, noise, priors)
@@ -134,16 +134,23 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
     return Status.INCOMPLETE if incomplete or result.status is Status.ROUGH else Status.OK
 
 
-def suited_sampler(result: FitResult, noise: str | type[AbstractNoise] = "auto") -> str:
-    """The sampler that suits a fit: "weights" where its parameters are weights but for few, and its noise model can be used with them.
+def suited_sampler(
+    result: FitResult, noise: str | type[AbstractNoise] = "auto", priors: Mapping[str, AbstractPrior] | None = None
+) -> str:
+    """The sampler that suits a fit: "weights" where its parameters are weights but for few, and it has their noise model and priors.
 
     Args:
         noise: as in `sample`. Where the residuals need a noise model that "weights" does not have, NUTS has it, up to its most parameters.
+        priors: as in `sample`.
     """
-    problem = result.problem
-    if not problem.mostly_linear or not problem.space.weights.any():
+    problem, space = result.problem, result.problem.space
+    if not problem.mostly_linear or not space.weights.any() or not are_free_or_positive(space):
         return "nuts"
-    if problem.model.estimator is None and noise == "auto" and len(problem.space) <= MOST:
+    linear = {name.partition("@")[0] for name, weight in zip(space.names, space.linear, strict=True) if weight}
+    given = [prior for name, prior in (priors or {}).items() if name.partition("@")[0] in linear]
+    if isinstance(priors, CorrelatedPriors) or not all(isinstance(prior, Normal | HalfNormal) for prior in given):
+        return "nuts"
+    if problem.model.estimator is None and noise == "auto" and len(space) <= MOST:
         noise = diagnose(analyze(problem.with_loss("linear"), result.x)).recommended
     return "weights" if noise == "auto" or NOISES.label(noise) in NoiseGrid.models else "nuts"
 

@@ -182,6 +182,12 @@ class NoiseGrid(eqx.Module):
         return xp.stack([white, xp.sqrt(variance), xp.asarray(self.times)[number]], axis=-1)
 
 
+def are_free_or_positive(space: ParameterSpace) -> bool:
+    """Whether zero is the only bound of weights, from below."""
+    low, high = space.lower[space.linear], space.upper[space.linear]
+    return not np.any(np.isfinite(high) | (np.isfinite(low) & (low != 0)))
+
+
 def parameters_of(space: ParameterSpace, w: Float[np.ndarray, "... p"], size: float) -> Float[np.ndarray, "... p"]:
     """Physical parameters of a model from w."""
     return np.where(space.linear, w * size, space.physical(w))
@@ -201,7 +207,7 @@ def weight_equations(
     """
     space, linear = problem.space, problem.space.linear
     bounded = linear & (space.lower == 0)
-    if np.any(linear & (np.isfinite(space.upper) | (np.isfinite(space.lower) & ~bounded))):
+    if not are_free_or_positive(space):
         raise ParameterError("sampler='weights' knows one bound, weights >= 0: use sampler='nuts'")
     z = inside(space, x)
     x = np.where(linear, x, space.physical(z))
