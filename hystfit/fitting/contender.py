@@ -6,31 +6,24 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hystfit.fitting.comparison import MARGIN, Row, handicap
+from hystfit.fitting.comparison import MARGIN, Row
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Note, Status
+from hystfit.outcome import Note
 from hystfit.results.result import FitResult
 
 
 class First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
 
-    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it; `inverse` tells whether
-    its family has one.
+    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it.
     """
 
     error: float
     parameters: int
     model: AbstractHysteresis | None = None
     lowered: float = 1 / MARGIN
-    inverse: bool = True
-
-    @property
-    def ranked(self) -> float:
-        """The error by which it ranks."""
-        return self.error * handicap(Status.OK, self.inverse)
 
 
 @dataclasses.dataclass
@@ -65,8 +58,9 @@ def leader(waiting: Sequence[Candidate], equal: float = 1.0) -> Candidate | None
 
     Args:
         waiting: models that are not validated.
-        equal: ratio to the smallest error of a first fit, as it ranks, up to which that with the fewest parameters goes first.
+        equal: ratio to the smallest error of a first fit up to which that with the fewest parameters goes first.
     """
-    firsts = [(one, one.first.parameters, one.first.ranked) for one in waiting if one.first is not None]
-    most = equal * min((error for *_, error in firsts), default=0.0)
-    return min((first for first in firsts if first[2] <= most), key=lambda first: first[1:], default=(None,))[0]
+    firsts = [(one, one.first) for one in waiting if one.first is not None]
+    most = equal * min((first.error for _, first in firsts), default=0.0)
+    alike = [(one, first) for one, first in firsts if first.error <= most]
+    return min(alike, key=lambda pair: (pair[1].parameters, pair[1].error), default=(None,))[0]
