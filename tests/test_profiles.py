@@ -352,7 +352,11 @@ def test_an_array_of_many_weights_has_one_row_of_errors_until_it_is_chosen():
     assert "14 values" in row["remark"]
     assert not any(p.name in found.text() for p in known[-1:])
     every = found.table("w").to_list()[:-1]
-    assert {row["parameter"]: row["fit"] for row in every} == {p.name: p.stderr for p in known}
+    assert [row["parameter"] for row in every] == [p.name for p in weights]
+    assert {row["parameter"]: row["fit"] for row in every if row["fit"] is not None} == {
+        p.name: p.stderr for p in known
+    }
+    assert all(row["posterior"] > 0 for row in every)  # also of weights at their bound
     assert [row["parameter"] for row in found.table([known[0].name, "offset"]).to_list()[:-1]] == [
         known[0].name,
         "offset",
