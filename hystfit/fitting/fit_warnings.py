@@ -183,9 +183,12 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         t = np.arange(len(record)) if record.t is None else record.t
         passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row
         slope = float(passed @ missed / (passed @ passed))
-        change, rest = slope * float(np.ptp(passed)), missed - slope * passed
+        change = slope * float(np.ptp(passed))
+        if 100 * abs(change) < VISIBLE * span:
+            continue
+        rest = missed - slope * passed
         error = float(np.sqrt(correlation_length(rest) * np.mean(rest**2) / (passed @ passed)))
-        if abs(slope) < CLEAR * error or 100 * abs(change) < VISIBLE * span:
+        if abs(slope) < CLEAR * error:
             continue
         size = f"{change:.3g} {record.y_unit}".rstrip()
         return warn(
