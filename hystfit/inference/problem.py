@@ -38,8 +38,6 @@ from hystfit.quality.held_out import HeldOut, held_out, inner_loops
 
 LOSSES: tuple[str, ...] = get_args(Loss)
 Side = Literal["lower", "upper"]
-# Weights for each other free parameter from which closed-form columns, with differences for the others, replace a forward pass.
-_WEIGHTS = 4
 
 
 class Problem:
@@ -300,16 +298,10 @@ class Problem:
     @property
     def _has_design(self) -> bool:
         """Whether derivatives come from design matrices: those of many weights, beside few other parameters."""
-        if not self.mostly_linear or not self.model.has_fast_run:
+        if not self.space.mostly_linear or not self.model.has_fast_run:
             return False
         linear = int(np.count_nonzero(self.space.linear))
         return self.model.estimator is not None or self.objective.batch.count * linear <= COLUMNS
-
-    @property
-    def mostly_linear(self) -> bool:
-        """Whether the output is linear in all free parameters but few."""
-        linear = int(np.count_nonzero(self.space.linear))
-        return not self.space.ties and linear >= _WEIGHTS * (len(self.space) - linear)
 
     @property
     def closed_form(self) -> bool:

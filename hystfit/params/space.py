@@ -25,6 +25,9 @@ from hystfit.params.ties import Tie, narrowed, ties_of
 from hystfit.params.units import Scales
 
 MANY = 12  # elements of an array above which they share a row of a table, and those of either sign are weights
+# Weights for each other free element from which closed-form columns, with differences for the others, replace a forward pass, and weights
+# are sampled exactly.
+_WEIGHTS = 4
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
@@ -292,6 +295,12 @@ class ParameterSpace:
     def linear(self) -> np.ndarray:
         """In which free elements the output is linear, shape (p,), bool; those to which others are tied do not count."""
         return np.array([info.linear for info in self.infos], dtype=bool) & ~self.sources_of_ties
+
+    @property
+    def mostly_linear(self) -> bool:
+        """Whether the output is linear in all free elements but few, and none is tied to another."""
+        linear = int(np.count_nonzero(self.linear))
+        return not self.ties and linear >= _WEIGHTS * (len(self) - linear)
 
     @property
     def sources_of_ties(self) -> np.ndarray:

@@ -144,7 +144,7 @@ def suited_sampler(
         priors: as in `sample`.
     """
     problem, space = result.problem, result.problem.space
-    if not problem.mostly_linear or not space.weights.any() or not are_free_or_positive(space):
+    if not space.mostly_linear or not space.weights.any() or not are_free_or_positive(space):
         return "nuts"
     linear = {name.partition("@")[0] for name, weight in zip(space.names, space.linear, strict=True) if weight}
     given = [prior for name, prior in (priors or {}).items() if name.partition("@")[0] in linear]

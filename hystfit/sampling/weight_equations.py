@@ -24,7 +24,6 @@ from hystfit.params.space import ParameterSpace
 from hystfit.sampling.setup import inside
 
 _STEPS = np.array([-2.4, -1.2, 0.0, 1.2, 2.4])  # of the grid of noises along each axis, in standard deviations
-_QUARTILES = 1.349  # standard deviations between the quartiles of a normal distribution
 _INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
 
@@ -258,15 +257,16 @@ def weight_priors(
 def _of_priors(problem: Problem, priors: Mapping[str, AbstractPrior], size: float) -> tuple[np.ndarray, np.ndarray]:
     """Precision, and precision times mean, of the priors of all w; zero for those with a penalty alone.
 
-    That of a parameter in which the output is not linear is normal in its coordinate, with the quartiles of the prior.
+    That of a parameter in which the output is not linear is normal in its coordinate, and has the quantiles of the prior at one standard
+    deviation to either side.
     """
     space = problem.space
     precision, pull = np.zeros((2, len(space)))
     for name, prior in priors.items():
         k = space.names.index(name)
         if not space.linear[k]:
-            low, high = (inside(space, np.full(len(space), q))[k] for q in prior.quantiles([0.25, 0.75]))
-            mean, sd = (low + high) / 2, (high - low) / _QUARTILES
+            low, high = (inside(space, np.full(len(space), q))[k] for q in prior.quantiles([0.16, 0.84]))
+            mean, sd = (low + high) / 2, (high - low) / 2
         elif isinstance(prior, Normal):
             mean, sd = float(prior.mean) / size, float(prior.sd) / size
         elif isinstance(prior, HalfNormal) and float(prior.edge) == 0 and prior.side > 0:
