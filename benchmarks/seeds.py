@@ -1,7 +1,8 @@
-"""NUTS under the default noise from ten seeds, beside emcee with a numba likelihood of the same posterior: `python benchmarks/seeds.py`.
+"""The default sampler under the default noise from ten seeds, beside emcee with a numba likelihood of the same posterior.
 
-2000 samples with slow and independent noise, 2 chains of 1000 draws a seed. Printed are effective draws of the worst coordinate per
-second of processor time, without burn-in and warm-up, and the probability of a tail beside a long run of the ensemble.
+`python benchmarks/seeds.py`: 2000 samples with slow and independent noise, 2 chains of 1000 draws a seed. Printed are effective draws of
+the worst coordinate per second of processor time, with the fit of the proposals but without burn-in of the ensemble, and the
+probability of a tail beside a long run of the ensemble.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ import jax
 import jax.numpy as jnp
 import numba
 import numpy as np
-from sampling import Runner, bent_of, compared, ensemble, peer_parameters, peer_step, plain, record
+from sampling import Runner, compared, ensemble, peer_parameters, peer_step, plain, record
 
 import hystfit as hf
 from hystfit.sampling.diagnostics import effective_size
-from hystfit.sampling.nuts import Nuts, adapted
+from hystfit.sampling.independence import Independence
 from hystfit.sampling.setup import Setup, prepare
 
 WALKERS, SEEDS, TAIL = 64, 10, 0.9  # the tail is rho > 0.9
@@ -78,22 +79,15 @@ def walkers(density: Callable[[np.ndarray], float], d: int, moves: Any = None) -
     return runner
 
 
-def chains(setup: Setup, seed: int, settings: Nuts) -> tuple[np.ndarray, float]:
-    """Draws of NUTS, shape (chains, draws, d), and seconds of processor time after the warm-up."""
-    target, drawn, busy = setup.target, [], 0.0
-    for number in range(settings.chains):
-        key = jax.random.fold_in(jax.random.key(seed), number)
-        warm = settings.warm(target, jax.random.fold_in(key, 10**6))
-        q, parts = jnp.asarray(warm["q"]), []
-        begin = time.process_time()
-        for k in range(settings.draws // 50):
-            parts.append(settings.chunk(target, warm, q, jax.random.fold_in(key, k))["q"])
-            q = jnp.asarray(parts[-1][-1])
-        busy += time.process_time() - begin
-        # Each chain has coordinates of its own; those of the peer serve all.
-        v = jax.vmap(bent_of(target)[1])(jnp.asarray(adapted(target, warm).v_of(np.concatenate(parts), np)))
-        drawn.append(plain(target).q_of(np.asarray(v), np))
-    return np.stack(drawn), busy
+def chains(setup: Setup, seed: int, settings: Independence) -> tuple[np.ndarray, float]:
+    """Draws in the coordinates of the peer, shape (chains, draws, d), and seconds of processor time of the whole run."""
+    begin = time.process_time()
+    raw = settings.run(setup, seed, None, lambda text, fraction: None)
+    busy = time.process_time() - begin
+    target = plain(setup.target)
+    return target.q_of(
+        np.asarray(jax.vmap(target.bend.bent)(jnp.asarray(raw.z.reshape(-1, raw.z.shape[-1])))).reshape(raw.z.shape), np
+    ), busy
 
 
 def main() -> None:
@@ -107,7 +101,7 @@ def main() -> None:
     tail = of_rho(setup, np.swapaxes(np.concatenate(runner.draws), 0, 1))
     error = np.sqrt(tail.mean() * (1 - tail.mean()) / effective_size(tail))
     print(f"emcee + numba: {base:.0f} effective draws a second, P(rho > {TAIL}) = {tail.mean():.4f} +- {error:.4f}")
-    settings, ratios, tails = Nuts(chains=2, draws=1000), [], []
+    settings, ratios, tails = Independence(chains=2, draws=1000), [], []
     chains(setup, SEEDS, settings)  # compiles
     for seed in range(SEEDS):
         q, busy = chains(setup, seed, settings)

@@ -29,6 +29,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models import LogCreep, Series, Sum
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
+from hystfit.sampling import independence, proposals
 from hystfit.sampling.base import AbstractSampler, Raw
 from hystfit.sampling.bend import Bend, straight
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, effective_size, rhat, tail_ess
@@ -262,7 +263,7 @@ def chunks_of(nuts, target, key, count):
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     target, found = prepare(fitted, noise="iid").target, []
     for goal in (0.65, 0.85):
-        nuts, shares = Nuts(target_accept=goal, jumps=False), []
+        nuts, shares = Nuts(target_accept=goal), []
         for key in jax.random.split(jax.random.key(3), 4):
             shares += [chunk["acceptance"].mean() for _, chunk in chunks_of(nuts, target, key, 4)]
         found.append(np.mean(shares))
@@ -341,15 +342,26 @@ def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
     assert again > share(nuts.warm(funnel, jax.random.key(1))) + 0.05
 
 
-def test_jumps_between_trajectories_leave_a_skewed_density_as_it_is(fitted):
-    target = of_kind(LogGamma, fitted, [1.0, 1.0])
-    target, nuts, drawn = dataclasses.replace(target, bend=Bend(jnp.zeros(2, bool), jnp.zeros(2))), Nuts(), []
-    for key in jax.random.split(jax.random.key(2), 2):
-        for warm, chunk in chunks_of(nuts, target, key, 40):
-            drawn.append(adapted(target, warm).v_of(chunk["q"], np))
-            np.testing.assert_array_equal(chunk["steps"] == 0, np.arange(50) % 10 > 0)
-            np.testing.assert_array_equal(np.isnan(chunk["acceptance"]), chunk["steps"] == 0)
-    v = np.concatenate(drawn)
+def independent(target: Target, seed: int, draws: int) -> np.ndarray:
+    """Draws v of two chains, end to end."""
+    rng, drawn = np.random.default_rng(seed), []
+    begin = independence._begin(proposals.adapted(target, rng), 2, rng)
+    mixture = proposals.Mixture(begin["share"], begin["center"], begin["root"])
+    for number, start in enumerate(begin["starts"]):
+        chain = independence._Chain(target, mixture, int(begin["tries"]), start, (seed, number), None, "")
+        chain.draw(draws, lambda: None)
+        drawn.append(np.asarray(target.v_of(np.concatenate([chunk["q"] for chunk in chain.chunks]), np)))
+    return np.concatenate(drawn)
+
+
+def without_parameters(kind: type[Target], fitted: hf.FitResult, d: int) -> Target:
+    """A target of d coordinates that are the parameters themselves."""
+    target = of_kind(kind, fitted, [1.0] * d)
+    return dataclasses.replace(target, bend=Bend(jnp.zeros(d, bool), jnp.zeros(d)), noise=None, slopes=None)
+
+
+def test_independence_chains_have_a_skewed_density_as_their_distribution(fitted):
+    v = independent(without_parameters(LogGamma, fitted, 2), 2, 2000)
     for x in (v[:, 1], v[:, 0] - v[:, 1]):
         assert effective_size(x.reshape(2, -1)) > 0.5 * len(x)
         for place in (0.05, 0.3, 2.0, 5.0):
@@ -357,9 +369,31 @@ def test_jumps_between_trajectories_leave_a_skewed_density_as_it_is(fitted):
             assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside.reshape(2, -1)))
 
 
-def test_no_jumps_where_their_distribution_does_not_cover_the_posterior(fitted):
-    funnel, nuts = of_kind(Funnel, fitted, [1.0] * 6), Nuts(warmup=200)
-    assert "jumps_root" not in nuts.warm(funnel, jax.random.key(1))
+@pytest.mark.parametrize("d", [3, 5, 8])
+def test_a_mixture_that_covers_a_funnel_has_its_narrow_end_and_others_are_told(fitted, d):
+    """v is normal with standard deviation 2, whatever d: a mixture that lacks the narrow end has no small v."""
+    target = without_parameters(Funnel, fitted, d)
+    rng = np.random.default_rng(0)
+    found = proposals.adapted(target, rng)
+    offers = None if found is None else proposals.Batch.of(target, found[0], rng, 8000)
+    accepted = offers is not None and proposals.efficiency(offers.score) >= independence._COVERED
+    assert accepted == (d == 3)
+    if accepted:
+        for share in (0.025, 0.16, 0.84, 0.975):
+            below = float(offers.weights[offers.q[:, 0] < 2 * scipy.stats.norm.ppf(share)].sum())
+            assert abs(below - share) < 4 * np.sqrt(share * (1 - share) / offers.effective)
+
+
+def test_nuts_draws_what_no_mixture_covers(fitted, monkeypatch):
+    monkeypatch.setattr(independence, "_COVERED", 1.0)
+    made = sample(fitted, noise="iid", draws=50, extend=1, chains=2)
+    assert made.sampler == "nuts"
+    assert made.stats["steps"].any()
+    assert "NUTS draws" in " ".join(note.text for note in made.notes)
+
+
+def test_settings_of_nuts_choose_nuts(fitted):
+    assert sample(fitted, noise="iid", draws=50, extend=1, chains=1, warmup=50).stats["steps"].any()
 
 
 def test_chains_that_diverge_are_drawn_again_for_a_higher_acceptance(fitted, monkeypatch, tmp_path):
@@ -423,19 +457,22 @@ def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
         assert float(lean(q)) == pytest.approx(float(value(q)), rel=1e-10)
 
 
-def test_least_squares_nuts_and_emcee_agree_on_a_well_determined_problem(fitted, posterior):
+def test_least_squares_independence_nuts_and_emcee_agree_on_a_well_determined_problem(fitted, posterior):
     ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=3000, seed=1)
+    independent = sample(fitted, noise="iid", draws=1000, seed=1)
     assert posterior.usable
     assert ensemble.usable
+    assert (independent.usable, independent.sampler) == (True, "independence")
     for name in ("c", "mu", "tau"):
         width = fitted[name].stderr
         # 900 effective draws or so give a standard deviation to 2.5 %.
         assert posterior[name].std() == pytest.approx(width, rel=0.1)
-        assert ensemble[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
-        assert abs(ensemble[name].mean() - posterior[name].mean()) < 0.15 * width
+        for drawn in (ensemble, independent):
+            assert drawn[name].std() == pytest.approx(posterior[name].std(), rel=0.1)
+            assert abs(drawn[name].mean() - posterior[name].mean()) < 0.15 * width
     setup = prepare(fitted, noise="iid")
     at = eqx.filter_jit(lambda z: setup.target.density.log_density(z))
-    for drawn in (posterior, ensemble):
+    for drawn in (posterior, ensemble, independent):
         for chain, draw in ((0, 0), (1, 5), (1, -1)):
             z = setup.problem.unconstrained(drawn.draws[chain, draw])
             assert drawn.log_density[chain, draw] == pytest.approx(float(at(jnp.asarray(z))), abs=1e-6)
@@ -465,6 +502,7 @@ def test_banana_in_two_dimensions_agrees_with_a_grid(fitted):
     x = np.asarray(eqx.filter_jit(lambda z: jax.vmap(setup.target.density.physical)(z))(jnp.asarray(full)))
     skew = []
     for sampler, options in (
+        ("independence", {"chains": 2, "draws": 1500}),
         ("nuts", {"chains": 2, "draws": 1500, "warmup": 200}),
         ("emcee", {"walkers": 32, "draws": 3000}),
     ):
@@ -692,7 +730,14 @@ def test_a_finished_emcee_run_asked_again_is_what_it_was(fitted, tmp_path):
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"no archive"])
 def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
-    settings = {"noise": "iid", "chains": 1, "draws": 100, "extend": 1, "warmup": 50, "folder": tmp_path / "run"}
+    settings = {
+        "noise": "iid",
+        "chains": 1,
+        "draws": 100,
+        "extend": 1,
+        "warmup": 50,
+        "folder": tmp_path / "run",
+    }  # of NUTS
     first = sample(fitted, **settings)
     for name in ("nuts-0-00001.npz", "nuts-0-warm.npz"):
         (tmp_path / "run" / name).write_bytes(damage)
@@ -700,6 +745,19 @@ def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
     (tmp_path / "run" / "run.json").write_text("{")
     with pytest.raises(DataError, match="damaged: remove"):
         sample(fitted, **settings)
+
+
+def test_independence_chains_go_on_from_their_files(fitted, tmp_path):
+    settings = {"noise": "iid", "chains": 2, "extend": 1, "seed": 3}
+    whole = sample(fitted, draws=400, **settings)
+    folder = tmp_path / "run"
+    first = sample(fitted, draws=200, folder=folder, **settings)
+    np.testing.assert_array_equal(first.draws, whole.draws[:, :200])
+    kept = sorted(path.name for path in folder.glob("independence-*.npz"))
+    assert len(kept) == 1 + 2 * 2
+    for name in kept[1:3]:
+        (folder / name).write_bytes(b"half a file")
+    np.testing.assert_array_equal(sample(fitted, draws=400, folder=folder, **settings).draws, whole.draws)
 
 
 def test_autocorrelation_time_of_a_long_chain_is_found_on_few_of_its_steps():

@@ -45,15 +45,16 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: auto (weights for weights of cells or plays beside few other parameters, and nuts for the others), {samplers}, or
-            my_file.py:MySampler. emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights for weights of cells or plays beside few other parameters, and independence for the others; nuts where
+            a setting of it is given), {samplers}, or my_file.py:MySampler. independence leaves posteriors that it does not cover to
+            nuts; emcee is for up to ten parameters; nested also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
             take none); --prior replaces single ones.
-        draws: draws per chain of nuts (500, up to 16 times as many until the chains have converged) or weights (300, up to 8 times); per
-            run of nested (2000); largest number of steps of emcee (5000).
-        chains: chains of nuts or weights (4); runs of nested (2).
+        draws: draws per chain of independence and nuts (500, up to 16 times as many until the chains have converged) or weights (300, up
+            to 8 times); per run of nested (2000); largest number of steps of emcee (5000).
+        chains: chains of independence, nuts or weights (4); runs of nested (2).
         warmup: warm-up steps of nuts (300) or weights (50).
         target_accept: target acceptance rate of nuts (0.9); a higher rate takes smaller steps.
         walkers: walkers of emcee, an even number (64).

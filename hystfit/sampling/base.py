@@ -39,6 +39,7 @@ class Raw:
         notes: on the run.
         complete: whether the run met the sampler's own criterion for its length.
         evidence: where the sampler estimates it.
+        sampler: the name of the sampler that drew, where another one took its place; "" for itself.
     """
 
     z: np.ndarray
@@ -47,6 +48,7 @@ class Raw:
     notes: tuple[Note, ...] = ()
     complete: bool = True
     evidence: Evidence | None = None
+    sampler: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,11 +25,10 @@ from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers, usable_cores
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence, effective_size
-from hystfit.sampling.jumps import CHUNK, Jumps, Offers, fitted
 from hystfit.sampling.setup import Setup, given_others, prepare
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
-from hystfit.sampling.transitions import Tuning, advance_chunk
+from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
 # Gradients of a trajectory on average beyond which the coordinates of `LinearPart` pay: those of the piezo record of
@@ -51,7 +50,6 @@ class Nuts(AbstractSampler):
             but transitions diverge in curved ones; 0.9 costs about as many gradients per effective draw. Where transitions still
             diverge, the chains are drawn again for an acceptance half as far from 1, up to three times.
         max_depth: doublings of a trajectory at most.
-        jumps: whether jumps (`hystfit.sampling.jumps`) take the place of nine in ten trajectories where the posterior is nearly normal.
     """
 
     name: ClassVar[str] = "nuts"
@@ -61,7 +59,6 @@ class Nuts(AbstractSampler):
     warmup: int = 300
     target_accept: float = 0.9
     max_depth: int = 8
-    jumps: bool = True
 
     def __post_init__(self) -> None:
         optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
@@ -73,11 +70,15 @@ class Nuts(AbstractSampler):
         self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> Setup:
         """See the base class; where trajectories are long, linear parameters have the coordinates of `LinearPart`."""
-        setup, key = prepare(result, noise=noise, priors=priors), jax.random.key(0)
+        return self.straightened(prepare(result, noise=noise, priors=priors))
+
+    def straightened(self, setup: Setup) -> Setup:
+        """A posterior in the coordinates of `LinearPart` where they pay."""
+        key = jax.random.key(0)
         current = setup.target.sheared(setup.target.factor)
         trial = advance_chunk(
             current, _start(setup.target, key), Tuning.about(0.5), key, jnp.asarray(True), jnp.asarray(self.target_accept),
-            self.max_depth, Offers.none(len(setup.names)),
+            self.max_depth,
         )  # fmt: skip
         length = float(np.mean(trial[0][-1]))
         if length <= _LONG:
@@ -174,11 +175,8 @@ class Nuts(AbstractSampler):
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
-        target, jumps = adapted(target, warm), Offers.none(len(q))
-        if "jumps_root" in warm:
-            jumps = Jumps.of(warm["jumps_center"], warm["jumps_root"]).offers(target, jax.random.fold_in(key, 0))
         fixed = (jnp.asarray(False), jnp.asarray(self.target_accept), self.max_depth)
-        out, _ = advance_chunk(target, q, Tuning.about(float(warm["size"])), key, *fixed, jumps)
+        out, _ = advance_chunk(adapted(target, warm), q, Tuning.about(float(warm["size"])), key, *fixed)
         return {
             k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
         }
@@ -246,7 +244,7 @@ class _Adaptation:
         tuning, positions, diverging = Tuning.about(size), [], np.zeros(0)
         for _ in range(quarters * -(-self.nuts.warmup // (4 * CHUNK))):
             key, fixed = jax.random.fold_in(self.key, self.count), (jnp.asarray(self.goal), self.nuts.max_depth)
-            out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed, Offers.none(len(q)))
+            out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
             tuning = Tuning(*later)
             q, diverging, self.count = out[0][-1], np.asarray(out[2]), self.count + 1
             positions.append(np.asarray(out[0]))
@@ -263,11 +261,6 @@ class _Adaptation:
                 break
             self.goal = _closer(self.goal)
         warm = {"center": target.center, "factor": target.factor} | vars(target.shear) | {"q": q, "size": size}
-        jumps = None
-        if self.nuts.jumps and not diverges:
-            jumps = fitted(target, target.q_of(v, np), jax.random.fold_in(self.key, self.count))
-        if jumps is not None:
-            warm |= {"jumps_center": jumps.center, "jumps_root": jumps.root}
         return {name: np.asarray(value) for name, value in warm.items()}
 
 

@@ -8,6 +8,7 @@ SAMPLERS = Registry(
     "sampler",
     f"{_HERE}.base:AbstractSampler",
     {
+        "independence": f"{_HERE}.independence:Independence",
         "nuts": f"{_HERE}.nuts:Nuts",
         "emcee": f"{_HERE}.ensemble:Ensemble",
         "nested": f"{_HERE}.nested:Nested",

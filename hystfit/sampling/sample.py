@@ -58,8 +58,9 @@ def sample(
 
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
-        sampler: "auto" ("weights" for weights of cells or plays beside few other parameters, and "nuts" for the others), "nuts"
-            (blackjax), "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
+        sampler: "auto" ("weights" for weights of cells or plays beside few other parameters, and "independence" for the others),
+            "independence" (independence chains where a t distribution covers the posterior, else NUTS), "nuts" (blackjax), "weights"
+            for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
             posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
             my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
@@ -68,7 +69,7 @@ def sample(
         seed: of the draws.
         folder: stores the run in progress; the same call with the same folder resumes after an interruption.
         progress: called repeatedly with a line of text and the fraction that is done.
-        **settings: of the sampler (`Nuts`, `Ensemble`, `Nested`, `Weights`): draws, chains, warmup, walkers, ...
+        **settings: of the sampler (`Independence`, `Nuts`, `Ensemble`, `Nested`, `Weights`): draws, chains, warmup, walkers, ...
 
     Returns:
         Draws with a status; check `usable` and `notes` before using them.
@@ -77,9 +78,11 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     seed = require_seed(seed)
-    chosen = _make(
-        suited_sampler(result, noise, priors) if isinstance(sampler, str) and sampler == "auto" else sampler, settings
-    )
+    if isinstance(sampler, str) and sampler == "auto":
+        sampler = suited_sampler(result, noise, priors)
+        if sampler == "independence" and not set(settings) <= set(_settings_of(SAMPLERS.find(sampler))):
+            sampler = "nuts"  # which has settings of its own
+    chosen = _make(sampler, settings)
     with contextlib.nullcontext() if folder is None else alone(folder):
         setup = chosen.prepare(result, noise, priors)
         started = time.perf_counter()
@@ -96,7 +99,7 @@ def sample(
     status = _status(result, converged=converged, diverging=diverging, incomplete=incomplete)
     return Posterior(
         result=result,
-        sampler=chosen.name,
+        sampler=raw.sampler or chosen.name,
         noise=setup.noise,
         names=setup.names,
         units=setup.problem.units,
@@ -140,29 +143,34 @@ def suited_sampler(
     """The sampler that suits a fit: "weights" where its parameters are weights but for few, and it has their noise model and priors.
 
     Args:
-        noise: as in `sample`. Where the residuals need a noise model that "weights" does not have, NUTS has it, up to its most parameters.
+        noise: as in `sample`. Where the residuals need a noise model that "weights" does not have, the other samplers have it, up to
+            their most parameters.
         priors: as in `sample`.
     """
     problem, space = result.problem, result.problem.space
     if not space.mostly_linear or not space.weights.any() or not are_free_or_positive(space):
-        return "nuts"
+        return "independence"
     linear = {name.partition("@")[0] for name, weight in zip(space.names, space.linear, strict=True) if weight}
     given = [prior for name, prior in (priors or {}).items() if name.partition("@")[0] in linear]
     if isinstance(priors, CorrelatedPriors) or not all(isinstance(prior, Normal | HalfNormal) for prior in given):
-        return "nuts"
+        return "independence"
     if problem.model.estimator is None and noise == "auto" and len(space) <= MOST:
         noise = diagnose(analyze(problem.with_loss("linear"), result.x)).recommended
-    return "weights" if noise == "auto" or NOISES.label(noise) in NoiseGrid.models else "nuts"
+    return "weights" if noise == "auto" or NOISES.label(noise) in NoiseGrid.models else "independence"
 
 
 def _make(sampler: str | type[AbstractSampler] | AbstractSampler, settings: dict[str, Any]) -> AbstractSampler:
     if isinstance(sampler, AbstractSampler):
         return dataclasses.replace(sampler, **settings)
     kind: Any = SAMPLERS.find(sampler)
-    known = [field.name for field in dataclasses.fields(kind)]
+    known = _settings_of(kind)
     if unknown := [name for name in settings if name not in known]:
         raise ParameterError(f"settings of {sampler} are {', '.join(known)}; got {', '.join(unknown)}")
     return kind(**settings)
+
+
+def _settings_of(kind: Any) -> list[str]:
+    return [field.name for field in dataclasses.fields(kind)]
 
 
 def _pooled(draws: np.ndarray) -> np.ndarray:

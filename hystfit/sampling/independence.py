@@ -1,0 +1,180 @@
+"""Independence chains (Tierney 1994, Ann. Stat. 22): Metropolis steps to draws of a mixture that is fitted to the posterior.
+
+Importance weights tell whether the mixture covers the posterior. Where it does not, NUTS draws.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import ClassVar
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from hystfit.outcome import Code, Note
+from hystfit.params.host_arrays import to_device
+from hystfit.runs.chunks import stored
+from hystfit.runs.threads import Workers
+from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.nuts import Nuts
+from hystfit.sampling.proposals import ROWS, Batch, Mixture, adapted, efficiency
+from hystfit.sampling.setup import Setup, given_others
+from hystfit.sampling.target import Target, log_densities
+
+_CHUNK = 100  # draws of a chain between two writes to disk
+_LEAST = 0.1  # effective fraction of the draws of a mixture, below which no chains are drawn
+# The same of all offers of the chains, which tells whether the mixture covers the posterior: 0.45 to 0.75 for records. Of 48 funnels (Neal
+# 2003) of 3 to 10 dimensions, those with more had the right quantiles, also the smallest; some with less lacked the narrow end.
+_COVERED = 0.4
+_ATTEMPTS = 3  # to draw, each by a mixture fitted to the offers of the one before
+_TRIES = 2.0  # effective draws of the mixture for each draw of a chain
+
+
+@dataclasses.dataclass(frozen=True)
+class Independence(AbstractSampler):
+    """Settings of independence chains.
+
+    Attributes:
+        chains, draws: number of chains, and least number of draws in each.
+        extend: chains that have not converged are continued to at most so many times `draws`.
+    """
+
+    name: ClassVar[str] = "independence"
+    chains: int = 4
+    draws: int = 500
+    extend: int = 16
+
+    def __post_init__(self) -> None:
+        self.check_counts({"chains": 1, "draws": 4, "extend": 1})
+
+    def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
+        """Draw, chains in parallel on the processor's cores; by NUTS where no mixture covers the posterior."""
+        report("compilation and fit of the proposals", 0.0)
+        straight = given_others(setup, jax.random.key(seed)).target
+        raw = self._drawn(straight.sheared(straight.factor), seed, folder, report)
+        if raw is not None:
+            return raw
+        nuts = Nuts(chains=self.chains, draws=self.draws, extend=self.extend)
+        raw = nuts.run(nuts.straightened(setup), seed, folder, report)
+        note = Note(Code.CHAINS, "no mixture of t distributions covers the posterior: NUTS draws")
+        return dataclasses.replace(raw, notes=(note, *raw.notes), sampler=nuts.name)
+
+    def _drawn(self, target: Target, seed: int, folder: Path | None, report: Progress) -> Raw | None:
+        """Draws in the coordinates of a target; None where no mixture covers it.
+
+        Where too few offers are effective, the mixture is fitted to all offers of the chains, and all draws are made anew.
+        """
+        rng = np.random.default_rng([seed, 0])
+        make = lambda: _begin(adapted(target, rng), self.chains, rng)
+        begin = stored(folder, f"{self.name}-fit.npz", make)
+        for attempt in range(1, _ATTEMPTS + 1):
+            if not begin:
+                return None
+            mixture = Mixture(begin["share"], begin["center"], begin["root"])
+            known = (target, mixture, int(begin["tries"]))
+            chains = [
+                _Chain(*known, start, (seed, attempt, k), folder, f"{self.name}-{attempt}-{k}")
+                for k, start in enumerate(begin["starts"])
+            ]
+            drawn = self._joined(chains, self.draws, report)
+            offers = Batch.joined([chain.offers for chain in chains])
+            if efficiency(offers.score) >= _COVERED:
+                return self._converged(chains, drawn, report)
+            refitted = mixture.refitted(offers)
+            found = None if refitted is None else (refitted, offers)
+            begin = _begin(found, self.chains, np.random.default_rng([seed, 0, attempt]))
+        return None
+
+    def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> Raw:
+        """All chains, longer than before until they have converged."""
+        draws = self.draws
+        while draws < self.extend * self.draws:
+            convergence = Convergence.of(drawn["z"])
+            if convergence.good or convergence.apart:
+                break
+            draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
+            drawn = self._joined(chains, draws, report)
+        z, density = drawn.pop("z"), drawn.pop("log_density")
+        return Raw(z, density, drawn | {"diverging": np.zeros(density.shape, bool)})
+
+    def _joined(self, chains: list[_Chain], draws: int, report: Progress) -> dict[str, np.ndarray]:
+        workers = Workers()
+        parts = workers.run([functools.partial(chain.draw, draws, workers.check) for chain in chains])
+        report(f"{self.chains * draws} draws", 1.0)
+        return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+
+
+def _begin(found: tuple[Mixture, Batch] | None, chains: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """What the chains begin with: the mixture, its tries for each draw (even), and a place for each; empty where no mixture is found."""
+    if found is None or efficiency(found[1].score) < _LEAST:
+        return {}
+    mixture, batch = found
+    starts = batch.q[rng.choice(len(batch.q), chains, p=batch.weights)]
+    tries = np.asarray(2 * math.ceil(0.5 * _TRIES / efficiency(batch.score)))
+    return {"share": mixture.share, "center": mixture.center, "root": mixture.root, "tries": tries, "starts": starts}
+
+
+_DRAWN = ("z", "log_density", "acceptance")  # of each draw of a chunk
+
+
+@dataclasses.dataclass(frozen=True)
+class _Chain:
+    """One chain, in memory or continued from the files of a folder; nothing is kept where the folder is None."""
+
+    target: Target
+    mixture: Mixture
+    tries: int
+    start: Float[np.ndarray, " d"]
+    seed: tuple[int, ...]
+    folder: Path | None
+    label: str
+    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+
+    def draw(self, count: int, check: Callable[[], None]) -> dict[str, np.ndarray]:
+        """The first `count` draws; `check` ends the chain after an interrupt."""
+        for number in range(-(-count // _CHUNK)):
+            check()
+            if number == len(self.chunks):
+                make: Callable[[], dict[str, np.ndarray]] = functools.partial(self._chunk, number)
+                self.chunks.append(stored(self.folder, f"{self.label}-{number:05d}.npz", make))
+        return {name: np.concatenate([chunk[name] for chunk in self.chunks])[:count] for name in _DRAWN}
+
+    @property
+    def offers(self) -> Batch:
+        """All draws of the mixture so far."""
+        return Batch.joined([Batch(chunk["offers"], chunk["densities"], chunk["scores"]) for chunk in self.chunks])
+
+    def _chunk(self, number: int) -> dict[str, np.ndarray]:
+        """Chunk number `number`: every draw is the end of `tries` Metropolis steps."""
+        rng = np.random.default_rng([*self.seed, number])
+        offered = Batch.of(self.target, self.mixture, rng, _CHUNK * self.tries)
+        before = self.chunks[-1]["q"][-1] if number else self.start
+        density = float(np.asarray(log_densities(self.target, to_device(np.tile(before, (ROWS, 1)))))[0])
+        score, levels = (
+            density - float(self.mixture.log_density(before[None])[0]),
+            np.log(rng.uniform(size=len(offered.q))),
+        )
+        at, places = -1, np.empty(len(offered.q), int)  # -1: where the chunk begins
+        for k, (offer, level) in enumerate(zip(offered.score.tolist(), levels.tolist(), strict=True)):
+            if level < offer - score:
+                at, score = k, offer
+            places[k] = at
+        moved = np.diff(places, prepend=-1) != 0
+        places = places[self.tries - 1 :: self.tries]
+        stay = places < 0
+        q = np.where(stay[:, None], before, offered.q[places])
+        return {
+            "q": q,
+            "z": np.asarray(self.target.unwhitened(q)),
+            "log_density": np.where(stay, density, offered.log_density[places]),
+            "offers": offered.q,
+            "densities": offered.log_density,
+            "scores": offered.score,
+            "acceptance": moved.reshape(_CHUNK, self.tries).mean(axis=1),
+        }

@@ -1,0 +1,161 @@
+"""A mixture of t distributions that is fitted to a density by population Monte Carlo (Cappe et al. 2008, Stat. Comput. 18).
+
+In the coordinates of `hystfit.sampling.target` most posteriors are nearly normal. No gradients are needed, and the densities of many
+draws are computed together.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import logsumexp, softmax
+
+from hystfit.params.host_arrays import to_device
+from hystfit.sampling.target import Target, log_densities
+
+ROWS = 200  # places whose densities are computed in one call
+_FREEDOM = 10.0  # of the t distributions; 5 was no better
+_WIDER = 1.1  # times the scale of the weighted places of a component: weights stay bounded where a posterior is skewed
+_COMPONENTS = 5  # one alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70
+_ALONE = 3  # rounds of one component, which finds place and scale
+_ROUNDS = 12  # of `_ROUND` draws at most
+_ROUND = 5 * ROWS  # draws: 200 are too few to tell a funnel
+_RECENT = 4  # rounds that a mixture is fitted to
+_STEADY = 0.5  # effective fraction of the draws of two rounds after which no further ones follow
+
+
+@dataclasses.dataclass(frozen=True)
+class Mixture:
+    """A mixture of k t distributions over the coordinates q of a target.
+
+    Attributes:
+        share: of the components, shape (k,).
+        center: of each, shape (k, d).
+        root: of each; times its transpose the scale matrix, shape (k, d, d).
+    """
+
+    share: Float[np.ndarray, " k"]
+    center: Float[np.ndarray, "k d"]
+    root: Float[np.ndarray, "k d d"]
+
+    def components(self, q: Float[np.ndarray, "n d"]) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k n"]]:
+        """Log density of each component times its share, up to a constant, and squared distances from its center in its scale."""
+        distances = np.sum(np.linalg.solve(self.root, q.T - self.center[..., None]) ** 2, axis=1)
+        levels = np.log(self.share) - np.linalg.slogdet(self.root)[1]
+        falls = 0.5 * (_FREEDOM + q.shape[1]) * np.log1p(distances / _FREEDOM)
+        return levels[:, None] - falls, distances
+
+    def log_density(self, q: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        """Up to a constant."""
+        return np.asarray(logsumexp(self.components(q)[0], axis=0))
+
+    def draw(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n d"]:
+        """Independent draws."""
+        which = rng.choice(len(self.share), n, p=self.share)
+        normal = np.einsum("nij,nj->ni", self.root[which], rng.normal(size=(n, self.center.shape[1])))
+        return self.center[which] + np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, n))[:, None] * normal
+
+    def refitted(self, batch: Batch) -> Mixture | None:
+        """One step of population Monte Carlo to weighted places; None where they determine no component."""
+        levels, distances = self.components(batch.q)
+        parts = batch.truncated * softmax(levels, axis=0)  # of each place in each component
+        pulls = parts * (_FREEDOM + batch.q.shape[1]) / (_FREEDOM + distances)
+        found = []
+        for part, pull in zip(parts, pulls, strict=True):
+            share, center = part.sum(), pull @ batch.q / max(pull.sum(), np.finfo(float).tiny)
+            if (
+                share**2 >= 3 * batch.q.shape[1] * np.sum(part**2) > 0
+            ):  # as many effective places as its covariance needs
+                away = batch.q - center
+                found.append((share, center, _WIDER * np.linalg.cholesky((pull * away.T) @ away / share)))
+        if not found:
+            return None
+        share, center, root = (np.array(values) for values in zip(*found, strict=True))
+        return Mixture(share / share.sum(), center, root)
+
+    def split(self, batch: Batch, rng: np.random.Generator) -> Mixture:
+        """As many components as there may be, of the scale of the first, about weighted places."""
+        more = _COMPONENTS - 1
+        center = np.concatenate([self.center[:1], batch.q[rng.choice(len(batch.q), more, p=batch.weights)]])
+        return Mixture(np.full(1 + more, 1 / (1 + more)), center, np.repeat(self.root[:1], 1 + more, axis=0))
+
+
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """Places with importance weights.
+
+    Attributes:
+        q: places, shape (n, d).
+        log_density: of the target, shape (n,).
+        score: logarithms of importance weights, shape (n,).
+    """
+
+    q: Float[np.ndarray, "n d"]
+    log_density: Float[np.ndarray, " n"]
+    score: Float[np.ndarray, " n"]
+
+    @classmethod
+    def of(cls, target: Target, mixture: Mixture, rng: np.random.Generator, n: int) -> Batch:
+        """`n` draws of a mixture, a multiple of `ROWS`."""
+        q = mixture.draw(rng, n)
+        parts = [np.asarray(log_densities(target, to_device(rows))) for rows in q.reshape(-1, ROWS, q.shape[1])]
+        density = np.nan_to_num(np.concatenate(parts), nan=-np.inf, posinf=-np.inf)
+        return cls(q, density, density - mixture.log_density(q))
+
+    @classmethod
+    def joined(cls, batches: list[Batch]) -> Batch:
+        """Batches, end to end."""
+        return cls(
+            *(np.concatenate([getattr(batch, name) for batch in batches]) for name in ("q", "log_density", "score"))
+        )
+
+    @property
+    def balanced(self) -> Batch:
+        """The same places, weighted as far as they are effective: batches of several mixtures can be joined."""
+        return (
+            dataclasses.replace(self, score=self.score - logsumexp(self.score) + np.log(self.effective))
+            if self.effective
+            else self
+        )
+
+    @functools.cached_property
+    def weights(self) -> Float[np.ndarray, " n"]:
+        """Importance weights that sum to one; zero where no place has a density."""
+        return softmax(self.score) if np.isfinite(self.score).any() else np.zeros(len(self.q))
+
+    @property
+    def truncated(self) -> Float[np.ndarray, " n"]:
+        """Weights of which none is above sqrt(n) times their mean (Ionides 2008, J. Comput. Graph. Stat. 17): one place is no component."""
+        weights = np.minimum(self.weights, len(self.q) ** -0.5)
+        return weights / max(weights.sum(), np.finfo(float).tiny)
+
+    @property
+    def effective(self) -> float:
+        """Effective number of places (Kish)."""
+        return len(self.q) * efficiency(self.score)
+
+
+def efficiency(score: Float[np.ndarray, " n"]) -> float:
+    """Effective fraction of places with these logarithms of importance weights (Kish)."""
+    return float(1 / (score.size * np.sum(softmax(score) ** 2))) if np.isfinite(score).any() else 0.0
+
+
+def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] | None:
+    """A mixture fitted to a target, and draws of it that did not shape it; None where none is found."""
+    d, batches = len(target.center), []
+    mixture: Mixture | None = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
+    for number in range(1, _ROUNDS + 1):
+        batches.append(Batch.of(target, mixture, rng, _ROUND))
+        steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
+        if number == _ROUNDS or (number > _ALONE + 2 and steady):
+            break
+        recent = Batch.joined([batch.balanced for batch in batches[-_RECENT:]])
+        if not recent.effective:
+            return None
+        mixture = mixture.split(recent, rng) if number == _ALONE else mixture.refitted(recent)
+        if mixture is None:
+            return None
+    return mixture, batches[-1]
