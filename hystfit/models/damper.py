@@ -20,7 +20,6 @@ from hystfit.models.design import DesignMatrix
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
@@ -143,10 +142,6 @@ class Damper(AbstractHysteresis):
         y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
         y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
         return jnp.concatenate([p, q, jnp.stack([w, rate, stage])]), y
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns, without a program to compile."""
-        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""

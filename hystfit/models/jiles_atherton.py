@@ -198,17 +198,16 @@ class JilesAtherton(AbstractHysteresis):
         half, short = input_range(records).half, thinned(records, 300)
         given = {(record.u_unit, record.y_unit) for record in records}
         slope = MU0 if given == {("A/m", "T")} else float(self.slope)
-        grid = np.array(list(itertools.product(*_GRID, _FALLING if self.q.size else (0.0,))))
-        scale = np.array([half, 1.0, half, 1.0, 1.0])
+        points = np.array(list(itertools.product(*_GRID, _FALLING if self.q.size else (0.0,)))).T
+        grid = {"a": half * points[0], "coupling": points[1], "k": half * points[2], "c": points[3]}
+        grid |= {"q": points[4][:, None]} if self.q.size else {}
         second = dict(zip("pr", ([value] for value in _DOUBLE), strict=True)) if self.p.size else {}
         plain = JilesAtherton(curve=self.curve, q=self.q, **second)  # type: ignore[arg-type]
-        varied = ("a", "coupling", "k", "c", "q")[: 4 + self.q.size]
-        columns = grid_columns(plain, varied, (grid * scale)[:, : len(varied)], short)
+        columns = grid_columns(plain, grid, short)
         u, y = used_samples(short)
         y = y - slope * u
         best, theta, _ = best_of_grid(columns, offset_columns(short), y)
-        *four, q = (grid[best] * scale).tolist()
-        shape = dict(zip(("a", "coupling", "k", "c"), four, strict=True)) | second | ({"q": [q]} if self.q.size else {})
+        shape = {name: values[best] for name, values in grid.items()} | second
         saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         return dataclasses.replace(self, Ms=saturation, **shape, slope=slope, offset=theta[1])  # type: ignore[arg-type]
 

@@ -156,15 +156,14 @@ class Steel02(AbstractHysteresis):
         """
         half, short = input_range(records).half, thinned(records, 400)
         ey, b, cR1, a = np.array(list(itertools.product(*_GRID))).T
-        grid = np.column_stack([1.0 / (ey * half), b, cR1, a, a])
+        grid = {"E": 1.0 / (ey * half), "b": b, "cR1": cR1, "a1": a, "a3": a}
         deadband = max(float(self.deadband), _REVERSAL * strain_noise(records))
-        plain = Steel02(deadband=deadband)
-        columns = grid_columns(plain, ("E", "b", "cR1", "a1", "a3"), grid, short)
+        columns = grid_columns(Steel02(deadband=deadband), grid, short)
         _, y = used_samples(short)
         best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        shape = {"E": fy * grid[best, 0], "b": b[best], "cR1": cR1[best], "a1": a[best], "a3": a[best]}
-        return dataclasses.replace(self, fy=fy, **shape, deadband=deadband)
+        shape = {name: values[best] for name, values in grid.items()}
+        return dataclasses.replace(self, fy=fy, **shape | {"E": fy * shape["E"]}, deadband=deadband)
 
 
 def strain_noise(records: Sequence[Record]) -> float:

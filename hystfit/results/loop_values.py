@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
+from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
@@ -37,7 +37,7 @@ from hystfit.results.loop_branches import (
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
-from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
+from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, offset_of, polarization_values
 
@@ -208,12 +208,10 @@ def _with_data_sheet(
         notes.append(Note(Code.NOT_CLOSED, text, Severity.WARNING))
     if magnetic is None:
         return rows, (), tuple(notes)
-    field = _field_unit(record)
-    of = lambda loop: (magnetic_values if loop.branches else quadrant_values)(loop, field, record.y_unit)
-    sheet = of(magnetic)
+    sheet = magnetic_values(magnetic)
     full = sample.with_header(record.metadata)
     longer = [one for axis in range(3) if (one := full.longer(axis)) is not None]
-    moved = [{r.name: r.value for r in of(MagneticLoop.of(record, one, sigma, correct))} for one in longer]
+    moved = [{r.name: r.value for r in magnetic_values(MagneticLoop.of(record, one, sigma, correct))} for one in longer]
     error = lambda row: (
         float(np.sqrt(sum((m.get(row.name, np.nan) - row.value) ** 2 for m in moved))) if moved else None
     )
@@ -232,14 +230,6 @@ def _with_data_sheet(
         text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope leaves its slope out"
         notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
-
-
-def _field_unit(record: Record) -> tuple[str, float]:
-    """Unit in which the fields of a data sheet are given, that of the file or kA/m for those in Oe, and its size in A/m."""
-    unit = parse_unit(record.u_unit)
-    if unit is None or "Oe" in record.u_unit or "G" in record.u_unit:
-        return "kA/m", 1e3
-    return record.u_unit, unit.factor / (MU0 if quantity(record.u_unit) == "induction" else 1.0)
 
 
 def _levels(

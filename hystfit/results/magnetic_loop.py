@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.params.units import MU0, parse_unit
+from hystfit.params.units import MU0, size_in
 from hystfit.results.loop_branches import ENDS, Branch, asymmetry, combined, crossing, large_branches, turns_of
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.saturation_law import Saturation, saturation
@@ -86,12 +86,10 @@ class MagneticLoop:
         """
         if unknown := set(correct) - set(ON_REQUEST):
             raise DataError(f"no correction {sorted(unknown)[0]!r}; there are {', '.join(ON_REQUEST)}")
-        powers, field = lambda text: getattr(parse_unit(text), "powers", None), parse_unit(record.u_unit)
-        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
-        if field is None or per_field is None:
+        if (field := size_in(record.u_unit, "A/m", "T")) is None:
             return None
         sample = sample.with_header(record.metadata)
-        per_field *= field.factor
+        per_field = field[1] / (MU0 if field[0] == "T" else 1.0)
         h, y = per_field * record.u[record.used], record.y[record.used]
         factor, corrections = _to_polarization(record, sample)
         if sample.image is not None:
@@ -99,7 +97,8 @@ class MagneticLoop:
             y = y if factor is not None else y / sample.image
             corrections.append(Correction("image", "images in the poles", sample.image, None, "", True))
         scale = 1.0 if factor is None else factor
-        j = scale * y - (MU0 * h if factor is not None and _is_flux(record) else 0.0)
+        is_flux = size_in(record.y_unit, "T") is not None and not _POLARIZATION.match(record.y_name)
+        j = scale * y - (MU0 * h if is_flux else 0.0)
         noise, units = None if noise is None else scale * noise, (record.u_unit, record.y_unit)
         made = cls(h, j, noise, factor is not None, (), tuple(corrections), None, units, per_field)
         return made._drift("drift" in correct)._demagnetized(sample)._centered("offset" in correct)._sloped("slope" in correct)  # fmt: skip
@@ -205,29 +204,18 @@ class MagneticLoop:
         return 0.5 * float(self.j[high].mean()) + sign * float(self.j[low].mean()), error
 
 
-def _is_flux(record: Record) -> bool:
-    """Whether an output in T is the flux density B, and no polarization."""
-    unit = parse_unit(record.y_unit)
-    return unit is not None and unit.powers == parse_unit("T").powers and not _POLARIZATION.match(record.y_name)  # type: ignore[union-attr]
-
-
 def _to_polarization(record: Record, sample: Sample) -> tuple[float | None, list[Correction]]:
     """Factor from the output to T, None where it is unknown, and the correction for the volume."""
-    unit = parse_unit(record.y_unit)
-    if unit is None:
-        return None, []
-    powers = lambda text: getattr(parse_unit(text), "powers", None)
-    if unit.powers == powers("T"):
-        return unit.factor, []
-    if unit.powers == powers("A/m"):
-        return MU0 * unit.factor, []
-    if unit.powers == powers("A*m^2/kg") and sample.density is not None:
+    kind, size = size_in(record.y_unit, "T", "A/m", "A*m^2/kg", "A*m^2") or ("", 0.0)
+    if kind in ("T", "A/m"):
+        return size * (MU0 if kind == "A/m" else 1.0), []
+    if kind == "A*m^2/kg" and sample.density is not None:
         found = Correction("volume", "density of the sample", 1e-3 * sample.density, None, "g/cm3", True)
-        return MU0 * unit.factor * sample.density, [found]
+        return MU0 * size * sample.density, [found]
     volume = sample.known_volume
-    if unit.powers != powers("A*m^2") or volume is None:
+    if kind != "A*m^2" or volume is None:
         return None, []
     text = volume[1]
     if sample.mass is not None and sample.density is None:
         text += f"; the mass then gives a density of {1e-3 * sample.mass / volume[0]:.4g} g/cm3"
-    return MU0 * unit.factor / volume[0], [Correction("volume", text, 1e9 * volume[0], None, "mm3", True)]
+    return MU0 * size / volume[0], [Correction("volume", text, 1e9 * volume[0], None, "mm3", True)]

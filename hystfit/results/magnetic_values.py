@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -140,35 +141,20 @@ _ROWS = (
 )
 
 
-def magnetic_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
-    """The rows of the data sheet.
+def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
+    """The rows of the data sheet of a loop, or of a curve in one direction: half a loop, or a demagnetization curve.
 
-    Args:
-        field_unit: unit of fields, and its size in A/m.
-        output_unit: of the output, where it is not in T.
+    Fields are in the unit of the file, or in kA/m where that is Oe or G.
     """
-    falling = [b if not b.rises else Branch(-b.u, -b.y) for b in loop.branches]
-    return _of_branches(loop, falling, [b.rises for b in loop.branches], field_unit, output_unit)
-
-
-def quadrant_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
-    """The same of a curve in one direction: half a loop, or a demagnetization curve.
-
-    Args:
-        loop, field_unit, output_unit: as of `magnetic_values`.
-    """
-    h, j = loop.h, loop.j
-    rest = float(j[np.argmin(np.abs(h))])
-    branch = Branch(np.sign(rest) * h, np.sign(rest) * j)
-    if abs(rest) < REMANENT_PART * np.abs(j).max() or branch.u.min() >= -SAME_LEVEL * np.abs(h).max():
-        return ()
-    return _of_branches(loop, [branch], [False], field_unit, output_unit)
-
-
-def _of_branches(
-    loop: MagneticLoop, falling: list[Branch], mirrored: list[bool], field_unit: tuple[str, float], output_unit: str
-) -> tuple[LoopValue, ...]:
-    units = {"field": field_unit, "induction": ("T", 1.0), "energy product": ("kJ/m3", 1e3), "": ("", 1.0)}
+    mirrored = [b.rises for b in loop.branches] or [False]
+    falling = [Branch(-b.u, -b.y) if b.rises else b for b in loop.branches]
+    if not falling:
+        rest = float(loop.j[np.argmin(np.abs(loop.h))])
+        falling = [Branch(np.sign(rest) * loop.h, np.sign(rest) * loop.j)]
+        if abs(rest) < REMANENT_PART * np.abs(loop.j).max() or falling[0].u.min() >= -SAME_LEVEL * np.abs(loop.h).max():
+            return ()
+    field = ("kA/m", 1e3) if re.search("Oe|G", loop.units[0]) else (loop.units[0], loop.per_field)
+    units = {"field": field, "induction": ("T", 1.0), "energy product": ("kJ/m3", 1e3), "": ("", 1.0)}
     width = [found[0] for b in falling if (found := _coercivity(b, loop.noise)) is not None]
     hard = float(np.median(width) if width else np.abs(loop.h).max()) >= _HARD
     rows, sigma = [], loop.sigma
@@ -182,7 +168,7 @@ def _of_branches(
         rows.extend(_mean(row.name, row.label, found, units[row.kind]))
     if any(one.name == "volume" for one in loop.corrections):
         rows.extend(_loss(loop))
-    rows.extend(_saturation(loop, falling, output_unit))
+    rows.extend(_saturation(loop, falling))
     if magnet and not hard:
         rows.extend(_permeabilities(loop, width))
     return tuple(rows)
@@ -231,12 +217,12 @@ def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
         yield LoopValue("W", "hysteresis loss per cycle", value, error, "J/m3", count)
 
 
-def _saturation(loop: MagneticLoop, falling: list[Branch], output_unit: str) -> Iterator[LoopValue]:
+def _saturation(loop: MagneticLoop, falling: list[Branch]) -> Iterator[LoopValue]:
     """Js by the law of approach, and the squareness that follows."""
-    law, unit = loop.saturation, "T" if loop.absolute else output_unit
+    law = loop.saturation
     if law is None or not law.settled:
         return
-    yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, unit, spread=law.spread)
+    yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, loop.unit, spread=law.spread)
     remanent = [found[0] for b in falling if (found := _remanence(b, loop.noise)) is not None]
     if remanent:
         ratio = float(np.mean(remanent)) / law.value

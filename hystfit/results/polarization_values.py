@@ -8,7 +8,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
-from hystfit.params.units import parse_unit
+from hystfit.params.units import size_in
 from hystfit.results.loop_branches import GAP
 from hystfit.results.measured_value import LoopValue
 
@@ -86,32 +86,11 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
             after += 1
         if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
             return
-        slopes = [_slope(t[a : b + 1], y[a : b + 1]) for a, b in ((before, tip), (tip, after))]
-        found.append(sign * 0.5 * (slopes[0][0] + slopes[1][0]))
-        errors.append(0.5 * float(np.hypot(slopes[0][1], slopes[1][1])))
-    unit, factor = _current(record)
+        lines = [np.polyfit(t[a : b + 1], y[a : b + 1], 1, cov=True) for a, b in ((before, tip), (tip, after))]
+        found.append(sign * 0.5 * sum(theta[0] for theta, _ in lines))
+        errors.append(0.5 * float(np.sqrt(sum(covariance[0, 0] for _, covariance in lines))))
+    per_time = f"{record.y_unit}/{record.t_unit}".strip("/")
+    unit, factor = size_in(per_time, "A/m2", "A") or (per_time, 1.0)
     value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
     spread = factor * 0.5 * abs(found[0] - found[1])
     yield LoopValue("leakage", "leakage at the tips (upper bound)", value, error, unit, 2, spread=spread)
-
-
-def _slope(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope of a straight line through samples, and its standard error."""
-    x = t - t.mean()
-    columns = np.column_stack([np.ones_like(x), x])
-    theta, square = np.linalg.lstsq(columns, y, rcond=None)[:2]
-    variance = float(square[0]) / max(x.size - 2, 1) if square.size else 0.0
-    return float(theta[1]), float(np.sqrt(variance / np.sum(x**2)))
-
-
-def _current(record: Record) -> tuple[str, float]:
-    """Unit of the output per time as a current (density), and the factor to it."""
-    unit, time = parse_unit(record.y_unit), parse_unit(record.t_unit)
-    for text in ("A/m2", "A"):
-        target = parse_unit(text)
-        if unit is not None and time is not None and target is not None:
-            powers = dict(unit.powers)
-            powers["s"] = powers.get("s", 0.0) - 1
-            if tuple(sorted((b, p) for b, p in powers.items() if p)) == target.powers:
-                return text, unit.factor / time.factor
-    return f"{record.y_unit}/{record.t_unit}".strip("/"), 1.0
