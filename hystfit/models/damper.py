@@ -33,18 +33,10 @@ _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
 _READ, _MOVING = 1.0, 2.0  # stages of the start: the first sample is read, and its velocity is known
-_LEADS = (
-    0.0,
-    0.5,
-)  # of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample
-_DELAYS = (
-    0.35,
-    0.7,
-    1.4,
-    2.8,
-    5.6,
-    11.2,
-)  # sampling intervals, each twice the one before: lags from which a fit may start
+# Of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample.
+_LEADS = (0.0, 0.5)
+# Sampling intervals, each twice the one before: lags from which a fit may start.
+_DELAYS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.2)
 
 
 class Damper(AbstractHysteresis):

@@ -34,10 +34,8 @@ CURVES = {"langevin": 1.0 / 3.0, "tanh": 1.0}  # anhysteretic curves, and their 
 # Shapes of the anhysteretic curve, coupling, pinning and reversible part over the scales of a record, from which a fit starts.
 _GRID = ((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))
 _FALLING = (0.0, 2.0)  # falls of the pinning, from which a fit starts; those of three soft materials are 1.8 to 2.5
-_DOUBLE = (
-    0.7,
-    4.0,
-)  # weight of the first of two anhysteretic curves and ratio of their shapes, from which a fit starts
+# Weight of the first of two anhysteretic curves and ratio of their shapes, from which a fit starts.
+_DOUBLE = (0.7, 4.0)
 
 
 class JilesAtherton(AbstractHysteresis):

@@ -20,13 +20,8 @@ from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
-_STATES = 11
-_GRID = (
-    (0.003, 0.01, 0.03, 0.1, 0.3),
-    (0.003, 0.03),
-    (0.7, 0.9),
-    (0.002, 0.1),
-)  # yield strain / half range, b, cR1, a1 = a3
+# Yield strain / half range, b, cR1, a1 = a3.
+_GRID = ((0.003, 0.01, 0.03, 0.1, 0.3), (0.003, 0.03), (0.7, 0.9), (0.002, 0.1))
 _REVERSAL = 8.0  # standard deviations of the noise of the strain, which hardly any false reversal exceeds
 _OVERSHOOT = 5.0  # ratio of the strain ranges before and after a reversal, above which the law overshoots visibly
 

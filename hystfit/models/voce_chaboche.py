@@ -25,11 +25,8 @@ from hystfit.quality.needs import Needs
 _NEWTON = 8  # steps that the plastic strain of one sample takes at most, from zero, to rounding
 _MOST = 8  # backstresses of the material of OpenSees
 _SOFTEST = 0.02  # least slope of the yield condition, as a fraction of E: below it, the law itself softens faster than it unloads
-_GRID = (
-    (0.003, 0.01, 0.03, 0.1),
-    (0.0, 0.5),
-    (10.0, 100.0, 600.0),
-)  # yield strain / half range, Q / sy0, g * half range
+# Yield strain / half range, Q / sy0, g * half range.
+_GRID = ((0.003, 0.01, 0.03, 0.1), (0.0, 0.5), (10.0, 100.0, 600.0))
 
 
 class VoceChaboche(AbstractHysteresis):

@@ -57,6 +57,12 @@ class Hierarchy:
     z: np.ndarray
 
 
+def correlations_of(covariance: np.ndarray) -> np.ndarray:
+    """Correlations of covariances, shape (n, p, p)."""
+    sd = np.sqrt(np.einsum("nii->ni", covariance))
+    return covariance / (sd[:, :, None] * sd[:, None, :])
+
+
 def draw_hierarchy(
     means: Float[np.ndarray, "D p"],
     precisions: Float[np.ndarray, "D p p"],

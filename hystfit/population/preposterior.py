@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.population.devices import DRAWS
-from hystfit.population.hierarchy import Hierarchy
+from hystfit.population.hierarchy import Hierarchy, correlations_of
 
 _ESTIMATES = 400  # drawn for each candidate, from as many of those draws
 _LEAST = 0.02  # effective fraction of the draws below which an expected fall is not known
@@ -52,7 +52,7 @@ class Beliefs:
         effects, covariance = effects[kept], covariance[kept]
         sd = np.sqrt(np.einsum("nii->ni", covariance))
         below = np.tril_indices(p, -1)
-        correlations = (covariance / (sd[:, :, None] * sd[:, None, :]))[:, below[0], below[1]]
+        correlations = correlations_of(covariance)[:, below[0], below[1]]
         quantities = np.concatenate([np.log(sd), correlations, effects[:, 0]], axis=1)
         noise = np.random.default_rng(seed).normal(size=(_ESTIMATES, p))
         return cls(effects, covariance, means, precisions, design, quantities, noise)

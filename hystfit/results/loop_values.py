@@ -129,9 +129,8 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
     """
     records = Dataset.of(data)
     family = recognize_family(records)
-    inner = (
-        {record.name for record in family.curves[:-1]} if family else set[str]()
-    )  # their reversals lie inside the loop
+    # Their reversals lie inside the loop.
+    inner = {record.name for record in family.curves[:-1]} if family else set[str]()
     read = {
         record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
         for record in records
