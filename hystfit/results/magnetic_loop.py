@@ -14,8 +14,9 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
+from hystfit.outcome.table import or_none
 from hystfit.params.units import MU0, size_in
-from hystfit.results.loop_branches import ENDS, Branch, asymmetry, combined, crossing, large_branches, turns_of
+from hystfit.results.loop_branches import ENDS, Branch, Found, asymmetry, combined, crossing, large_branches, turns_of
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.saturation_law import Saturation, saturation
 
@@ -54,7 +55,7 @@ class MagneticLoop:
     Attributes:
         h: field [A/m], shape (T,).
         j: polarization [T]; where the volume is unknown, the output as in the file.
-        noise: standard deviation of the noise of j; None where unknown.
+        noise: standard deviation of the noise of j; NaN where unknown.
         absolute: whether j is in T.
         branches: between turning points over nearly the whole range of the field.
         corrections: in order.
@@ -65,7 +66,7 @@ class MagneticLoop:
 
     h: np.ndarray
     j: np.ndarray
-    noise: float | None
+    noise: float
     absolute: bool
     branches: tuple[Branch, ...]
     corrections: tuple[Correction, ...]
@@ -74,9 +75,7 @@ class MagneticLoop:
     per_field: float
 
     @classmethod
-    def of(
-        cls, record: Record, sample: Sample, noise: float | None, correct: Collection[str] = ()
-    ) -> MagneticLoop | None:
+    def of(cls, record: Record, sample: Sample, noise: float, correct: Collection[str] = ()) -> MagneticLoop | None:
         """The loop of a record; None where its input is no magnetic field, or has no unit.
 
         Args:
@@ -99,8 +98,8 @@ class MagneticLoop:
         scale = 1.0 if factor is None else factor
         is_flux = size_in(record.y_unit, "T") is not None and not _POLARIZATION.match(record.y_name)
         j = scale * y - (MU0 * h if is_flux else 0.0)
-        noise, units = None if noise is None else scale * noise, (record.u_unit, record.y_unit)
-        made = cls(h, j, noise, factor is not None, (), tuple(corrections), None, units, per_field)
+        units = (record.u_unit, record.y_unit)
+        made = cls(h, j, scale * noise, factor is not None, (), tuple(corrections), None, units, per_field)
         return made._drift("drift" in correct)._demagnetized(sample)._centered("offset" in correct)._sloped("slope" in correct)  # fmt: skip
 
     def _with(self, correction: Correction | None = None, **changes: object) -> MagneticLoop:
@@ -115,7 +114,7 @@ class MagneticLoop:
         return "T" if self.absolute else self.units[1]
 
     @property
-    def sigma(self) -> float | None:
+    def sigma(self) -> float:
         """Standard deviation of one output [T]: of its white noise, or of the asymmetry of the loop where that is larger."""
         return self._scatter[0]
 
@@ -125,9 +124,9 @@ class MagneticLoop:
         return self._scatter[1]
 
     @property
-    def _scatter(self) -> tuple[float | None, float]:
+    def _scatter(self) -> tuple[float, float]:
         found = asymmetry(list(self.branches))
-        return found if found is not None and found[0] > (self.noise or 0.0) else (self.noise, 0.0)
+        return found if found[0] > np.nan_to_num(self.noise) else (self.noise, 0.0)
 
     def _drift(self, apply: bool) -> MagneticLoop:
         """The gap at the tip of the first closed cycle, removed in proportion to the number of samples."""
@@ -142,7 +141,7 @@ class MagneticLoop:
         first, last = edges[tops[0]], edges[tops[0] + 2]
         gap = float(self.j[last] - self.j[first])
         removed = gap * np.arange(self.h.size) / (last - first) if apply else 0.0
-        error = None if self.noise is None else float(np.sqrt(2)) * self.noise
+        error = or_none(np.sqrt(2) * self.noise)
         found = Correction("drift", "gap at the tip after one cycle", gap, error, self.unit, apply)
         return self._with(found, j=self.j - removed)
 
@@ -165,18 +164,18 @@ class MagneticLoop:
             for rises in (True, False)
         ]
         made = self._with(
-            Correction("offset", "of the output: half sum of its ends", level, error, self.unit, apply),
+            Correction("offset", "of the output: half sum of its ends", level, or_none(error), self.unit, apply),
             j=self.j - (level if apply else 0.0),
         )
-        if sides[0] is None or sides[1] is None:
+        shift, error = (
+            0.5 * (sides[0][0] + sides[1][0]),
+            or_none(0.5 * np.hypot(sides[0][1], sides[1][1]) / self.per_field),
+        )
+        if not np.isfinite(shift):
             return made
-        shift = 0.5 * (sides[0][0] + sides[1][0])
-        known = sides[0][1] is not None and sides[1][1] is not None
-        size = self.per_field
-        error = 0.5 * float(np.hypot(sides[0][1] or 0.0, sides[1][1] or 0.0)) / size if known else None
         text = "of the field: half sum of both crossings"
         return made._with(
-            Correction("offset", text, shift / size, error, self.units[0], apply),
+            Correction("offset", text, shift / self.per_field, error, self.units[0], apply),
             h=made.h - (shift if apply else 0.0),
         )
 
@@ -190,7 +189,7 @@ class MagneticLoop:
         made = self._with(found, j=self.j - (law.slope * self.h if found.applied else 0.0))
         return dataclasses.replace(made, saturation=law)
 
-    def ends(self, sign: float = -0.5) -> tuple[float, float | None]:
+    def ends(self, sign: float = -0.5) -> Found:
         """Mean output at the positive plus, or minus by default, that at the negative ends of the branches over two, and its error.
 
         Args:
@@ -199,8 +198,8 @@ class MagneticLoop:
         largest = min(float(self.h.max()), -float(self.h.min()))
         high, low = self.h >= ENDS * largest, self.h <= -ENDS * largest
         if not (largest > 0 and high.any() and low.any()):
-            return 0.5 * float(self.j.max()) + sign * float(self.j.min()), None
-        error = None if self.noise is None else 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
+            return 0.5 * float(self.j.max()) + sign * float(self.j.min()), np.nan
+        error = 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
         return 0.5 * float(self.j[high].mean()) + sign * float(self.j[low].mean()), error
 
 

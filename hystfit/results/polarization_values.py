@@ -43,7 +43,7 @@ def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
         yield LoopValue("offset_input", label, 0.5 * (sides[0].value + sides[1].value), error, sides[0].unit)
 
 
-def polarization_values(record: Record, rows: list[LoopValue], noise: float | None) -> Iterator[LoopValue]:
+def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
     """The rows besides those of every loop.
 
     Args:
@@ -58,10 +58,9 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
     if abs(u[-1] - u[0]) <= GAP * np.ptp(u) and abs(u[-1]) <= GAP * np.ptp(u):
         first, last = float(y[0]), float(y[-1])
         switched = max((tip - first for tip in tips.values()), key=abs)
-        error = None if noise is None else noise * float(np.sqrt(2))
         yield LoopValue("remanence_start", "polarization at the start of the loop", first, noise, record.y_unit)
         label = "switched polarization, from the start to the farther tip"
-        yield LoopValue("switched_polarization", label, switched, error, record.y_unit)
+        yield LoopValue("switched_polarization", label, switched, noise * float(np.sqrt(2)), record.y_unit)
         yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
     yield from _leakage(record)
 
