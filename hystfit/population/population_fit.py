@@ -84,8 +84,8 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the devices in physical units, by draw, shape (n, p) each."""
-        middle = self.drawn.effects[:, :, 0].reshape(-1, len(self.names))
-        sd = np.sqrt(np.einsum("...ii->...i", self.drawn.covariance)).reshape(middle.shape)
+        drawn = self.drawn.joined
+        middle, sd = drawn.effects[:, 0], np.sqrt(np.einsum("nii->ni", drawn.covariance))
         x = self.common.x_of(middle[:, None] + sd[:, None] * _NODES[:, None])
         weights = (_WEIGHTS / _WEIGHTS.sum())[:, None]
         mean = np.sum(weights * x, axis=1)
@@ -104,21 +104,19 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def sds_here(self) -> np.ndarray:
         """Draws of the standard deviation of these very devices, physical, shape (n, p): the scatter of their true values."""
-        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
-        return x.std(axis=1, ddof=1)
+        return self.common.x_of(self.drawn.joined.z).std(axis=1, ddof=1)
 
     @functools.cached_property
     def correlations_here(self) -> np.ndarray:
         """Draws of the correlations between the parameters of these very devices, shape (n, p, p)."""
-        away = self.drawn.z.reshape(-1, len(self.devices), len(self.names))
-        away = away - away.mean(axis=1, keepdims=True)
+        z = self.drawn.joined.z
+        away = z - z.mean(axis=1, keepdims=True)
         return correlations_of(np.einsum("ndi,ndj->nij", away, away))
 
     @functools.cached_property
     def correlations(self) -> np.ndarray:
         """Draws of the correlations between parameters in z, shape (n, p, p)."""
-        p = len(self.names)
-        return correlations_of(self.drawn.covariance.reshape(-1, p, p))
+        return correlations_of(self.drawn.joined.covariance)
 
     @functools.cached_property
     def fitted(self) -> np.ndarray:
@@ -128,7 +126,7 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def shrunken(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of each device's values given all devices, physical, shape (D, p) each."""
-        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
+        x = self.common.x_of(self.drawn.joined.z)
         return x.mean(axis=0), x.std(axis=0)
 
     @functools.cached_property
@@ -177,11 +175,10 @@ class PopulationFit(WithStatus):
         if unknown := [name for name in covariates if name not in self.covariates]:
             raise ParameterError(f"no covariate {unknown[0]!r}; there are {', '.join(self.covariates) or 'none'}")
         row = np.array([1.0, *(covariates.get(name, mean) - mean for name, mean in self.covariates.items())])
-        rng, p = np.random.default_rng(seed), len(self.names)
-        effects, covariance = self.drawn.effects.reshape(-1, row.size, p), self.drawn.covariance.reshape(-1, p, p)
-        at = rng.integers(len(effects), size=count)
-        noise = rng.normal(size=(count, p))
-        return row @ effects[at] + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance[at]), noise)
+        rng, drawn = np.random.default_rng(seed), self.drawn.joined
+        at = rng.integers(len(drawn.effects), size=count)
+        noise = rng.normal(size=(count, len(self.names)))
+        return row @ drawn.effects[at] + np.einsum("nij,nj->ni", np.linalg.cholesky(drawn.covariance[at]), noise)
 
     def bands(
         self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, **covariates: float
@@ -247,8 +244,7 @@ class PopulationFit(WithStatus):
 
     def effects(self) -> dict[str, dict[str, dict[str, float]]]:
         """Change of the mean device with each covariate, by covariate and parameter: per unit of it, median and interval of 90 %."""
-        q, p = self.drawn.effects.shape[2:]
-        drawn, found = self.drawn.effects.reshape(-1, q, p), {}
+        drawn, found = self.drawn.joined.effects, {}
         for k, label in enumerate(self.covariates, 1):
             ends = (self.common.x_of(drawn[:, 0] + side * drawn[:, k]) for side in (-0.5, 0.5))
             low, middle, high = np.quantile(np.subtract(*reversed([*ends])), INTERVAL, axis=0)

@@ -46,10 +46,9 @@ class Beliefs:
         cls, drawn: Hierarchy, means: np.ndarray, precisions: np.ndarray, design: np.ndarray, seed: int = 0
     ) -> Beliefs:
         """Quantities: logarithms of the standard deviations, correlations (below the diagonal, by row), then the mean device."""
-        p = means.shape[1]
-        effects, covariance = drawn.effects.reshape(-1, *drawn.effects.shape[2:]), drawn.covariance.reshape(-1, p, p)
-        kept = np.linspace(0, len(effects) - 1, min(DRAWS, len(effects))).astype(int)
-        effects, covariance = effects[kept], covariance[kept]
+        p, every = means.shape[1], drawn.joined
+        kept = np.linspace(0, len(every.effects) - 1, min(DRAWS, len(every.effects))).astype(int)
+        effects, covariance = every.effects[kept], every.covariance[kept]
         sd = np.sqrt(np.einsum("nii->ni", covariance))
         below = np.tril_indices(p, -1)
         correlations = correlations_of(covariance)[:, below[0], below[1]]
