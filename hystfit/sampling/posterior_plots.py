@@ -20,7 +20,9 @@ _SHOWN = 8  # chains in one picture at most
 _LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
 _MOST = 24  # parameters in a trace or rank plot, which is as high as they are many
 _FEW = 3  # parameters up to which a corner plot has no room at its upper right
-_TICKS = 0.8  # room for the tick labels of a corner plot [inches]
+_TICKS = 1.0  # room for the tick labels of a corner plot, and between them and those of the axes [inches]
+_PAD = 0.12  # between the tick labels of a corner plot and the labels of its axes, in panels
+_CHARACTER = 0.62  # width of a character, in font sizes
 _BINS = 20
 _CHAINS = (MODEL, HELD_OUT, THIRD, "#cc79a7")
 _KINDS = ("corner", "trace", "rank", "bands")
@@ -60,11 +62,13 @@ def _corner(posterior: Posterior) -> Any:
         smooth=1.0,
         max_n_ticks=3,
         label_kwargs={"fontsize": size},
+        labelpad=_PAD,
     )
     panels = np.array(figure.axes).reshape(len(at), len(at))
     for ax, k in zip(np.diag(panels), at, strict=True):
         value = " +- ".join(rounded(float(np.median(flat[:, k])), float(np.std(flat[:, k]))))
-        ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=size)
+        wide = ax.get_position().width * figure.get_figwidth() * POINTS
+        ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=min(size, wide / (_CHARACTER * len(value))))
     for ax in panels.ravel():
         ax.tick_params(labelsize=0.8 * size)
         for density in ax.collections:  # hundreds of cells a panel, each a path of its own as vector graphics
