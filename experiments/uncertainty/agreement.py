@@ -1,4 +1,4 @@
-"""Least squares, NUTS and emcee on a well-determined problem; NUTS and emcee on curved posteriors, compared with a grid and a long run."""
+"""Least squares and the samplers on a well-determined problem; the samplers on curved posteriors, compared with a grid and a long run."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ def _measured(amplitude: float, sigma: float, samples: int, seed: int) -> hf.Rec
 
 def _settings(results: Results, long: int) -> dict[str, dict[str, int]]:
     if results.quick:
-        return {"emcee": {"walkers": 64, "draws": 600}}
-    return {"nuts": {"chains": 4, "draws": long, "warmup": 200}, "emcee": {"walkers": 64, "draws": 4 * long}}
+        return {"independence": {"chains": 4, "draws": 500}, "emcee": {"walkers": 64, "draws": 600}}
+    chains = {"chains": 4, "draws": long}
+    return {"independence": chains, "nuts": chains | {"warmup": 200}, "emcee": {"walkers": 64, "draws": 4 * long}}
 
 
 def well_determined(results: Results) -> str:
@@ -105,6 +106,7 @@ def banana_in_full(results: Results) -> str:
     rows = [["reference", *mean, *sd, float(np.min(long.convergence.bulk)), long.status]]
     worst = 0.0
     short = {
+        "independence": {"chains": 4, "draws": 2500},
         "nuts": {"chains": 4, "draws": 2500, "warmup": 400, "target_accept": 0.9},
         "emcee": {"walkers": 64, "draws": 8000},
     }

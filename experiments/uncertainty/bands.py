@@ -21,7 +21,6 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws
 
-SETTINGS = {"chains": 4, "warmup": 500}
 DRAWS = (2000, 4000, 8000)  # of each chain
 COUNT = 4000  # predictive draws: from 400, coverages differ by half a percent between seeds
 BAND = 0.9
@@ -136,12 +135,12 @@ def crps(draws: np.ndarray, y: np.ndarray) -> float:
 
 def until_converged(fit: hf.FitResult, noise: str, run: Path) -> hf.Posterior:
     """Draws of the fewest numbers of `DRAWS` with which the chains converge; of the last number where they do not."""
-    more = dict(noise=noise, seed=0, folder=run, **SETTINGS)
+    more = dict(noise=noise, seed=0, folder=run)
     for number in DRAWS[:-1]:
-        made = hf.sample(fit, "nuts", draws=number, **more)
+        made = hf.sample(fit, draws=number, **more)
         if made.status is not Status.NOT_CONVERGED:
             return made
-    return hf.sample(fit, "nuts", draws=DRAWS[-1], **more)
+    return hf.sample(fit, draws=DRAWS[-1], **more)
 
 
 def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) -> dict[str, object]:

@@ -23,7 +23,7 @@ from hystfit.uncertainty.block_covariance import covariance
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
 BLOCKS = ("sandwich", "bootstrap")
-SAMPLED = (("AR(1) + white", "nuts"), ("AR(1) + white", "emcee"), ("repeating + white", "emcee"))
+SAMPLED = (("AR(1) + white", "independence"), ("AR(1) + white", "emcee"), ("repeating + white", "emcee"))
 SHORT = SAMPLES // 2  # samples of the records that are sampled
 REPLICATES, RIGHT, SOME = 100, 60, 25
 # Estimates and standard errors of the four parameters, whether 95 % intervals cover, whether notes warned of recurring model error
@@ -88,7 +88,7 @@ def by_filter(measured: hf.Record) -> Row:
 
 def by_sampler(result: hf.FitResult, sampler: str) -> Row:
     """Central intervals of a posterior; the noise model is the one that `sample` chooses."""
-    settings = {"chains": 2, "draws": 400, "warmup": 100} if sampler == "nuts" else {"walkers": 32, "draws": 500}
+    settings = {"chains": 2, "draws": 400} if sampler == "independence" else {"walkers": 32, "draws": 500}
     made = hf.sample(result, sampler, seed=0, **settings)
     draws = np.stack([made[name].ravel() for name in NAMES])
     low, high = np.quantile(draws, [0.025, 0.975], axis=1)

@@ -23,9 +23,9 @@ from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.uncertainty.calibration import RANKS, Calibration
 
-REPLICATES = {"nuts": 200, "emcee": 100}
+REPLICATES = {"independence": 200, "emcee": 100}
 FALSE_ALARM = 0.025  # of either sampler
-SETTINGS = {"nuts": {"chains": 4, "draws": 500, "warmup": 300}, "emcee": {"walkers": 32, "draws": 3000}}
+SETTINGS = {"independence": {"chains": 4, "draws": 500}, "emcee": {"walkers": 32, "draws": 3000}}
 
 
 def priors_of(record: hf.Record) -> dict[str, AbstractPrior]:

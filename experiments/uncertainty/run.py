@@ -102,7 +102,7 @@ def wide(results: Results) -> dict[str, str]:
 # In the order of the page; those of FULL (long samplers, measured loops) run only in the full form.
 SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
     "well-determined": lambda r: {
-        "Least squares, NUTS and emcee on a well-determined problem": agreement.well_determined(r)
+        "Least squares and samplers on a well-determined problem": agreement.well_determined(r)
     },
     "grid": lambda r: {"A curved posterior of two parameters, compared with a grid": agreement.banana_on_a_grid(r)},
     "long-run": lambda r: {

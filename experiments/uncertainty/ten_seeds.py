@@ -1,4 +1,4 @@
-"""NUTS with default settings from ten seeds on seven records: four measured, a bundled one, and two whose posteriors are hard.
+"""The default sampler from ten seeds on seven records: four measured, a bundled one, and two whose posteriors are hard.
 
 Thin: so little saturation that data determine c (1 - mu) and mu c tau, and their parts only through the priors. Small: one small amplitude
 under slow and white noise, which does not determine tau and rho. The measured ones are a steel coupon and the sets of `bands`. Of these
@@ -93,15 +93,13 @@ def run(results: Results) -> dict[str, str]:
         "most draws",
         "processor time, s",
     ]
-    return {
-        f"NUTS with default settings from {SEEDS} seeds, least and largest values over the seeds": table(head, rows)
-    }
+    return {f"The default sampler from {SEEDS} seeds, least and largest values over the seeds": table(head, rows)}
 
 
 def _one(fit: hf.FitResult, seed: int) -> dict[str, object]:
     """One run; processor time includes compilation."""
     begin = time.process_time()
-    made = hf.sample(fit, "nuts", seed=seed)
+    made = hf.sample(fit, seed=seed)
     ess, rhat = float(np.min([made.convergence.bulk, made.convergence.tail])), float(np.max(made.convergence.rhat))
     divergent = int(made.stats["diverging"].sum())
     usable = made.status not in UNUSABLE and ess >= GOOD_ESS and rhat <= GOOD_RHAT and divergent == 0
