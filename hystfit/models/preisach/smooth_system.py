@@ -246,7 +246,7 @@ def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarra
     """
     moves = np.diff((columns @ np.ones(columns.shape[1]))[index])
     ends = used.copy()
-    ends[1:-1] &= ~(used[:-2] & used[2:] & (moves[1:] * moves[:-1] >= 0))
+    ends[1:-1] &= ~(used[:-2] & used[2:] & (moves[1:] * moves[:-1] > 0))
     return np.unique(index[ends])
 
 
