@@ -101,34 +101,25 @@ class Loops:
         return bucket(max(len(group.record) for group in self.groups))
 
     def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
-        """u, dt and weight of each group, shape (G, 1, length), or (1, 1, length) where all are the same, and y of each loop, (N, 1, length).
-
-        Padded as in `Batch`.
+        """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
 
         Args:
             kept: numbers of the samples of each group; None for all.
             length: to which they are padded.
         """
-        outputs, inputs, start = np.zeros((len(self), 1, length)), [], 0
+        u, dt, weight = (np.zeros((len(self.groups), 1, length)) for _ in range(3))
+        outputs = np.zeros((len(self), 1, length))
+        start = 0
         for k, group in enumerate(self.groups):
             record, y = group.record, group.y
             at = slice(None) if kept is None else kept[k]
             elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
-            inputs.append((record.u[at], elapsed, (record.weight * record.used)[at]))
-            outputs[start : start + len(y), 0, : elapsed.size] = y[:, at]
+            u[k, 0, elapsed.size :], of_record = record.u[-1], slice(elapsed.size)
+            u[k, 0, of_record], dt[k, 0, of_record] = record.u[at], elapsed
+            weight[k, 0, of_record] = (record.weight * record.used)[at]
+            outputs[start : start + len(y), 0, of_record] = y[:, at]
             start += len(y)
-        u, dt, weight = zip(*inputs, strict=True)
-        return _padded(u, length, last=True), _padded(dt, length), _padded(weight, length), outputs
-
-
-def _padded(rows: Sequence[np.ndarray], length: int, *, last: bool = False) -> np.ndarray:
-    """Rows of one length, shape (G, 1, length), or one where all are the same; zeros follow, or the `last` value of each."""
-    if all(np.array_equal(row, rows[0]) for row in rows[1:]):
-        rows = rows[:1]
-    out = np.zeros((len(rows), 1, length))
-    for line, row in zip(out[:, 0], rows, strict=True):
-        line[: row.size], line[row.size :] = row, row[-1] if last else 0.0
-    return out
+        return u, dt, weight, outputs
 
 
 class Common(NamedTuple):
@@ -165,8 +156,8 @@ class Common(NamedTuple):
         inputs = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
         places = lambda o: (o.batch.y, o.coordinates.scale, o.size)
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
-        differ = [len(rows) > 1 for rows in (u, dt, weight)]
-        of_loop = np.repeat(np.arange(len(loops.groups)), [len(group.y) for group in loops.groups])
+        differ = [bool((rows != rows[0]).any()) for rows in (u, dt, weight)]
+        of_loop = np.repeat(np.arange(len(u)), [len(group.y) for group in loops.groups])
         of_all = lambda rows: rows if len(rows) == len(y) else rows[of_loop]
         columns = [of_all(rows) if apart else rows[0] for rows, apart in zip((u, dt, weight), differ, strict=True)]
         own = eqx.tree_at(inputs, own, tuple(differ))
