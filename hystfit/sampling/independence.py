@@ -17,15 +17,14 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.outcome import Code, Note
-from hystfit.params.host_arrays import to_device
 from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.nuts import Nuts
-from hystfit.sampling.proposals import ROWS, Batch, Mixture, adapted, efficiency
+from hystfit.sampling.proposals import Batch, Mixture, adapted, efficiency
 from hystfit.sampling.setup import Setup, given_others
-from hystfit.sampling.target import Target, log_densities
+from hystfit.sampling.target import Target
 
 _CHUNK = 100  # draws of a chain between two writes to disk
 _LEAST = 0.1  # effective fraction of the draws of a mixture, below which no chains are drawn
@@ -57,15 +56,16 @@ class Independence(AbstractSampler):
         """Draw, chains in parallel on the processor's cores; by NUTS where no mixture covers the posterior."""
         report("compilation and fit of the proposals", 0.0)
         straight = given_others(setup, jax.random.key(seed)).target
-        raw = self._drawn(straight.sheared(straight.factor), seed, folder, report)
-        if raw is not None:
-            return raw
+        drawn = self._drawn(straight.sheared(straight.factor), seed, folder, report)
+        if drawn is not None:
+            z = drawn.pop("z")
+            return Raw(z, setup.log_density(z), drawn | {"diverging": np.zeros(z.shape[:-1], bool)})
         nuts = Nuts(chains=self.chains, draws=self.draws, extend=self.extend)
         raw = nuts.run(nuts.straightened(setup), seed, folder, report)
         note = Note(Code.CHAINS, "no mixture of t distributions covers the posterior: NUTS draws")
         return dataclasses.replace(raw, notes=(note, *raw.notes), sampler=nuts.name)
 
-    def _drawn(self, target: Target, seed: int, folder: Path | None, report: Progress) -> Raw | None:
+    def _drawn(self, target: Target, seed: int, folder: Path | None, report: Progress) -> dict[str, np.ndarray] | None:
         """Draws in the coordinates of a target; None where no mixture covers it.
 
         Where too few offers are effective, the mixture is fitted to all offers of the chains, and all draws are made anew.
@@ -80,7 +80,7 @@ class Independence(AbstractSampler):
             known = (target, mixture, int(begin["tries"]))
             chains = [
                 _Chain(*known, start, (seed, attempt, k), folder, f"{self.name}-{attempt}-{k}")
-                for k, start in enumerate(begin["starts"])
+                for k, start in enumerate(zip(begin["starts"], begin["scores"].tolist(), strict=True))
             ]
             drawn = self._joined(chains, self.draws, report)
             offers = Batch.joined([chain.offers for chain in chains])
@@ -91,7 +91,7 @@ class Independence(AbstractSampler):
             begin = _begin(found, self.chains, np.random.default_rng([seed, 0, attempt]))
         return None
 
-    def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> Raw:
+    def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> dict[str, np.ndarray]:
         """All chains, longer than before until they have converged."""
         draws = self.draws
         while draws < self.extend * self.draws:
@@ -100,8 +100,7 @@ class Independence(AbstractSampler):
                 break
             draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
             drawn = self._joined(chains, draws, report)
-        z, density = drawn.pop("z"), drawn.pop("log_density")
-        return Raw(z, density, drawn | {"diverging": np.zeros(density.shape, bool)})
+        return drawn
 
     def _joined(self, chains: list[_Chain], draws: int, report: Progress) -> dict[str, np.ndarray]:
         workers = Workers()
@@ -115,12 +114,13 @@ def _begin(found: tuple[Mixture, Batch] | None, chains: int, rng: np.random.Gene
     if found is None or efficiency(found[1].score) < _LEAST:
         return {}
     mixture, batch = found
-    starts = batch.q[rng.choice(len(batch.q), chains, p=batch.weights)]
+    at = rng.choice(len(batch.q), chains, p=batch.weights)
     tries = np.asarray(2 * math.ceil(0.5 * _TRIES / efficiency(batch.score)))
-    return {"share": mixture.share, "center": mixture.center, "root": mixture.root, "tries": tries, "starts": starts}
+    return {"share": mixture.share, "center": mixture.center, "root": mixture.root, "tries": tries, "starts": batch.q[at],
+            "scores": batch.log_density[at] - mixture.log_density(batch.q[at])}  # fmt: skip
 
 
-_DRAWN = ("z", "log_density", "acceptance")  # of each draw of a chunk
+_DRAWN = ("z", "acceptance")  # of each draw of a chunk
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +130,7 @@ class _Chain:
     target: Target
     mixture: Mixture
     tries: int
-    start: Float[np.ndarray, " d"]
+    start: tuple[Float[np.ndarray, " d"], float]
     seed: tuple[int, ...]
     folder: Path | None
     label: str
@@ -154,12 +154,8 @@ class _Chain:
         """Chunk number `number`: every draw is the end of `tries` Metropolis steps."""
         rng = np.random.default_rng([*self.seed, number])
         offered = Batch.of(self.target, self.mixture, rng, _CHUNK * self.tries)
-        before = self.chunks[-1]["q"][-1] if number else self.start
-        density = float(np.asarray(log_densities(self.target, to_device(np.tile(before, (ROWS, 1)))))[0])
-        score, levels = (
-            density - float(self.mixture.log_density(before[None])[0]),
-            np.log(rng.uniform(size=len(offered.q))),
-        )
+        before, score = (self.chunks[-1]["q"][-1], float(self.chunks[-1]["score"])) if number else self.start
+        levels = np.log(rng.uniform(size=len(offered.q)))
         at, places = -1, np.empty(len(offered.q), int)  # -1: where the chunk begins
         for k, (offer, level) in enumerate(zip(offered.score.tolist(), levels.tolist(), strict=True)):
             if level < offer - score:
@@ -172,9 +168,9 @@ class _Chain:
         return {
             "q": q,
             "z": np.asarray(self.target.unwhitened(q)),
-            "log_density": np.where(stay, density, offered.log_density[places]),
             "offers": offered.q,
             "densities": offered.log_density,
             "scores": offered.score,
+            "score": np.asarray(score),
             "acceptance": moved.reshape(_CHUNK, self.tries).mean(axis=1),
         }

@@ -107,12 +107,12 @@ class Nuts(AbstractSampler):
             goal, notes = _closer(goal), (Note(Code.DIVERGENCES, text),)
             report(f"transitions diverged: drawing again for an acceptance of {goal:.3g}", 0.0)
         assert joined is not None  # the last attempt is drawn to the end
-        z, density, count = joined.pop("z"), joined.pop("log_density"), int(joined["diverging"].sum())
+        z, count = joined.pop("z"), int(joined["diverging"].sum())
         if count:
             which = "1 divergent transition" if count == 1 else f"{count} divergent transitions"
             text = f"{which} for an acceptance of {goal:.3g}: parts of the posterior may be missing"
             notes = (warn(Code.DIVERGENCES, text),)
-        return Raw(z, density, joined, notes)
+        return Raw(z, setup.log_density(z), joined, notes)
 
     def _converged(
         self, chains: list[_Chain], setup: Setup, report: Progress, *, to_the_end: bool
@@ -177,9 +177,8 @@ class Nuts(AbstractSampler):
         """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
         fixed = (jnp.asarray(False), jnp.asarray(self.target_accept), self.max_depth)
         out, _ = advance_chunk(adapted(target, warm), q, Tuning.about(float(warm["size"])), key, *fixed)
-        return {
-            k: np.asarray(v) for k, v in zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True)
-        }
+        rows = dict(zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True))
+        return {name: np.asarray(values) for name, values in rows.items() if name != "log_density"}
 
 
 @dataclasses.dataclass(frozen=True)

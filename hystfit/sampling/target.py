@@ -20,7 +20,7 @@ from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
-_TOGETHER = 8  # places at once where trajectories are kept: more do not fit into the cache
+TOGETHER = 8  # places at once where trajectories are kept: more do not fit into the cache
 
 
 class Target(eqx.Module):
@@ -165,5 +165,5 @@ def _unwhitened(target: Target, q: Array) -> Array:
 @compiled
 def log_densities(target: Target, q: Array) -> Array:
     """Log posterior at q of shape (n, d), for as many at once as the cache has room for."""
-    together = _TOGETHER if target.density.keeps_trajectories or target.linear is not None else len(q)
+    together = TOGETHER if target.density.keeps_trajectories or target.linear is not None else len(q)
     return jax.lax.map(lambda row: target.log_density(target.v_of(row), lean=True), q, batch_size=together)
