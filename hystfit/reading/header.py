@@ -131,6 +131,12 @@ def _named(parts: list[str]) -> list[str]:
     return parts
 
 
+def _is_remark(parts: Sequence[str], over: Sequence[str]) -> bool:
+    """Whether a row has a text alone, with the names of columns over it: "Starting M vs H", and not the name of the first of them."""
+    filled = [sum(map(bool, row)) for row in (parts, over)]
+    return filled[0] == 1 and 2 * filled[1] > len(parts) > 2 and not _mostly_units(_bare(over))
+
+
 def _is_header(parts: list[str], decimal: str) -> bool:
     kinds = [cells.kind(part, decimal) for part in parts if not re.fullmatch(r"[\[(<][-1][\])>]", part)]
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
@@ -158,11 +164,11 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     elif (
         place == 1
         and len(rows) > 2
-        and _meanings(rows[2]) > _meanings(rows[0])
+        and ((first := bool(rows[0][0]) and not any(rows[0][1:])) or _meanings(rows[2]) > _meanings(rows[0]))
         and (distinct(rows[2]) or _grouped(rows[2]))
     ):
         # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
-        rows[2] = [rows[0][0], *rows[2][1:]] if rows[0][0] and not any(rows[0][1:]) else rows[2]
+        rows[2] = [rows[0][0], *rows[2][1:]] if first else rows[2]
         of_names, used = 2, 3
     elif place is None or (place == 1 and distinct(rows[0])):  # units above the names
         of_names, used = 0, 1 if place is None else 2
@@ -170,6 +176,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         of_names, used, units = 0, 1, None
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
+    of_names = next((k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0])), of_names)
     names = rows[of_names]
     alike = not (distinct(names) or _grouped(names))  # Force, Force under A, B
     if alike and used < len(rows) and len(set(rows[used])) == len(names):
@@ -241,7 +248,7 @@ def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> 
 
 def _bare(parts: Sequence[str]) -> list[str]:
     """Cells without the brackets around each."""
-    return [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
+    return [part.strip("[]()<> ") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
 
 
 def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
@@ -317,24 +324,33 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
 
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
     """Names over columns of fixed width that go on below, with units in brackets below some; None where every line has all columns."""
-    rows: list[dict[int, str]] = []
-    lines = [*above]
-    while lines and (not rows or len(rows[0]) < width) and len(rows) <= FEW:
+    rows: list[list[re.Match[str]]] = []
+    lines, top = [*above], []
+    while lines and (len(top) < width or _are_units(_bare(top), top)) and len(rows) <= FEW:
         line = lines.pop()
         if line.strip(" -="):
-            rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
+            rows.insert(0, [*re.finditer(r"\S+(?: \S+)*", line)])
+            top = [cell[0] for cell in rows[0]]
         elif rows:
             return None
-    units = [*rows[-1].values()] if len(rows) > 1 else []
-    if (
-        not units
-        or {*_bare(units)} & {*units}
-        or any(row.keys() - rows[0].keys() for row in rows)
-        or len(rows[0]) != width
-    ):
+    units = [cell[0] for cell in rows[-1]] if len(rows) > 1 else []
+    bracketed = [a != b or RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
+    if not units or not all(bracketed) or len(top) != width:
         return None
-    names = [" ".join(row[start] for row in rows if start in row) for start in rows[0]]
-    return names, [split_unit(name, names)[1] for name in names], len(above) - len(lines)
+    names = [[name] for name in top]
+    for row in rows[1:]:
+        under = [[k for k, top in enumerate(rows[0]) if _overlap(cell, top)] for cell in row]
+        if any(len(places) != 1 for places in under) or len({places[0] for places in under}) < len(row):
+            return None
+        for cell, (place,) in zip(row, under, strict=True):
+            names[place].append(cell[0])
+    whole = [" ".join(words) for words in names]
+    return whole, [split_unit(name, whole)[1] for name in whole], len(above) - len(lines)
+
+
+def _overlap(one: re.Match[str], other: re.Match[str]) -> bool:
+    """Whether two cells of different lines stand over each other."""
+    return one.start() < other.end() and other.start() < one.end()
 
 
 def read_header(
@@ -363,6 +379,8 @@ def read_header(
                 parts = _longer(above[position], width, delimiter, longer)
                 longer = _cut(above[position], delimiter) if parts else []
         if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
+            continue
+        if parts and not headers and _is_remark(parts, _fields(above[position - 1], width, delimiter) or []):
             continue
         if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):
             parts[0] = ""  # "Interval data:" before the names, above a row of units
