@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity
 from hystfit.reading.limits import FEW, LONGEST
@@ -45,11 +44,7 @@ _NAME_CELL = re.compile(
     r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?|titles?)[=:]?|CH名称|信号名|通道名称?|Kanalname",
     re.IGNORECASE,
 )
-_UNIT_CELL = re.compile(
-    r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
-)
-_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
-_PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:olt)?s?\b")
+UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -197,55 +192,6 @@ def _meanings(names: Sequence[str]) -> int:
     return sum(column_quantity(name) != "" for name in names)
 
 
-def unit_key(name: str) -> str:
-    """The column whose unit a setting or a column of this name states ("loading_unit", "Units of force"), in lower case; "" for others."""
-    match = _UNIT_KEY.fullmatch(name)
-    return "" if match is None else (match["of"] or match["by"]).lower()
-
-
-def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
-    """Units in lines of the header that are called so.
-
-    They are those of a column by its name ("loading_unit", "Units of force"), those of all columns ("UNIT = gf,mm"), or those of the
-    columns after the first ("Y_Unit_Label", "VUnit", not "HUnit").
-    """
-    width = len(names)
-    if width > 1 and (all_of_them := _behind_words(above, width).get(True)) and all(map(is_unit, all_of_them)):
-        return all_of_them
-    settings = (pair for line in above if (pair := setting_of(line)) is not None)
-    known = {unit_key(key): unit for key, unit in settings}
-    if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
-        return named
-    for line in reversed(above):
-        title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
-        known = [unit for unit in units if is_unit(unit)]  # "TTL" is that of no quantity
-        enough = len(known) > 1 and 2 * len(known) >= len([*filter(None, units)])
-        if (re.search("unit", title, re.IGNORECASE) or _UNIT_CELL.fullmatch(title)) and enough and len(units) < width:
-            units = [unit if unit in known else "" for unit in units]
-            if all(quantity(unit) == "time" for unit in known):
-                continue
-            return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
-    return [""] * width
-
-
-def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> list[str]:
-    """Units of channels with the scale of each, where the header states one per volt; "V" where zeros of sensors are stated too."""
-    rows = [[cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] for line in above]
-    numbers = {
-        row[0].lower(): [cells.number(cell, ".") for cell in row[1:]] for row in rows if len(row) == len(units) + 1
-    }
-    scales = next((values for title, values in numbers.items() if _PER_VOLT.match(title)), None)
-    if scales is None or None in scales:
-        return units
-    zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
-    if any(zeros):
-        return ["V"] * len(units)
-    return [
-        unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)
-    ]
-
-
 def _bare(parts: Sequence[str]) -> list[str]:
     """Cells without the brackets around each."""
     return [part.strip("[]()<> ") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
@@ -292,7 +238,7 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
-def _behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
     """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
     found = {}
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
@@ -312,7 +258,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
             found[False] = ["", *names]
-    found |= _behind_words(above, width)
+    found |= behind_words(above, width)
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []
@@ -398,7 +344,7 @@ def read_header(
         return names or [""] * width, [split_unit(name)[1] for name in names or [""] * width], int(bool(names))
     bare = [_bare(parts) for _, parts in headers]
     for row in bare:
-        if match := _UNIT_CELL.fullmatch(row[0]):
+        if match := UNIT_CELL.fullmatch(row[0]):
             row[0] = match["unit"] or ""
     names, of_row, used = _names_and_units([parts for _, parts in headers], bare)
     units = of_row or [""] * width

@@ -15,10 +15,11 @@ from hystfit.reading import cells
 from hystfit.reading.coded_names import with_meanings
 from hystfit.reading.column_names import is_channel
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
+from hystfit.reading.header import is_listed, listed_names, read_header, titled_names
 from hystfit.reading.limits import ABOVE, BESIDE, FEW
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
+from hystfit.reading.stated_units import stated_units
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
