@@ -227,6 +227,8 @@ def _guess_pair(
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
     alike = _one_quantity(table, free, kinds, best) if not given else set()
+    if kinds[best.input] == "index" and not given:  # a number of each result, and no input
+        raise _too_few(table, [best.output], given, clock)
     open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
     near = [
         reading
