@@ -143,3 +143,12 @@ def test_a_number_of_results_is_no_input(tmp_path: Path) -> None:
     table = "Index\tParameter\tValue (µC/cm2)\n" + "".join(f"{k}\tP{k}\t{30 - 7 * k}\n" for k in range(8))
     with pytest.raises(DataError, match=r"found 1 column\(s\)"):
         read(written(tmp_path, table, "pund.txt"))
+
+
+def test_a_table_of_results_before_the_samples(tmp_path: Path) -> None:
+    """As a testing machine exports them: the names of the results, of which the first column has none, are not those of the samples."""
+    results = "Results Table 1\n,Maximum Load,Extension at Max\n,(kN),(mm)\n1,40.21,15.00\n\n"
+    names = "Results Table 2\nTime,Extension,Load\n(s),(mm),(kN)\n"
+    record = one(tmp_path, results + names + rows(",", T, U, Y))
+    is_pair(record)
+    assert (record.u_name, record.y_name, record.t is not None) == ("Extension", "Load", True)
