@@ -152,3 +152,10 @@ def test_a_table_of_results_before_the_samples(tmp_path: Path) -> None:
     record = one(tmp_path, results + names + rows(",", T, U, Y))
     is_pair(record)
     assert (record.u_name, record.y_name, record.t is not None) == ("Extension", "Load", True)
+
+
+def test_a_name_and_a_unit_of_each_channel_in_the_settings(tmp_path: Path) -> None:
+    header = "[General]\nDevice=X\n[Channel1]\nName=Stroke\nUnit=mm\n[Channel2]\nName=Load\nUnit=kN\n[Data]\n"
+    record = one(tmp_path, header + rows("\t", U, Y), "log.txt")
+    is_pair(record)
+    assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Stroke", "mm", "Load", "kN")

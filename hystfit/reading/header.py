@@ -45,6 +45,9 @@ _NAME_CELL = re.compile(
     re.IGNORECASE,
 )
 UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
+_OF_CHANNEL = re.compile(
+    r"\W*(?:(?:ch|channel|kanal|signal|column)[ _.]?\d*[ _.]?)?(name|unit)[ _]?\d*\s*[:=]\s*(\S.*)", re.IGNORECASE
+)
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -251,6 +254,15 @@ def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
     return found
 
 
+def _of_channels(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+    """Names (False) and units (True) of as many channels as there are columns, a setting each: "Name=Force", "Channel 2 unit: kN"."""
+    settings = [
+        (match[1].lower(), match[2].strip()) for line in above if (match := _OF_CHANNEL.fullmatch(line.strip()))
+    ]
+    found = {word == "unit": [value for key, value in settings if key == word] for word in ("name", "unit")}
+    return {key: values for key, values in found.items() if len(values) == width}
+
+
 def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
     """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
@@ -258,7 +270,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
             found[False] = ["", *names]
-    found |= behind_words(above, width)
+    found |= _of_channels(above, width) | behind_words(above, width)
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []
