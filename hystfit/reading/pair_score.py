@@ -129,8 +129,8 @@ class _Evidence:
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             wave = self.facts.overtones
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
-            noisier = self.facts.roughness[o] > _NOISIER * self.facts.roughness[i]
-            points += _CLEAN * plainer(i, o) + _COMMANDED * (noisier and not plainer(o, i))
+            points += _CLEAN * plainer(i, o)
+            points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
         return Reading(i, o, points)
 
     def related(self, found: Sequence[Reading]) -> list[Reading]:

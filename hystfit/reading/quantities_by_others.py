@@ -53,8 +53,12 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         if len(pair) == 2 and 0 <= np.nanmin(table.columns[pair[1]]) < np.nanmax(table.columns[pair[1]]) <= 1:
             kinds.update(zip(pair, ("pressure", "loading"), strict=True))
     relative = [k for k in free if RELATIVE_PRESSURE.search(table.names[k])]
-    if among("loading", "mass") and relative:  # the gas pressures that it was computed from
-        kinds.update({k: "status" for k in free if kinds[k] == "pressure" and k not in relative})
+    if (
+        among("loading", "mass") and relative
+    ):  # the gas pressures that it was computed from, unless its digits are too few
+        values = lambda k: np.unique(table.columns[k]).size
+        finer = lambda k: values(relative[0]) > MAJORITY * values(k)
+        kinds.update({k: "status" for k in free if kinds[k] == "pressure" and k not in relative and finer(k)})
     if among("loading") and not among("pressure"):
         kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):
