@@ -159,3 +159,11 @@ def test_a_name_and_a_unit_of_each_channel_in_the_settings(tmp_path: Path) -> No
     record = one(tmp_path, header + rows("\t", U, Y), "log.txt")
     is_pair(record)
     assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Stroke", "mm", "Load", "kN")
+
+
+def test_a_unit_below_one_name_alone(tmp_path: Path) -> None:
+    record = one(
+        tmp_path, "Suction\tWater content\tPath\nkPa\t\t\n" + rows("\t", U, Y, np.full(N, "drying")), "swrc.csv"
+    )
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("kPa", "")

@@ -132,7 +132,12 @@ def _named(parts: list[str]) -> list[str]:
 def _is_remark(parts: Sequence[str], over: Sequence[str]) -> bool:
     """Whether a row has a text alone, with the names of columns over it: "Starting M vs H", and not the name of the first of them."""
     filled = [sum(map(bool, row)) for row in (parts, over)]
-    return filled[0] == 1 and 2 * filled[1] > len(parts) > 2 and not _mostly_units(_bare(over))
+    return (
+        not _are_units(_bare(parts), parts)
+        and filled[0] == 1
+        and 2 * filled[1] > len(parts) > 2
+        and not _mostly_units(_bare(over))
+    )
 
 
 def _is_header(parts: list[str], decimal: str) -> bool:
