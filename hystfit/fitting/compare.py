@@ -251,7 +251,7 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
     return (
         row.in_sample_percent is None,
         row.status is Status.UNTESTED,
-        row.status is Status.NO_LOOP,
+        row.status is Status.NO_LOOP and not row.memoryless,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
         _error(row) or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),

@@ -122,6 +122,9 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return status, [*reasons, *([] if has(reasons, Code.MODEL_MISMATCH) else _damaged(fitted))]
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
+    if fitted.model.memoryless and (white or not exceeded_limits(train, _settled_rows(fitted), baselines)):
+        text = "a single-valued curve describes these data: there is no hysteresis, or none that they show"
+        return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]

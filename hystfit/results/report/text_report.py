@@ -36,6 +36,7 @@ _VERDICT = frozenset(
         Code.MINOR_LOOPS,
         Code.EXTRAPOLATION,
         Code.SINGLE_VALUED,
+        Code.SPEED_DEPENDENT,
         Code.RECORDS_DIFFER,
         Code.NO_LOOP,
     }
