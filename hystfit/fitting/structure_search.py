@@ -31,7 +31,7 @@ _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before
 # function of amplitude and place, which static terms describe too: such a term leaves 0.88 to 0.98 of it in simulated static loops,
 # 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
 _AT_ONE_PACE = 0.8
-_BESIDE_CURVE = ("rest", "lag", "order", "creep", "rate")
+_BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
@@ -133,7 +133,7 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
 
 def _enough(curve: Found, loops: Found, terms: Terms) -> bool:
     """Whether a single-valued curve, with what may come before and beside it, predicts held-out samples as well as plays or stops do."""
-    at_one_pace = curve.structure.timed and not terms.several_paces
+    at_one_pace = curve.structure.timed and not (loops.structure.timed or terms.several_paces)
     factor = _AT_ONE_PACE if at_one_pace else equal_errors(terms.samples)
     return curve.score <= max(factor * loops.score, rounding_error(terms.data))
 

@@ -26,10 +26,11 @@ _MEANS = 4  # of the samples, for each interval between knots, along which these
 
 
 class Curve(AbstractHysteresis):
-    """A smooth curve without memory:  y = offset + slope x + sum of bend_j H_j(x),   x = (u - low) / (high - low).
+    """A smooth curve without memory:  y = offset + rise x + sum of bend_j H_j(x),   x = (u - low) / (high - low).
 
-    H_j'' is the hat function of knot j, so that the weights are the curvature at the knots: a ridge on them makes a smoothing spline
-    (Reinsch 1967). Beyond the outer knots it goes on as a straight line. The knots are as dense as the curve is steep.
+    H_j'' is the hat function of knot j, and H_j is zero at both ends: the weights are the curvature at the knots, and a ridge on them
+    makes a smoothing spline (Reinsch 1967). Beyond the outer knots it goes on as a straight line. The knots are as dense as the curve is
+    steep.
 
     Raises:
         ModelError: fewer than two knots, or not as many weights as knots.
@@ -42,7 +43,7 @@ class Curve(AbstractHysteresis):
     estimator: ClassVar[str] = "convex"
     has_fast_run: ClassVar[bool] = True
 
-    slope: Scalar = param(1.0, unit="y", linear=True, doc="rise of the straight part over the range of the input")
+    rise: Scalar = param(1.0, unit="y", linear=True, doc="rise of the output over the range of the input")
     bend: Float[Array, " knots"] = param(
         (0.0,) * _KNOTS, unit="y", linear=True, vector=True, doc="curvature at the knots"
     )
@@ -76,20 +77,14 @@ class Curve(AbstractHysteresis):
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """The curve."""
-        x = (u1 - self.low) / (self.high - self.low)
-        squares, cubes = _hats(self.knots, jnp)
-        beyond = jnp.maximum(x - self.knots, 0.0)
-        bent = jnp.dot(self.bend, squares @ beyond**2 / 2 + cubes @ beyond**3 / 6)
-        return state, self.offset + self.slope * x + bent
+        return state, self.sweep(state, u0, u1[None], dt)[1][0]
 
     def sweep(self, state: State, u0: Scalar, u: Any, dt: Any) -> tuple[State, Any]:
         """All samples at once."""
         x = (u - self.low) / (self.high - self.low)
-        squares, cubes = _hats(self.knots, jnp)
+        squares, cubes, line = (rows.T @ self.bend for rows in _hats(self.knots, jnp))
         beyond = jnp.maximum(x[:, None] - self.knots, 0.0)
-        return state, self.offset + self.slope * x + (beyond**2 / 2) @ (squares.T @ self.bend) + (beyond**3 / 6) @ (
-            cubes.T @ self.bend
-        )
+        return state, self.offset + (self.rise + line[0]) * x + beyond**2 @ squares + beyond**3 @ cubes
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """By columns, without a program to compile."""
@@ -99,10 +94,10 @@ class Curve(AbstractHysteresis):
         """The line, and the integrals of the hat functions."""
         x = (np.asarray(u, dtype=float) - float(self.low)) / (float(self.high) - float(self.low))
         knots = np.asarray(self.knots)
-        squares, cubes = _hats(knots, np)
+        squares, cubes, line = _hats(knots, np)
         beyond = np.maximum(x[:, None] - knots, 0.0)
-        bends = (beyond**2 / 2) @ squares.T + (beyond**3 / 6) @ cubes.T
-        return DesignMatrix.of(self, {"slope": x[:, None], "bend": bends, "offset": np.ones((x.size, 1))})
+        bends = beyond**2 @ squares.T + beyond**3 @ cubes.T + x[:, None] * line.T
+        return DesignMatrix.of(self, {"rise": x[:, None], "bend": bends, "offset": np.ones((x.size, 1))})
 
     def start(self, records: Sequence[Record]) -> Curve:
         """Ranges from the samples that count, knots as dense as their means are steep; the weights follow from a linear solve."""
@@ -118,7 +113,7 @@ class Curve(AbstractHysteresis):
         if not (np.diff(knots) > 0).all():
             knots = np.linspace(0.0, 1.0, count)
         return dataclasses.replace(
-            self, slope=0.0, bend=np.zeros(count), offset=out.center, knots=knots, low=place.low, high=place.high
+            self, rise=0.0, bend=np.zeros(count), offset=out.center, knots=knots, low=place.low, high=place.high
         )
 
     def reach(self) -> tuple[float, float]:
@@ -133,13 +128,12 @@ class Curve(AbstractHysteresis):
 
     def c_part(self) -> CPart:
         """Cubic polynomials between the knots."""
-        squares, cubes = _hats(np.asarray(self.knots), np)
-        bend = np.asarray(self.bend)
-        return CPart.of(self, "curve", squares=squares.T @ bend / 2, cubes=cubes.T @ bend / 6)
+        squares, cubes, line = (rows.T @ np.asarray(self.bend) for rows in _hats(np.asarray(self.knots), np))
+        return CPart.of(self, "curve", squares=squares, cubes=cubes, slope=float(self.rise) + float(line[0]))
 
 
-def _hats(knots: Any, xp: Any) -> tuple[Any, Any]:
-    """Second integrals of the hat functions: factors of max(0, x - knot)^2 / 2 and of max(0, x - knot)^3 / 6, shapes (n, n).
+def _hats(knots: Any, xp: Any) -> tuple[Any, Any, Any]:
+    """Second integrals of the hat functions, zero at both ends: factors of max(0, x - knot)^2, max(0, x - knot)^3, (n, n), and x, (n, 1).
 
     A hat is a step at an outer knot, and straight pieces whose slope changes at its knot and at the neighbors.
     """
@@ -147,7 +141,8 @@ def _hats(knots: Any, xp: Any) -> tuple[Any, Any]:
     steepness = 1.0 / xp.diff(knots)
     rises, falls = xp.append(0.0, steepness), xp.append(steepness, 0.0)  # of each hat before and behind its knot
     at, before, after = np.eye(n), np.eye(n, k=-1), np.eye(n, k=1)
-    cubes = rises[:, None] * (before - at) + falls[:, None] * (after - at)
-    ends = np.zeros((n, n))
-    ends[0, 0], ends[-1, -1] = 1.0, -1.0
-    return xp.asarray(ends), cubes
+    cubes = (rises[:, None] * (before - at) + falls[:, None] * (after - at)) / 6
+    squares = np.zeros((n, n))
+    squares[0, 0], squares[-1, -1] = 0.5, -0.5
+    last = 1.0 - knots
+    return xp.asarray(squares), cubes, -(squares @ last**2 + cubes @ last**3)[:, None]
