@@ -24,6 +24,7 @@ _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such err
 _VERDICT = frozenset(
     {
         Code.ACCURACY,
+        Code.MEASUREMENT_NOISE,
         Code.POOR_FIT,
         Code.ROUGH_FIT,
         Code.TEST_ERROR,
