@@ -131,8 +131,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]
     if rough and not unexplained and train.rmse <= NOISY * (change := _change_by_input_noise(fitted)):
         text = (
-            f"the error is {fitted.percent:.3g} % of the range, and another noise of the input, as large as that of these data, changes the "
-            f"output of the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
+            f"the error is {fitted.percent:.3g} % of the range, and another noise of the input, as large as that of these data, changes "
+            f"the output of the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
         )
         return Status.OK, [Note(Code.MEASUREMENT_NOISE, text), *_damaged(fitted)]
     status = Status.ROUGH if rough else Status.OK

@@ -29,7 +29,7 @@ class Curve(AbstractHysteresis):
     """A smooth curve without memory:  y = offset + rise x + sum of bend_j H_j(x),   x = (u - low) / (high - low).
 
     H_j'' is the hat function of knot j, and H_j is zero at both ends: the weights are the curvature at the knots, and a ridge on them
-    makes a smoothing spline (Reinsch 1967). Beyond the outer knots it goes on as a straight line. The knots are as dense as the curve is
+    makes a smoothing spline (Reinsch 1967). Beyond the outer knots it goes on as a straight line. The knots are denser where the curve is
     steep.
 
     Raises:
@@ -49,7 +49,10 @@ class Curve(AbstractHysteresis):
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant part of the output")
     knots: Float[Array, " knots"] = param(
-        tuple(np.linspace(0.0, 1.0, _KNOTS)), fixed=True, vector=True, doc="knots, rising, as fractions of the input range"
+        tuple(np.linspace(0.0, 1.0, _KNOTS)),
+        fixed=True,
+        vector=True,
+        doc="knots, rising, as fractions of the input range",
     )
     low: Scalar = param(0.0, unit="u", fixed=True, doc="input where x = 0")
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
@@ -100,7 +103,7 @@ class Curve(AbstractHysteresis):
         return DesignMatrix.of(self, {"rise": x[:, None], "bend": bends, "offset": np.ones((x.size, 1))})
 
     def start(self, records: Sequence[Record]) -> Curve:
-        """Ranges from the samples that count, knots as dense as their means are steep; the weights follow from a linear solve."""
+        """Ranges from the samples that count, knots denser where their means are steep; the weights follow from a linear solve."""
         place, out = fitted_input_range(records), output_range(records)
         u, y = used_samples(records)
         order, count = np.argsort(u, kind="stable"), self.knots.shape[-1]
@@ -108,7 +111,9 @@ class Curve(AbstractHysteresis):
         means = lambda values: np.diff(np.append(0.0, np.cumsum(values[order]))[edges]) / np.diff(edges)
         x, level = (means(u) - place.low) / place.width, means(y) / out.width
         way = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(level))))
-        knots = np.interp(np.linspace(0.0, 1.0, count), way / (way[-1] or 1.0), x)
+        # By way and by samples in equal parts: no knots lie closer than half as far apart as they would by samples.
+        place_of = way / (way[-1] or 1.0) + np.linspace(0.0, 1.0, way.size)
+        knots = np.interp(np.linspace(0.0, 2.0, count), place_of, x)
         knots[[0, -1]] = 0.0, 1.0
         if not (np.diff(knots) > 0).all():
             knots = np.linspace(0.0, 1.0, count)
