@@ -25,6 +25,7 @@ _VERDICT = frozenset(
     {
         Code.ACCURACY,
         Code.MEASUREMENT_NOISE,
+        Code.CLIPPED,
         Code.POOR_FIT,
         Code.ROUGH_FIT,
         Code.TEST_ERROR,
