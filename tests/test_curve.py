@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.structure_search import search_structure
 from hystfit.errors import ModelError
+from hystfit.fitting.structure_search import search_structure
 from hystfit.models.curve import Curve
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
@@ -28,7 +28,7 @@ def test_curvature_is_interpolated_between_the_knots_and_ends_with_them():
 def test_few_knots_or_bends_are_refused():
     with pytest.raises(ModelError, match="two knots or more"):
         Curve.of(1)
-    with pytest.raises(ModelError, match="a bend for each"):
+    with pytest.raises(ModelError, match="one value for each knot"):
         Curve(bend=(0.0, 0.0), knots=(0.0, 0.5, 1.0))
 
 
@@ -105,8 +105,10 @@ def test_an_error_that_the_noise_of_the_input_explains_is_no_fault_of_the_model(
         on[k] = state
     measured = true + np.random.default_rng(4).normal(0, 0.06, true.size)
     noisy, coarse = (hf.fit("preisach-signed:n=30", u, on) for u in (measured, true))
-    assert noisy.train.nrmse_percent > 3.0
+    assert (noisy.train.nrmse_percent or 0.0) > 3.0
     assert noisy.status is Status.OK
     assert has(noisy.notes, Code.MEASUREMENT_NOISE)
-    assert coarse.train.nrmse_percent > 3.0  # its levels lie too far apart for a single relay, whose input has no noise
+    assert (
+        coarse.train.nrmse_percent or 0.0
+    ) > 3.0  # its levels lie too far apart for a single relay, whose input has no noise
     assert coarse.status is Status.ROUGH

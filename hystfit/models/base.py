@@ -44,8 +44,6 @@ class AbstractHysteresis(AbstractDynamics):
     """Why no model of its kind has an inverse, with {name} for that of the class; "" where one has."""
     either_way: ClassVar[bool] = False
     """Whether it describes loops of both directions, whatever its family needs."""
-    hysteretic: ClassVar[bool] = True
-    """Whether slow cycles leave its loop open; False for curves and linear filters."""
     takes_rate: ClassVar[bool] = False
     """Whether the output takes the rate of the input over the interval before a sample, which is unknown at the first sample."""
     counts: ClassVar[Mapping[str, str]] = {}
@@ -110,6 +108,11 @@ class AbstractHysteresis(AbstractDynamics):
     def delays(self) -> bool:
         """Whether the model has a pure delay."""
         return False
+
+    @property
+    def hysteretic(self) -> bool:
+        """Whether slow cycles leave its loop open; False for curves and linear filters."""
+        return True
 
     @property
     def memoryless(self) -> bool:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
@@ -58,9 +58,9 @@ class Curve(AbstractHysteresis):
     high: Scalar = param(1.0, unit="u", fixed=True, doc="input where x = 1")
 
     def __check_init__(self) -> None:
-        sizes = [getattr(value, "shape", None) for value in (self.bend, self.knots)]
-        if None not in sizes and (sizes[0] != sizes[1] or sizes[0][-1] < 2):
-            raise ModelError(f"a curve needs two knots or more, and a bend for each, got shapes {sizes[1]}, {sizes[0]}")
+        check_same_length(self, "bend", "knots", "knot")
+        if getattr(self.knots, "size", 2) < 2:
+            raise ModelError(f"a curve needs two knots or more, got {self.knots.size}")
 
     @classmethod
     def of(cls, knots: int = _KNOTS) -> Curve:
