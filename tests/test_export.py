@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -95,9 +96,13 @@ CASES = {
 
 def build(model: hf.models.AbstractHysteresis, folder: Path, flags: Sequence[str] = (), **options: object) -> Path:
     _, source, harness = export_c(model, folder, **options)
+    return compiled(source, harness, *flags)
+
+
+def compiled(source: Path, harness: Path, *flags: str) -> Path:
     if GCC is None:
         pytest.skip("no C compiler: install gcc to test the exported code")
-    program = folder / "model"
+    program = source.with_suffix("")
     subprocess.run([GCC, *FLAGS, *flags, str(source), str(harness), "-o", str(program), "-lm"], check=True)
     return program
 
@@ -150,41 +155,40 @@ def test_c_inverse_saturates_as_python_does(tmp_path: Path) -> None:
     assert status[40] == 3.0
 
 
-@pytest.mark.parametrize("n", [1.0, 1.7])
-def test_c_of_a_yielding_force_equals_python(n: float, tmp_path: Path) -> None:
-    model = hf.BoucWenForce(kappa_x=0.3, kappa_w=2.0, rho=1.5, sigma=0.9, n=n, w0=-0.4, offset=0.1)
-    program, u = build(model, tmp_path, limits=(-6.0, 6.0)), path(-5.0, 5.0)
+def yielding(n: float) -> hf.BoucWenForce:
+    return hf.BoucWenForce(kappa_x=0.3, kappa_w=2.0, rho=1.5, sigma=0.9, n=n, w0=-0.4, offset=0.1)
+
+
+MAGNETIZATION = {"Ms": 1.4, "a": 0.2, "coupling": 0.6, "k": 0.15, "c": 0.3, "slope": 0.05, "offset": 0.1}
+EXTREME = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
+
+
+@pytest.mark.parametrize(
+    ("model", "most"),
+    [
+        (yielding(1.0), 5.0),
+        (yielding(1.7), 5.0),
+        (hf.JilesAtherton(**MAGNETIZATION, curve="tanh", q=[1.5], p=[0.6], r=[3.0]), 1.0),
+    ],
+    ids=["force", "smooth force", "magnetization"],
+)
+def test_c_whose_inverse_searches_equals_python(model: Any, most: float, tmp_path: Path) -> None:
+    program, u = build(model, tmp_path, limits=(-most - 1.0, most + 1.0)), path(-most, most)
     expected = np.asarray(hf.simulate(model, u)[0])
     np.testing.assert_allclose(run(program, "f", float(u[0]), u, 0.0)[:, 0], expected, atol=1e-12)
     found = run(program, "i", float(u[0]), expected, 0.0)
     np.testing.assert_allclose(found[:, 1], expected, atol=1e-6)
     assert not found[:, 2].any()
-    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
-    assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
-
-
-def test_c_of_a_magnetization_equals_python(tmp_path: Path) -> None:
-    variant = {"curve": "tanh", "q": [1.5], "p": [0.6], "r": [3.0]}
-    model = hf.JilesAtherton(Ms=1.4, a=0.2, coupling=0.6, k=0.15, c=0.3, slope=0.05, offset=0.1, **variant)
-    program, u = build(model, tmp_path, limits=(-1.5, 1.5)), path(-1.0, 1.0)
-    expected = np.asarray(hf.simulate(model, u)[0])
-    np.testing.assert_allclose(run(program, "f", float(u[0]), u, 0.0)[:, 0], expected, atol=1e-12)
-    found = run(program, "i", float(u[0]), expected, 0.0)
-    np.testing.assert_allclose(found[:, 1], expected, atol=1e-6)
-    assert not found[:, 2].any()
-    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
-    assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.0)).all()
+    assert np.isfinite(run(program, "f", 0.0, np.concatenate([EXTREME, u]), 0.0)).all()
 
 
 def test_c_of_a_magnetization_with_losses_equals_python(tmp_path: Path, sanitizers: None) -> None:
-    shape = {"Ms": 1.4, "a": 0.2, "coupling": 0.6, "k": 0.15, "c": 0.3, "slope": 0.05, "offset": 0.1}
-    model = JilesAthertonDynamic(**shape, eddy=2e-3, excess=0.02, e=0.5)
+    model = JilesAthertonDynamic(**MAGNETIZATION, eddy=2e-3, excess=0.02, e=0.5)
     program, u = build(model, tmp_path, flags=SANITIZED, limits=(-2.0, 2.0)), path(-1.0, 1.0)
     expected = np.asarray(hf.simulate(model, u, 0.002)[0])
     np.testing.assert_allclose(run(program, "f", float(u[0]), u, 0.002)[:, 0], expected, atol=1e-11)
     np.testing.assert_allclose(run(program, "i", float(u[0]), expected, 0.002)[:, 1], expected, atol=1e-6)
-    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
-    assert np.isfinite(run(program, "f", 0.0, np.concatenate([extreme, u]), 0.002)).all()
+    assert np.isfinite(run(program, "f", 0.0, np.concatenate([EXTREME, u]), 0.002)).all()
     still = run(program, "f", float(u[0]), u, 0.0)[:, 0]
     assert (still == still[0]).all()  # without time no flux changes
 
@@ -224,9 +228,7 @@ def test_inputs_that_are_no_numbers_leave_the_model_as_it_was(name: str, sanitiz
     """Under address and undefined-behavior sanitizers: NaN, infinite and extreme inputs among ordinary ones."""
     model, low, high = CASES[name]
     limits = (low, high) if model.step_inverse().needs_limits else None
-    _, source, harness = export_c(model, tmp_path, limits=limits)
-    program, u = tmp_path / "model", path(low, high)
-    subprocess.run([GCC, *FLAGS, *SANITIZED, str(source), str(harness), "-o", str(program), "-lm"], check=True)  # type: ignore[list-item]
+    program, u = build(model, tmp_path, flags=SANITIZED, limits=limits), path(low, high)
     plain = run(program, "f", float(u[0]), u, 0.002)[:, 0]
     assert np.isfinite(plain).all()
     bad = np.insert(u, [3, 150, 290], [np.nan, np.inf, -np.inf])
@@ -234,9 +236,8 @@ def test_inputs_that_are_no_numbers_leave_the_model_as_it_was(name: str, sanitiz
     found = run(program, "f", float(u[0]), bad, 0.002)[:, 0]
     np.testing.assert_array_equal(found[kept], plain)
     assert [found[3], found[151], found[292]] == [found[2], found[150], found[291]]
-    extreme = np.random.default_rng(0).choice([0.0, 1e-320, -1e30, 1e155, 1e308, -1e308, np.nan], 200)
-    assert np.isfinite(run(program, "f", float(u[0]), np.concatenate([extreme, u]), 0.002)).all()
-    assert np.isfinite(run(program, "i", float(u[0]), np.concatenate([extreme, plain[:20]]), 0.002)[:, 1:]).all()
+    assert np.isfinite(run(program, "f", float(u[0]), np.concatenate([EXTREME, u]), 0.002)).all()
+    assert np.isfinite(run(program, "i", float(u[0]), np.concatenate([EXTREME, plain[:20]]), 0.002)[:, 1:]).all()
 
 
 def test_c_flags_an_output_that_does_not_rise(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_records_of_similar_length_share_the_program_of_a_grid(monkeypatch):
     for count in (329, 332):
         u = np.sin(np.linspace(0, 20, count))
         record = hf.Record(u=u, y=u, weight=(np.arange(count) > 4).astype(float))
-        columns = starting.grid_columns(hf.BoucWen(), ("mu",), grid, [record])
+        columns = starting.grid_columns(hf.BoucWen(), {"mu": grid[:, 0]}, [record])
         for column, (mu,) in zip(columns.T, grid, strict=True):
             np.testing.assert_allclose(column, hf.simulate(hf.BoucWen(mu=mu), u)[0][5:], rtol=1e-12, atol=1e-14)
     assert len(shapes) == 1

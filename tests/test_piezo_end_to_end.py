@@ -1,35 +1,19 @@
 """The way of a piezo actuator from its record to the board, at the shell: fit, sample, invert, export, compile, run."""
 
 import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hystfit.cli import run
-from tests.test_export import FLAGS, GCC
+from tests.test_export import compiled
+from tests.test_export import run as through
 
 
 def columns(path: Path) -> dict[str, np.ndarray]:
     table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
     return {name: table[name] for name in table.dtype.names}
-
-
-def compiled(folder: Path) -> Path:
-    if GCC is None:
-        pytest.skip("no C compiler: install gcc to test the exported code")
-    program = folder / "stack"
-    subprocess.run(
-        [GCC, *FLAGS, str(folder / "stack.c"), str(folder / "stack_main.c"), "-o", str(program), "-lm"], check=True
-    )
-    return program
-
-
-def through(program: Path, mode: str, u0: float, values: np.ndarray, dt: float) -> np.ndarray:
-    lines = [f"{u0!r}", *(f"{float(value)!r} {dt!r}" for value in values)]
-    done = subprocess.run([str(program), mode], input="\n".join(lines), capture_output=True, text=True, check=True)
-    return np.array([[float(word) for word in line.split()] for line in done.stdout.splitlines()])
 
 
 @pytest.mark.slow
@@ -74,7 +58,7 @@ def test_the_default_winner_of_a_piezo_record_reaches_the_board(measured: Path, 
 
     board = tmp_path / "board"
     assert run(["export", str(fit), "--c", str(board), "--name", "stack"]) == 0
-    program = compiled(board)
+    program = compiled(board / "stack.c", board / "stack_main.c")
     assert run(["predict", str(fit), str(loop), "--out", str(tmp_path / "predicted")]) == 0
     predicted = columns(tmp_path / "predicted" / "prediction.csv")["predicted_um"]
     forward = through(program, "f", float(rows[0, 0]), rows[:, 0], dt)[:, 0]

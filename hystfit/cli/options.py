@@ -285,9 +285,8 @@ def bounds_of(text: str | None) -> tuple[float | None, float | None] | None:
     """Start and stop of a window written as start:stop."""
     if text is None:
         return None
-    parts = text.split(":")
     try:
-        start, stop = (float(part) if part.strip() else None for part in parts)
+        start, stop = (float(part) if part.strip() else None for part in text.split(":"))
     except ValueError:
         raise DataError(f"a window is start:stop, such as 5:25, 25: or :27; got {text!r}") from None
     if start is not None and stop is not None and not start < stop:

@@ -188,11 +188,9 @@ def _compared(
 
 
 def _draw(path: Path, result: FitResult, data: Dataset, refit_offset: bool) -> None:
-    from matplotlib.figure import Figure
+    from hystfit.cli.figures import draw, sheet
 
-    from hystfit.results.plots import fit as draw
-
-    figure = Figure(figsize=(9.6, 3.8), layout="constrained")
+    figure = sheet(9.6, 3.8)
     for kind, axes in zip(("loop", "series"), figure.subplots(1, 2), strict=True):
         draw(result, kind, axes, data=data, refit_offset=refit_offset)
     figure.savefig(path, dpi=150)

@@ -189,7 +189,9 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     train = load(loops, reading)
     test = None
     if split.test is not None:
-        test = _named_apart(load([split.test], dataclasses.replace(reading, only=split.test_only)), train)
+        test = load([split.test], dataclasses.replace(reading, only=split.test_only))
+        names = {record.name for record in train}  # whose offsets a test record of the same name would take
+        test = test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)
     elif split.test_only is not None:
         test = load(loops, dataclasses.replace(reading, only=split.test_only))
         names = {record.name for record in test}
@@ -226,12 +228,6 @@ def _without_window(record: Record, start: float | None, stop: float | None) -> 
     if not outside.used.any():
         raise DataError(f"record {record.name!r}: the test window leaves no sample to fit")
     return outside
-
-
-def _named_apart(test: Dataset, train: Dataset) -> Dataset:
-    """Test records of another file under names that no fitted record has, whose offset they would take."""
-    names = {record.name for record in train}
-    return test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)
 
 
 def _refuse_overlap(train: Dataset, test: Dataset | None) -> None:

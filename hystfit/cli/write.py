@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
-from hystfit.errors import DataError, optional
+from hystfit.errors import optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
@@ -82,17 +82,15 @@ def finish_table(
                 write_csv(folder / "truth.csv", truth, ".10g")
 
         return finish(text, content, output, save)
-    from hystfit.results.folders import writing
+    from hystfit.results.folders import writing_file
 
-    if not out.parent.is_dir():
-        raise DataError(f"cannot write {str(out)!r}: the folder {str(out.parent)!r} does not exist; make it first")
-    with writing(out.parent) as scratch:
+    with writing_file(out) as file:
         if out.suffix == ".nc":
-            write_netcdf(scratch / out.name, columns)
+            write_netcdf(file, columns)
         else:
-            write_csv(scratch / out.name, columns, ".10g")
+            write_csv(file, columns, ".10g")
         if truth is not None:
-            write_csv(scratch / f"{out.stem}.truth.csv", truth, ".10g")
+            write_csv(file.with_suffix(".truth.csv"), truth, ".10g")
             text += f"\nTrue parameters in {out.with_suffix('.truth.csv')}"
     return finish(f"{text}\nWritten to {out}", content, Output(json=output.json))
 

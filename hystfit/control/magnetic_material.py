@@ -14,7 +14,7 @@ from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.linear import Linear
 from hystfit.models.rate import Excess, Viscous
 from hystfit.models.sum import Sum
-from hystfit.params.units import MU0, parse_unit
+from hystfit.params.units import MU0, size_in
 from hystfit.results.steady_loops import Excitation
 
 if TYPE_CHECKING:
@@ -241,14 +241,15 @@ class _Sizes(NamedTuple):
             ModelError: the units are no such units.
         """
         first = result.data[0]
-        powers = lambda unit: getattr(parse_unit(unit), "powers", None)
         names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)
-        field, output = map(parse_unit, names)
-        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
-        per_output = {powers("T"): 1.0, powers("A/m"): MU0}.get(output.powers) if output else None
-        if field is None or output is None or per_field is None or per_output is None:
+        field, output = (size_in(name, "A/m", "T") for name in names)
+        if field is None or output is None:
             raise ModelError(
                 "a field program needs H in A/m, Oe or T and B, J or M in T or A/m; "
                 f"the fit has {first.u_unit or 'no unit'} and {first.y_unit or 'no unit'}: give --units, or divide the moment by the volume"
             )
-        return cls(per_field * field.factor, per_output * output.factor, output.powers == powers("A/m"))
+        per_field, per_output = (
+            field[1] / (MU0 if field[0] == "T" else 1.0),
+            output[1] * (MU0 if output[0] == "A/m" else 1.0),
+        )
+        return cls(per_field, per_output, output[0] == "A/m")

@@ -16,9 +16,8 @@ from hystfit.config import require_x64
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shapes import Scalar, Signal
-from hystfit.models.simulation import Resume
+from hystfit.models.simulation import Resume, equilibrium
 from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import compiled
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult
@@ -176,12 +175,6 @@ class InverseStep(AbstractRunningInverse):
             dt: time between its samples, shape (T,) [s].
         """
         return _run(self, memory, targets, dt)
-
-
-@compiled
-def equilibrium(model: AbstractHysteresis, u0: Array) -> Array:
-    """State of a model in equilibrium at an input, by one program; its operations one by one would each compile one."""
-    return model.init(u0)
 
 
 @eqx.filter_jit

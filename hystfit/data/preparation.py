@@ -11,7 +11,6 @@ from hystfit.errors import DataError
 
 _STAMPS = 20  # from which two lengths of steps are no chance
 EVEN = 0.02  # deviation of a time step from the usual one, as a part of it, which the rounding of a clock may make
-_ORDER = 2  # of the polynomials of the smoothing filter
 
 
 def real_numbers(values: Any) -> np.ndarray:
@@ -121,7 +120,7 @@ def smooth(values: np.ndarray, length: int) -> np.ndarray:
         raise DataError(f"the smoothing length must be an odd number of at least 5 samples, got {length}")
     if length > values.size:
         raise DataError(f"a smoothing length of {length} samples exceeds the {values.size} samples")
-    half, powers = length // 2, np.vander(np.linspace(-1, 1, length), _ORDER + 1)
+    half, powers = length // 2, np.vander(np.linspace(-1, 1, length), 3)
     Q = np.linalg.qr(powers)[0]  # as by `scipy.signal.savgol_filter`, whose import takes 0.5 s
     first, last = (Q @ (Q.T @ end) for end in (values[:length], values[-length:]))
     return np.concatenate([first[:half], np.convolve(values, Q @ Q[half], "valid"), last[half + 1 :]])

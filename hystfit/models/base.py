@@ -18,7 +18,7 @@ from hystfit.errors import ModelError, ParameterError
 from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
-from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.design import COLUMNS, Block, DesignMatrix
 from hystfit.models.simulation import AbstractDynamics, checked_drive, run
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
@@ -241,6 +241,12 @@ class AbstractHysteresis(AbstractDynamics):
             for leaf, part in zip(leaves, columns, strict=True)
         )
         return DesignMatrix(tuple(blocks), np.asarray(rest)[: u.size], np.arange(u.size))
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        """See the base class: by columns, without a program to compile, where `has_fast_run` and these are not too large."""
+        if self.has_fast_run and np.size(u) * sum(leaf.size for leaf in leaves_of(self) if leaf.info.linear) <= COLUMNS:
+            return self.design_matrix(*checked_drive(self, u, dt)).output(self)
+        return super().free_run(u, dt)
 
     @property
     def has_rest(self) -> bool:

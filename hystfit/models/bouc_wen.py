@@ -20,7 +20,6 @@ from hystfit.models.bouc_wen_steps import (
     bound,
     exact_step,
     initial_hysteresis,
-    initial_state,
     phi,
     rate_integral,
     trapezoid,
@@ -29,6 +28,7 @@ from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import equilibrium
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse
@@ -149,7 +149,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
 
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
-        return CPart.of(self, "bouc_wen", h0=initial_state(self)[0], exact=self.scheme == "exact")
+        return CPart.of(self, "bouc_wen", h0=equilibrium(self, np.zeros(()))[0], exact=self.scheme == "exact")
 
 
 class BoucWenStep(AbstractStepInverse):

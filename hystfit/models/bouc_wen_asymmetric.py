@@ -19,7 +19,6 @@ from hystfit.models.bouc_wen_steps import (
     Scheme,
     bound,
     initial_hysteresis,
-    initial_state,
     power_of,
     rate_integral,
     runge_kutta,
@@ -29,6 +28,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.polynomial import legendre_series
 from hystfit.models.secant import AbstractSecant
 from hystfit.models.shapes import Scalar, Signal, State
+from hystfit.models.simulation import equilibrium
 from hystfit.models.starting import input_range
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
@@ -144,4 +144,4 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
     def c_part(self) -> CPart:
         """Both schemes are in one template."""
         b, exact = np.append([0.0, 0.0], self.b), self.scheme == "exact"
-        return CPart.of(self, "bouc_wen_asymmetric", h0=initial_state(self)[0], b=b, exact=exact)
+        return CPart.of(self, "bouc_wen_asymmetric", h0=equilibrium(self, np.zeros(()))[0], b=b, exact=exact)

@@ -32,7 +32,6 @@ from hystfit.quality.needs import Needs
 
 # Of the starting values: yield displacement over the half range, n, strength and stiffness lost over the record, pinching.
 _GRID = ((0.01, 0.02, 0.05, 0.1, 0.2, 0.5), (1.0, 2.0), (0.05, 1.0), (0.05, 2.0), (0.0, 0.9))
-_VARIED = ("zy", "n", "dnu", "deta", "zs", "p")
 _PINCHED = 10.0  # pinching is complete after this fraction 1 / 10 of the energy of the record
 
 
@@ -177,18 +176,16 @@ class BoucWenBaberNoori(AbstractHysteresis):
         zy, n, dnu, deta, zs = np.array(list(itertools.product(*_GRID))).T
         zy = zy * half
         energy = path / zy  # of a plastic path with w = 1
-        grid = np.column_stack(
-            [zy, n, np.minimum(dnu / energy, 0.2), np.minimum(deta / energy, 0.7), zs, _PINCHED / energy]
-        )
-        grid[:, 5] = np.clip(grid[:, 5], 0.002, 4.0)
-        states = grid_columns(BoucWenBaberNoori(kappa_x=0.0), _VARIED, grid, short)
+        grid = {"zy": zy, "n": n, "zs": zs, "p": np.clip(_PINCHED / energy, 0.002, 4.0)}
+        grid |= {"dnu": np.minimum(dnu / energy, 0.2), "deta": np.minimum(deta / energy, 0.7)}
+        states = grid_columns(BoucWenBaberNoori(kappa_x=0.0), grid, short)
         u, y = used_samples(short)
         fixed = np.column_stack([u, offset_columns(short)])
         found = []
         for kept in (np.flatnonzero(zs > 0), np.flatnonzero(zs == 0)):
             which, theta, error = best_of_grid(states[:, kept], fixed, y)
             linear = dict(zip(("kappa_w", "kappa_x", "offset"), theta[:3], strict=True))
-            shape = dict(zip(_VARIED, grid[kept[which]], strict=True))
+            shape = {name: values[kept[which]] for name, values in grid.items()}
             shape["zs"] = max(shape["zs"], 0.05)
             found.append((error, dataclasses.replace(self, **linear, **shape)))
         return tuple(model for _, model in sorted(found, key=lambda pair: pair[0]))

@@ -121,7 +121,7 @@ class BoucWenForce(AbstractHysteresis):
         half, records = input_range(records).half, thinned(records)
         rho, n = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 200.0, 14) / half, [1.0, 2.0, 6.0]))
         plain = BoucWenForce(kappa_x=0.0, sigma=self.sigma)
-        states = grid_columns(plain, ("rho", "n"), np.column_stack([rho, n]), records)
+        states = grid_columns(plain, {"rho": rho, "n": n}, records)
         u, y = used_samples(records)
         k, theta, _ = best_of_grid(states, np.column_stack([u, offset_columns(records)]), y)
         linear = dict(zip(("kappa_w", "kappa_x", "offset"), theta[:3], strict=True))

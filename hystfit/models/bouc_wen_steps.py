@@ -15,7 +15,6 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hystfit.errors import ModelError
-from hystfit.params.host_arrays import compiled
 
 Scheme = Literal["semi-implicit", "exact"]
 SUBSTEPS = 2  # of a sample, by default
@@ -52,12 +51,6 @@ def initial_hysteresis(part: Array, lowest: Array, highest: Array) -> Array:
     """
     side = jnp.where(part < 0, -lowest, highest)
     return part * jnp.where(jnp.isfinite(side), side, 0.0)
-
-
-@compiled
-def initial_state(model: Any) -> Array:
-    """State of a model at zero input, by one program; its operations one by one would each compile one."""
-    return model.init(jnp.zeros(()))
 
 
 def rate_integral(q: Array, x: Array, m: Array, up: Array, down: Array) -> Array:

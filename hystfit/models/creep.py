@@ -77,9 +77,8 @@ class LogCreep(AbstractHysteresis):
         modes = int(np.ceil(2 * np.log10(longest / shortest))) + 2
         tau = 0.5 * shortest * 10 ** (np.arange(modes) / 2)
         t = np.geomspace(shortest, longest, 400)
-        columns = np.column_stack(
-            [1 - np.exp(-t[:, None] / tau), -np.ones(t.size), np.ones(t.size)]
-        )  # the base may have either sign
+        # The base may have either sign.
+        columns = np.column_stack([1 - np.exp(-t[:, None] / tau), -np.ones(t.size), np.ones(t.size)])
         solution, _ = scipy.optimize.nnls(columns, np.log10(t / 0.1))
         return cls(tau=tau, weights=solution[:-2], base=solution[-2] - solution[-1], **fields)
 

@@ -15,7 +15,6 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.design import DesignMatrix
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import Slopes
 from hystfit.models.starting import input_range, output_range
 from hystfit.params.param import element_places, element_weights, param
@@ -78,10 +77,6 @@ class Dahl(AbstractHysteresis):
         s = jnp.sign(u1 - u0)
         q = s + (state - s) * jnp.exp(-jnp.abs(u1 - u0) / self.d)
         return q, self.offset + self.k * u1 + jnp.dot(self.Fc, q)
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns, without a program to compile."""
-        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """The bristles, the spring and the offset."""

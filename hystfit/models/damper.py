@@ -20,7 +20,6 @@ from hystfit.models.design import DesignMatrix
 from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
@@ -34,18 +33,10 @@ _SPRING = (1, 2, 3, 5)
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
 _READ, _MOVING = 1.0, 2.0  # stages of the start: the first sample is read, and its velocity is known
-_LEADS = (
-    0.0,
-    0.5,
-)  # of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample
-_DELAYS = (
-    0.35,
-    0.7,
-    1.4,
-    2.8,
-    5.6,
-    11.2,
-)  # sampling intervals, each twice the one before: lags from which a fit may start
+# Of the velocity, in sampling intervals: that of the middle of the last interval, or that of the sample.
+_LEADS = (0.0, 0.5)
+# Sampling intervals, each twice the one before: lags from which a fit may start.
+_DELAYS = (0.35, 0.7, 1.4, 2.8, 5.6, 11.2)
 
 
 class Damper(AbstractHysteresis):
@@ -143,10 +134,6 @@ class Damper(AbstractHysteresis):
         y += jnp.dot((1.0 - part) * self.saturating[0] + part * self.saturating[1], jnp.tanh(w / jnp.asarray(_BENDS)))
         y += jnp.dot(self.friction, x - p) + jnp.dot(self.lagging, w - q)
         return jnp.concatenate([p, q, jnp.stack([w, rate, stage])]), y
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns, without a program to compile."""
-        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""

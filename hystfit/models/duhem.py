@@ -182,9 +182,8 @@ class Duhem(AbstractHysteresis):
         for rate in np.geomspace(0.3, 100.0, 15) / place.half:
             parts = [_responses(record, place, m, n, rate) for record in records]
             rows = np.concatenate([columns[:, : m + n] for columns, _ in parts])
-            own = np.asarray(
-                block_diag(*(columns[:, m + n :] for columns, _ in parts))
-            )  # of each record's first output
+            # Of each record's first output.
+            own = np.asarray(block_diag(*(columns[:, m + n :] for columns, _ in parts)))
             theta, cost = fit_linear(np.concatenate([rows, own], axis=1), np.concatenate([y for _, y in parts]))
             fits.append((cost, rate, theta))
         _, rate, theta = min(fits, key=lambda fit: fit[0])

@@ -34,10 +34,8 @@ CURVES = {"langevin": 1.0 / 3.0, "tanh": 1.0}  # anhysteretic curves, and their 
 # Shapes of the anhysteretic curve, coupling, pinning and reversible part over the scales of a record, from which a fit starts.
 _GRID = ((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))
 _FALLING = (0.0, 2.0)  # falls of the pinning, from which a fit starts; those of three soft materials are 1.8 to 2.5
-_DOUBLE = (
-    0.7,
-    4.0,
-)  # weight of the first of two anhysteretic curves and ratio of their shapes, from which a fit starts
+# Weight of the first of two anhysteretic curves and ratio of their shapes, from which a fit starts.
+_DOUBLE = (0.7, 4.0)
 
 
 class JilesAtherton(AbstractHysteresis):
@@ -198,17 +196,16 @@ class JilesAtherton(AbstractHysteresis):
         half, short = input_range(records).half, thinned(records, 300)
         given = {(record.u_unit, record.y_unit) for record in records}
         slope = MU0 if given == {("A/m", "T")} else float(self.slope)
-        grid = np.array(list(itertools.product(*_GRID, _FALLING if self.q.size else (0.0,))))
-        scale = np.array([half, 1.0, half, 1.0, 1.0])
+        points = np.array(list(itertools.product(*_GRID, _FALLING if self.q.size else (0.0,)))).T
+        grid = {"a": half * points[0], "coupling": points[1], "k": half * points[2], "c": points[3]}
+        grid |= {"q": points[4][:, None]} if self.q.size else {}
         second = dict(zip("pr", ([value] for value in _DOUBLE), strict=True)) if self.p.size else {}
         plain = JilesAtherton(curve=self.curve, q=self.q, **second)  # type: ignore[arg-type]
-        varied = ("a", "coupling", "k", "c", "q")[: 4 + self.q.size]
-        columns = grid_columns(plain, varied, (grid * scale)[:, : len(varied)], short)
+        columns = grid_columns(plain, grid, short)
         u, y = used_samples(short)
         y = y - slope * u
         best, theta, _ = best_of_grid(columns, offset_columns(short), y)
-        *four, q = (grid[best] * scale).tolist()
-        shape = dict(zip(("a", "coupling", "k", "c"), four, strict=True)) | second | ({"q": [q]} if self.q.size else {})
+        shape = {name: values[best] for name, values in grid.items()} | second
         saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
         return dataclasses.replace(self, Ms=saturation, **shape, slope=slope, offset=theta[1])  # type: ignore[arg-type]
 

@@ -25,12 +25,8 @@ from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _SLOW = 1.5  # typical rate over the slowest one, up to which a record counts for the static law
-_SHARES = (
-    3e-3,
-    0.03,
-    0.1,
-    0.3,
-)  # largest fields of eddy currents and of excess loss over the input's, from which a fit starts
+# Largest fields of eddy currents and of excess loss over the input's, from which a fit starts.
+_SHARES = (3e-3, 0.03, 0.1, 0.3)
 _ROUNDED = 1e-3  # rate over the largest one, below which the root of the excess field is rounded
 
 

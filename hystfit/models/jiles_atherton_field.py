@@ -80,9 +80,8 @@ class JilesAthertonField(AbstractHysteresis):
 
     def _moved(self, state: State, u0: Scalar, u1: Scalar) -> State:
         law, s = self.magnet, jnp.sign(u1 - u0)
-        rest = (
-            self.Ms - self.slope * law.mean_field
-        )  # what the polarization adds beside the part that its own field takes away
+        # What the polarization adds beside the part that its own field takes away.
+        rest = self.Ms - self.slope * law.mean_field
         steepest = self.slope + rest * (law.initial_slope / self.a)
         flux = lambda field: self.slope * field + rest * law.total(law.at_field(state, s, field))
         miss = lambda field: (flux(field) - u1) / steepest

@@ -13,7 +13,16 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Derived
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import SAMPLES, TYPICAL, fit_linear, input_range, offset_columns, output_range, speed
+from hystfit.models.starting import (
+    SAMPLES,
+    TYPICAL,
+    fit_linear,
+    input_range,
+    offset_columns,
+    output_range,
+    speed,
+    used_samples,
+)
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
@@ -96,24 +105,14 @@ class LuGre(AbstractHysteresis):
         grid = np.array([(half * bend, e, v * typical) for bend, (e, v) in itertools.product(_BEND, shapes)])
         runs = [_normalized(record, rate, grid) for record, rate in zip(short, rates, strict=True)]
         q, slope = (np.concatenate([run[k][r.used] for run, r in zip(runs, short, strict=True)]) for k in (0, 1))
-        u, y, v = (
-            np.concatenate(part)
-            for part in zip(
-                *((r.u[r.used], r.y[r.used], w[r.used]) for r, w in zip(short, rates, strict=True)), strict=True
-            )
-        )
+        u, y = used_samples(short)
+        v = np.concatenate([rate[record.used] for record, rate in zip(short, rates, strict=True)])
         beside = np.column_stack([v, u, offset_columns(short)])
         fits = [fit_linear(np.column_stack([q[:, j], slope[:, j], beside]), y) for j in range(len(grid))]
         costs = [cost if theta[0] > 0 else np.inf for theta, cost in fits]
         if not np.isfinite(min(costs)):
-            return dataclasses.replace(
-                self,
-                Fc=0.2 * out.half,
-                sigma0=2.0 * out.half / half,
-                dFs=0.02 * out.half,
-                vs=typical,
-                offset=out.center,
-            )
+            rough = {"Fc": 0.2 * out.half, "dFs": 0.02 * out.half, "sigma0": 2.0 * out.half / half}
+            return dataclasses.replace(self, **rough, vs=typical, offset=out.center)
         best = int(np.argmin(costs))
         (d, excess, vs), theta = grid[best], fits[best][0]
         return dataclasses.replace(

@@ -253,7 +253,7 @@ class BoucWenOscillator(AbstractHysteresis):
 
     def _coarse(self, u: np.ndarray, dt: np.ndarray) -> list[str]:
         """Advice on the step of Runge-Kutta along the simulation of u."""
-        z = np.asarray(_hysteretic_force(self, jnp.asarray(u), jnp.asarray(dt)))
+        z = np.asarray(_driven(self, jnp.asarray(u), jnp.asarray(dt))[1])
         if not np.isfinite(z).all():
             return [f"the simulation is not finite: sample faster, or take more than {self.substeps} substeps"]
         power = float(np.max(np.abs(z), initial=0.0) / self.Z) ** float(self.n)
@@ -289,12 +289,6 @@ class BoucWenOscillator(AbstractHysteresis):
 _CAUSAL = "use between='linear' or between='hold' (at the shell, oscillator:between=linear)"
 
 
-@compiled
-def _hysteretic_force(model: BoucWenOscillator, u: Array, dt: Array) -> Array:
-    """z at each sample."""
-    return model._trajectory(model.init(u[0]), u[0], u, dt)[2]
-
-
 def _upper_share(u: np.ndarray) -> float:
     """Part of the power of u, shape (T,), in the highest fifth of its spectrum, of the record less a line and under a Hann window."""
     rest = np.asarray(u) - np.linspace(u[0], u[-1], len(u))
@@ -302,8 +296,8 @@ def _upper_share(u: np.ndarray) -> float:
     return float(power[int(_UPPER * power.size) :].sum() / (power.sum() or 1.0))
 
 
-@eqx.filter_jit
-def _driven(model: Any, force: Array, dt: Array) -> tuple[Array, Array]:
-    """Displacement and z at each sample, compiled once: outside a compiled function, every call compiles a conditional again."""
+@compiled
+def _driven(model: BoucWenOscillator, force: Array, dt: Array) -> tuple[Array, Array]:
+    """Displacement and z at each sample."""
     _, y, z = model._trajectory(model.init(force[0]), force[0], force, dt)
     return y, z

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,21 +27,9 @@ from hystfit.quality.resonance import EXCITED
 _MILD = tuple(itertools.product((0.2, 0.5, 0.8), (-0.6, 0.0, 0.6), (0.0, 0.6, 1.5)))
 _SATURATING = tuple(itertools.product((0.2, 0.4, 0.6), (1.5, 3.0), (0.0, 0.6, 1.5)))
 _MILD_STARTS, _SATURATING_STARTS = 2, 1
+_VARIED = ("m", "c", "K", "a", "r_load", "r_unl", "Z")  # parameters that take starting values, beside the offset
 # Stiffness at small amplitude over that of the linear fit, which a saturating spring lowers.
 _SOFTENED = 1.8
-
-
-class Started(NamedTuple):
-    """Starting values of the parameters of these names."""
-
-    m: Any
-    c: Any
-    K: Any
-    a: Any
-    r_load: Any
-    r_unl: Any
-    Z: Any
-    offset: Any
 
 
 def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
@@ -51,18 +39,18 @@ def oscillator_starts(model: Any, records: Sequence[Record]) -> tuple[Any, ...]:
     """
     mass, damping, stiffness = _linear(records)
     force = 0.5 * stiffness * output_range(records).half
-    linear = Started(mass, damping, stiffness, 0.5, 0.0, 0.0, force, 0.0)
-    stiffer = linear._replace(K=_SOFTENED * stiffness, Z=np.sqrt(_SOFTENED) * force)
-    points = [linear._replace(a=a, r_load=load, r_unl=unload) for a, load, unload in _MILD]
-    points += [stiffer._replace(a=a, r_load=load, r_unl=unload) for a, load, unload in _SATURATING]
+    points = [(mass, damping, stiffness, *shape, force) for shape in _MILD]
+    points += [(mass, damping, _SOFTENED * stiffness, *shape, np.sqrt(_SOFTENED) * force) for shape in _SATURATING]
     batch = Batch.of(Dataset(tuple(record.take(slice(0, 2**15)) for record in records)))
-    table = jnp.asarray(points, dtype=jnp.result_type(float))
-    costs, offsets = (np.asarray(v) for v in _costs(model, table, batch))
+    model = dataclasses.replace(model, offset=0.0)
+    costs, offsets = (np.asarray(v) for v in _costs(model, jnp.asarray(points), batch))
     order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
     mild = order < len(_MILD)
     best = [*order[mild][:_MILD_STARTS], *order[~mild][:_SATURATING_STARTS]]
-    started = [points[k]._replace(offset=np.nan_to_num(offsets[k])) for k in sorted(best, key=costs.__getitem__)]
-    return tuple(dataclasses.replace(model, **values._asdict()) for values in started)
+    return tuple(
+        dataclasses.replace(model, **dict(zip(_VARIED, points[k], strict=True)), offset=np.nan_to_num(offsets[k]))
+        for k in sorted(best, key=costs.__getitem__)
+    )
 
 
 @compiled
@@ -72,7 +60,7 @@ def _costs(model: AbstractHysteresis, table: Array, batch: Batch) -> tuple[Array
     def one(row: Array) -> tuple[Array, Array]:
         def of(record: tuple[Array, ...]) -> tuple[Array, Array]:
             u, y, dt, weight = record
-            rest = y - run(dataclasses.replace(model, **Started(*row)._asdict()), u, dt)[0]
+            rest = y - run(dataclasses.replace(model, **dict(zip(_VARIED, row, strict=True))), u, dt)[0]
             mean = jnp.sum(weight * rest) / jnp.maximum(jnp.sum(weight), 1e-300)
             return jnp.sum(weight * (rest - mean) ** 2), mean
 

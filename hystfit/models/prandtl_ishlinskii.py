@@ -18,11 +18,10 @@ from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, PlayWeights, Rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
-from hystfit.models.design import COLUMNS, DesignMatrix
+from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import Envelope, element_columns, envelope, envelope_slope, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive
 from hystfit.models.slopes import POINTS, Slopes
 from hystfit.models.starting import fitted_input_range, output_range
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
@@ -225,12 +224,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
         elements = target - plays if self.operator == "stop" else plays
         fading = (jnp.dot(self.hardening, elements[0]),) if self.hardens else ()
         return plays, _sum(self.w * elements), *fading
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns, without a program to compile, where these are not too large."""
-        if np.size(u) * self.w.size > COLUMNS:
-            return super().free_run(u, dt)
-        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns run by run of monotonic input, without a pass for each of the weights."""

@@ -17,7 +17,6 @@ from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import play_columns
 from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
 from hystfit.models.starting import output_range
 from hystfit.params.param import element_places, param
 from hystfit.quality.loops import APART
@@ -150,10 +149,6 @@ class SelfSimilarStops(AbstractHysteresis):
         part = jnp.clip((at - knots[:-1]) / jnp.diff(knots), 0.0, 1.0)
         one = jnp.ones_like(knots[:1])
         return jnp.concatenate([one, part]) - jnp.concatenate([part, jnp.zeros_like(one)])
-
-    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """By columns, without a program to compile."""
-        return self.design_matrix(*checked_drive(self, u, dt)).output(self)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns of all weights at once."""

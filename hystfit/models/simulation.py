@@ -181,6 +181,12 @@ def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = No
 
 
 @compiled
+def equilibrium(model: AbstractDynamics, u0: Array) -> Array:
+    """State of a model in equilibrium at an input, by one program; its operations one by one would each compile one."""
+    return model.init(u0)
+
+
+@compiled
 def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) -> tuple[Array, ...]:
     y, end = run(model, u, dt, resume)
     return y, *end

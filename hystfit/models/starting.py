@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -129,9 +129,9 @@ def offset_columns(records: Sequence[Record]) -> np.ndarray:
 
 @compiled
 def simulated_grid(
-    plain: Any, fields: tuple[str, ...], grid: Float[Array, "n k"], u: Float[Array, " T"]
+    plain: Any, fields: tuple[str, ...], grid: tuple[Float[Array, "n ..."], ...], u: Float[Array, " T"]
 ) -> Float[Array, "n T"]:
-    """Outputs of a model that needs no time, with its fields of these names at the values in each row of a grid."""
+    """Outputs of a model that needs no time, with its fields of these names at the values of each point of a grid."""
     one = lambda row: run(dataclasses.replace(plain, **dict(zip(fields, row, strict=True))), u, jnp.zeros_like(u))[0]
     return jax.vmap(one)(grid)
 
@@ -144,16 +144,17 @@ class BestOfGrid(NamedTuple):
     error: float
 
 
-def grid_columns(plain: Any, fields: tuple[str, ...], grid: np.ndarray, records: Sequence[Record]) -> np.ndarray:
-    """`simulated_grid` over the samples of records that count, record after record, shape (n, K)."""
-    runs = [np.asarray(simulated_grid(plain, fields, grid, padded_input(plain, record))) for record in records]
+def grid_columns(plain: Any, grid: Mapping[str, np.ndarray], records: Sequence[Record]) -> np.ndarray:
+    """`simulated_grid` over the samples of records that count, record after record, shape (n, K).
+
+    Args:
+        grid: values of a field at each point, shape (K, ...), by the name of the field.
+    """
+    # Inputs are held at their ends, so that records of similar length share one program where later samples change no output.
+    extra = [bucket(len(record)) - len(record) if plain.causal else 0 for record in records]
+    inputs = [np.pad(record.u, (0, more), mode="edge") for record, more in zip(records, extra, strict=True)]
+    runs = [np.asarray(simulated_grid(plain, tuple(grid), tuple(grid.values()), u)) for u in inputs]
     return np.concatenate([run[:, : len(r)][:, r.used].T for run, r in zip(runs, records, strict=True)])
-
-
-def padded_input(plain: Any, record: Record) -> Float[np.ndarray, " T"]:
-    """The input, held at its end so that records of similar length share one program where later samples change no output."""
-    extra = bucket(len(record)) - len(record) if plain.causal else 0
-    return np.pad(record.u, (0, extra), mode="edge")
 
 
 def best_of_grid(columns: np.ndarray, fixed: np.ndarray, y: np.ndarray) -> BestOfGrid:

@@ -20,13 +20,8 @@ from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
-_STATES = 11
-_GRID = (
-    (0.003, 0.01, 0.03, 0.1, 0.3),
-    (0.003, 0.03),
-    (0.7, 0.9),
-    (0.002, 0.1),
-)  # yield strain / half range, b, cR1, a1 = a3
+# Yield strain / half range, b, cR1, a1 = a3.
+_GRID = ((0.003, 0.01, 0.03, 0.1, 0.3), (0.003, 0.03), (0.7, 0.9), (0.002, 0.1))
 _REVERSAL = 8.0  # standard deviations of the noise of the strain, which hardly any false reversal exceeds
 _OVERSHOOT = 5.0  # ratio of the strain ranges before and after a reversal, above which the law overshoots visibly
 
@@ -156,15 +151,14 @@ class Steel02(AbstractHysteresis):
         """
         half, short = input_range(records).half, thinned(records, 400)
         ey, b, cR1, a = np.array(list(itertools.product(*_GRID))).T
-        grid = np.column_stack([1.0 / (ey * half), b, cR1, a, a])
+        grid = {"E": 1.0 / (ey * half), "b": b, "cR1": cR1, "a1": a, "a3": a}
         deadband = max(float(self.deadband), _REVERSAL * strain_noise(records))
-        plain = Steel02(deadband=deadband)
-        columns = grid_columns(plain, ("E", "b", "cR1", "a1", "a3"), grid, short)
+        columns = grid_columns(Steel02(deadband=deadband), grid, short)
         _, y = used_samples(short)
         best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        shape = {"E": fy * grid[best, 0], "b": b[best], "cR1": cR1[best], "a1": a[best], "a3": a[best]}
-        return dataclasses.replace(self, fy=fy, **shape, deadband=deadband)
+        shape = {name: values[best] for name, values in grid.items()}
+        return dataclasses.replace(self, fy=fy, **shape | {"E": fy * shape["E"]}, deadband=deadband)
 
 
 def strain_noise(records: Sequence[Record]) -> float:

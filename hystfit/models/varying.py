@@ -25,7 +25,12 @@ from hystfit.params.param import ParamInfo, as_array, leaves_of, param
 from hystfit.params.space import ParameterSpace
 
 _INSIDE = 1e-6  # of the distance from a parameter to its bound, within which a slope cannot carry it
-_BEYOND = 0.005  # of the covariates' range, from which a value lies outside
+_BEYOND = 0.005  # of the range fitted, from which a value lies outside
+
+
+def beyond_range(values: np.ndarray, low: Any, high: Any) -> np.ndarray:
+    """Which values lie outside a range that was fitted, by more than rounding."""
+    return np.abs(values - 0.5 * (low + high)) > (0.5 + _BEYOND) * (high - low)
 
 
 def _declared(slope: Slope) -> tuple[str, ParamInfo]:
@@ -162,8 +167,8 @@ class Varying(AbstractComposition):
     def outside(self) -> list[str]:
         """Covariates beyond those of the records fitted, in words."""
         low, high = np.asarray(self.edges)
-        far = np.abs(np.asarray(self.at) - 0.5 * (low + high)) > (0.5 + _BEYOND) * (high - low)
-        rows = zip(self.names, np.asarray(self.at), low, high, far, strict=True)
+        values = np.asarray(self.at)
+        rows = zip(self.names, values, low, high, beyond_range(values, low, high), strict=True)
         return [f"{name} = {at:g} lies outside the fitted {a:g} to {b:g}" for name, at, a, b, beyond in rows if beyond]
 
     def notes(self, records: Sequence[Record]) -> list[Note]:

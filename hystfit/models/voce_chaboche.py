@@ -7,7 +7,6 @@ import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,22 +16,17 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.c_code import CPart
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import run
-from hystfit.models.starting import best_of_grid, input_range, padded_input, thinned, used_samples
+from hystfit.models.shapes import Scalar, State
+from hystfit.models.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 
 _NEWTON = 8  # steps that the plastic strain of one sample takes at most, from zero, to rounding
 _MOST = 8  # backstresses of the material of OpenSees
 _SOFTEST = 0.02  # least slope of the yield condition, as a fraction of E: below it, the law itself softens faster than it unloads
-_GRID = (
-    (0.003, 0.01, 0.03, 0.1),
-    (0.0, 0.5),
-    (10.0, 100.0, 600.0),
-)  # yield strain / half range, Q / sy0, g * half range
+# Yield strain / half range, Q / sy0, g * half range.
+_GRID = ((0.003, 0.01, 0.03, 0.1), (0.0, 0.5), (10.0, 100.0, 600.0))
 
 
 class VoceChaboche(AbstractHysteresis):
@@ -162,30 +156,14 @@ class VoceChaboche(AbstractHysteresis):
         """The best of a grid over yield strain, isotropic hardening and rate, with the stresses scaled by least squares."""
         half, short = input_range(records).half, thinned(records, 400)
         ey, Q, g = np.array(list(itertools.product(*_GRID))).T
-        grid = np.column_stack([1.0 / (ey * half), Q, g / half])
-        plain = VoceChaboche(S=self.S, g=self.g)
-        inputs = [jnp.asarray(padded_input(plain, record)) for record in short]
-        runs = [np.asarray(_over_grid(plain, jnp.asarray(grid), jnp.asarray(half), u)) for u in inputs]
-        columns = np.concatenate([run[:, : len(r)][:, r.used].T for run, r in zip(runs, short, strict=True)])
+        count = self.S.size
+        plain = VoceChaboche(sy0=1.0, b=1.0 / half, D=0.1, a=50.0 / half, S=np.full(count, 0.6 / count), g=self.g)
+        spread = 10.0 ** (np.arange(count) - 0.5 * (count - 1))  # rates of backstresses a factor of 10 apart
+        grid = {"E": 1.0 / (ey * half), "Q": Q + 1e-3, "g": g[:, None] / half * spread}
+        columns = grid_columns(plain, grid, short)
         _, y = used_samples(short)
         best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
         sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        unit = _on_grid(plain, grid[best], np.asarray(half))
+        unit = dataclasses.replace(plain, **{name: values[best] for name, values in grid.items()})
         scaled = {name: sy0 * np.asarray(getattr(unit, name)) for name in ("E", "sy0", "Q", "D", "S")}
-        rates = {name: np.asarray(getattr(unit, name)) for name in ("b", "a", "g")}
-        return dataclasses.replace(self, **scaled, **rates)
-
-
-def _on_grid(plain: VoceChaboche, row: Any, half: Any) -> VoceChaboche:
-    """A model with sy0 = 1 and (E, Q, middle rate) of a row of the grid; rates of backstresses a factor of 10 apart."""
-    count = plain.S.shape[-1]
-    spread = 10.0 ** (np.arange(count) - 0.5 * (count - 1))
-    values = (row[0], 1.0, row[1] + 1e-3, 1.0 / half, 0.1, 50.0 / half, np.full(count, 0.6 / count), row[2] * spread)
-    where = lambda m: (m.E, m.sy0, m.Q, m.b, m.D, m.a, m.S, m.g)
-    return eqx.tree_at(where, plain, tuple(jnp.asarray(value, plain.E.dtype) for value in values))
-
-
-@compiled
-def _over_grid(plain: VoceChaboche, grid: Float[Array, "n 3"], half: Scalar, u: Signal) -> Float[Array, "n T"]:
-    """Stress of the models of a grid, shape (grid, T)."""
-    return jax.vmap(lambda row: run(_on_grid(plain, row, half), u, jnp.zeros_like(u))[0])(grid)
+        return dataclasses.replace(self, **scaled, b=unit.b, a=unit.a, g=unit.g)

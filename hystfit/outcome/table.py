@@ -41,6 +41,11 @@ def rounded(value: float, stderr: float | None) -> tuple[str, str]:
     return f"{value / 10**scale:z.{decimals}f}{tail}", f"{stderr / 10**scale:.{decimals}f}{tail}"
 
 
+def with_error(value: float, stderr: float | None, unit: str = "") -> str:
+    """A value with its standard error, where it is known, and unit: "1.23 +- 0.04 mm"."""
+    return f"{' +- '.join(text for text in rounded(value, stderr) if text != '-')} {unit}".rstrip()
+
+
 _LONG = 28  # characters of a text from which it may take several lines
 _CLASS = {True: ' class="long"', False: ' class="number"'}
 

@@ -7,8 +7,6 @@ import dataclasses
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
 from hystfit.errors import ParameterError
 from hystfit.params.named_leaves import NamedLeaves
 
@@ -28,11 +26,6 @@ class Tie:
     source: tuple[int, int]
     factor: float
     constant: float
-
-    def source_bounds(self, bounds: tuple[float, float]) -> tuple[float, float]:
-        """Bounds of the source within which the target is within its own."""
-        ends = [(bound - self.constant) / self.factor for bound in bounds]
-        return min(ends), max(ends)
 
 
 def parse_tie(expression: str) -> tuple[float, str, float]:
@@ -110,11 +103,11 @@ def _words(factor: float, name: str, constant: float) -> str:
 
 def narrowed(bounds: tuple[float, float], tie: Tie, of_target: tuple[float, float]) -> tuple[float, float]:
     """Bounds of a source within which the target of a tie is within its own, too."""
-    low, high = tie.source_bounds(of_target)
-    both = max(bounds[0], low), min(bounds[1], high)
-    if not both[0] < both[1]:
+    ends = [(bound - tie.constant) / tie.factor for bound in of_target]
+    low, high = max(bounds[0], min(ends)), min(bounds[1], max(ends))
+    if not low < high:
         raise ParameterError(
             f"tie {tie.name}={tie.expression}: no value within the bounds of both ({tie.name} lies between {of_target[0]:g} and "
             f"{of_target[1]:g})"
         )
-    return float(np.float64(both[0])), float(np.float64(both[1]))
+    return float(low), float(high)

@@ -295,6 +295,14 @@ def conversion(source: str, target: str) -> float | None:
     return float(f"{one.factor / other.factor:.15g}")
 
 
+def size_in(unit: str, *targets: str) -> tuple[str, float] | None:
+    """The first of these units that is of the same quantity, and the size of `unit` in it; None where there is none."""
+    one = parse_unit(unit)
+    others = ((text, parse_unit(text)) for text in targets)
+    alike = ((text, one.factor / o.factor) for text, o in others if one and o and o.powers == one.powers)
+    return next(alike, None)
+
+
 _ENERGIES = ("J", "J/m2", "J/m3", "J/kg")
 MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multiplication by it
 

@@ -96,7 +96,7 @@ def fit_population(
     settings = {"chains": chains, "draws": draws, "seed": seed}
     draw = lambda pools: _converged(means, precisions, design, pools, settings)
     drawn = draw({})
-    effective = np.array([d.effective(_flat(drawn.z)[:, k], common) for k, d in enumerate(devices)])
+    effective = np.array([d.effective(drawn.joined.z[:, k], common) for k, d in enumerate(devices)])
     pools = _pools(devices, np.flatnonzero(effective < _CURVED), drawn, design, common, seed, report)
     if pools:
         drawn = draw(pools)
@@ -239,10 +239,6 @@ def _pools(
         report(f"sampling {devices[d].name}", number / len(curved))
         pools[int(d)] = devices[d].pool(design[d] @ effects, sd, common, seed)
     return pools
-
-
-def _flat(draws: np.ndarray) -> np.ndarray:
-    return draws.reshape(-1, *draws.shape[2:])
 
 
 def _notes(left_out: dict[str, str], sampled: list[str]) -> list[Note]:

@@ -56,6 +56,17 @@ class Hierarchy:
     covariance: np.ndarray
     z: np.ndarray
 
+    @property
+    def joined(self) -> Hierarchy:
+        """The draws of all chains one after the other: the first two axes of each array as one."""
+        return Hierarchy(*(draws.reshape(-1, *draws.shape[2:]) for draws in (self.effects, self.covariance, self.z)))
+
+
+def correlations_of(covariance: np.ndarray) -> np.ndarray:
+    """Correlations of covariances, shape (n, p, p)."""
+    sd = np.sqrt(np.einsum("nii->ni", covariance))
+    return covariance / (sd[:, :, None] * sd[:, None, :])
+
 
 def draw_hierarchy(
     means: Float[np.ndarray, "D p"],

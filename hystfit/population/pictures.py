@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from hystfit.errors import ParameterError
 from hystfit.params.units import axis_label
-from hystfit.population.population_fit import PopulationFit
+from hystfit.population.population_fit import INTERVAL, PopulationFit
 from hystfit.results.colors import HELD_OUT, MODEL
 from hystfit.results.labels import use_available_fonts
 
@@ -75,7 +75,7 @@ def _correlation(population: PopulationFit) -> Any:
     import matplotlib.pyplot as plt
 
     p, names = len(population.names), population.names
-    low, middle, high = np.quantile(population.correlations, [0.05, 0.5, 0.95], axis=0)
+    low, middle, high = np.quantile(population.correlations, INTERVAL, axis=0)
     figure, ax = plt.subplots(figsize=(1.6 + 0.75 * p, 1.2 + 0.7 * p), layout="constrained")
     shown = np.where(np.tri(p, k=-1) > 0, middle, np.nan)
     image = ax.imshow(shown, cmap="RdBu_r", vmin=-1, vmax=1)

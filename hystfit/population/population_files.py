@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.inference import priors as known_priors
 from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.priors import AbstractPrior
+from hystfit.outcome.table import write_rows
 from hystfit.population.population_fit import SCHEMA, PopulationFit
 from hystfit.results.folders import dump_json, writing
 from hystfit.results.saved import check_target, refuse_other_schema
@@ -31,10 +31,7 @@ def save(population: PopulationFit, folder: str | Path) -> Path:
 def write_devices(population: PopulationFit, file: Path) -> None:
     """One row per device: fitted and better values."""
     rows = population.device_rows()
-    with file.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.DictWriter(handle, list(rows[0]))
-        writer.writeheader()
-        writer.writerows({k: "" if v is None else v for k, v in row.items()} for row in rows)
+    write_rows(file, rows[0], (row.values() for row in rows))
 
 
 @verb

@@ -22,12 +22,12 @@ from hystfit.outcome import Column, Note, Status, Table, WithStatus
 from hystfit.outcome.table import or_none
 from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
-from hystfit.population.hierarchy import Hierarchy
+from hystfit.population.hierarchy import Hierarchy, correlations_of
 from hystfit.registry import attribute
 from hystfit.results.exchange import arviz_data
 
 SCHEMA = "hystfit.population/2"
-_LEVEL = 0.9  # of the intervals
+INTERVAL = (0.05, 0.5, 0.95)  # quantiles: an interval of 90 % about the median
 _UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
 MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
@@ -84,8 +84,8 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of the devices in physical units, by draw, shape (n, p) each."""
-        middle = self.drawn.effects[:, :, 0].reshape(-1, len(self.names))
-        sd = np.sqrt(np.einsum("...ii->...i", self.drawn.covariance)).reshape(middle.shape)
+        drawn = self.drawn.joined
+        middle, sd = drawn.effects[:, 0], np.sqrt(np.einsum("nii->ni", drawn.covariance))
         x = self.common.x_of(middle[:, None] + sd[:, None] * _NODES[:, None])
         weights = (_WEIGHTS / _WEIGHTS.sum())[:, None]
         mean = np.sum(weights * x, axis=1)
@@ -104,21 +104,19 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def sds_here(self) -> np.ndarray:
         """Draws of the standard deviation of these very devices, physical, shape (n, p): the scatter of their true values."""
-        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
-        return x.std(axis=1, ddof=1)
+        return self.common.x_of(self.drawn.joined.z).std(axis=1, ddof=1)
 
     @functools.cached_property
     def correlations_here(self) -> np.ndarray:
         """Draws of the correlations between the parameters of these very devices, shape (n, p, p)."""
-        away = self.drawn.z.reshape(-1, len(self.devices), len(self.names))
-        away = away - away.mean(axis=1, keepdims=True)
-        return _correlations(np.einsum("ndi,ndj->nij", away, away))
+        z = self.drawn.joined.z
+        away = z - z.mean(axis=1, keepdims=True)
+        return correlations_of(np.einsum("ndi,ndj->nij", away, away))
 
     @functools.cached_property
     def correlations(self) -> np.ndarray:
         """Draws of the correlations between parameters in z, shape (n, p, p)."""
-        p = len(self.names)
-        return _correlations(self.drawn.covariance.reshape(-1, p, p))
+        return correlations_of(self.drawn.joined.covariance)
 
     @functools.cached_property
     def fitted(self) -> np.ndarray:
@@ -128,7 +126,7 @@ class PopulationFit(WithStatus):
     @functools.cached_property
     def shrunken(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and standard deviation of each device's values given all devices, physical, shape (D, p) each."""
-        x = self.common.x_of(self.drawn.z.reshape(-1, len(self.devices), len(self.names)))
+        x = self.common.x_of(self.drawn.joined.z)
         return x.mean(axis=0), x.std(axis=0)
 
     @functools.cached_property
@@ -177,11 +175,10 @@ class PopulationFit(WithStatus):
         if unknown := [name for name in covariates if name not in self.covariates]:
             raise ParameterError(f"no covariate {unknown[0]!r}; there are {', '.join(self.covariates) or 'none'}")
         row = np.array([1.0, *(covariates.get(name, mean) - mean for name, mean in self.covariates.items())])
-        rng, p = np.random.default_rng(seed), len(self.names)
-        effects, covariance = self.drawn.effects.reshape(-1, row.size, p), self.drawn.covariance.reshape(-1, p, p)
-        at = rng.integers(len(effects), size=count)
-        noise = rng.normal(size=(count, p))
-        return row @ effects[at] + np.einsum("nij,nj->ni", np.linalg.cholesky(covariance[at]), noise)
+        rng, drawn = np.random.default_rng(seed), self.drawn.joined
+        at = rng.integers(len(drawn.effects), size=count)
+        noise = rng.normal(size=(count, len(self.names)))
+        return row @ drawn.effects[at] + np.einsum("nij,nj->ni", np.linalg.cholesky(drawn.covariance[at]), noise)
 
     def bands(
         self, record: Record, level: float = 0.9, count: int = 200, seed: int = 0, **covariates: float
@@ -219,41 +216,26 @@ class PopulationFit(WithStatus):
 
     def table(self) -> list[dict[str, Any]]:
         """One row per parameter: mean and scatter of the population with intervals of 90 %, that of these devices, and of their fits."""
-        low, high = 0.5 - _LEVEL / 2, 0.5 + _LEVEL / 2
         naive, here = self.fitted.std(axis=0, ddof=1), np.median(self.sds_here, axis=0)
         rows = []
         for k, (name, unit) in enumerate(zip(self.names, self.units, strict=True)):
             row: dict[str, Any] = {"name": name, "unit": unit}
             for what, draws in (("mean", self.means[:, k]), ("sd", self.sds[:, k])):
-                interval = np.quantile(draws, [low, 0.5, high])
-                row |= {f"{what}_lower": interval[0], what: interval[1], f"{what}_upper": interval[2]}
-            rows.append(
-                {key: float(v) if isinstance(v, np.floating) else v for key, v in row.items()}
-                | {"sd_here": float(here[k]), "sd_of_fits": float(naive[k])}
-            )
+                ends = np.quantile(draws, INTERVAL).tolist()
+                row |= dict(zip((f"{what}_lower", what, f"{what}_upper"), ends, strict=True))
+            rows.append(row | {"sd_here": float(here[k]), "sd_of_fits": float(naive[k])})
         return rows
 
     def summary(self) -> Table:
         """`table` as readable text."""
         numbers = [Column(head) for head in ("mean", "5 %", "95 %", "sd", "5 % ", "95 % ", "sd here", "sd of fits")]
         columns = [Column("parameter"), *numbers, Column("unit", left=True)]
-        keys = (
-            "name",
-            "mean",
-            "mean_lower",
-            "mean_upper",
-            "sd",
-            "sd_lower",
-            "sd_upper",
-            "sd_here",
-            "sd_of_fits",
-            "unit",
-        )
+        keys = "name mean mean_lower mean_upper sd sd_lower sd_upper sd_here sd_of_fits unit".split()
         return Table(columns, [[row[key] for key in keys] for row in self.table()])
 
     def correlation_table(self) -> Table:
         """Correlations whose interval of 90 % excludes zero, the strongest first."""
-        low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
+        low, middle, high = np.quantile(self.correlations, INTERVAL, axis=0)
         pairs = [(a, b) for a in range(len(self.names)) for b in range(a) if low[a, b] > 0 or high[a, b] < 0]
         pairs.sort(key=lambda pair: -abs(middle[pair]))
         rows = [[self.names[b], self.names[a], middle[a, b], low[a, b], high[a, b]] for a, b in pairs]
@@ -262,11 +244,10 @@ class PopulationFit(WithStatus):
 
     def effects(self) -> dict[str, dict[str, dict[str, float]]]:
         """Change of the mean device with each covariate, by covariate and parameter: per unit of it, median and interval of 90 %."""
-        q, p = self.drawn.effects.shape[2:]
-        drawn, found = self.drawn.effects.reshape(-1, q, p), {}
+        drawn, found = self.drawn.joined.effects, {}
         for k, label in enumerate(self.covariates, 1):
             ends = (self.common.x_of(drawn[:, 0] + side * drawn[:, k]) for side in (-0.5, 0.5))
-            low, middle, high = np.quantile(np.subtract(*reversed([*ends])), [0.05, 0.5, 0.95], axis=0)
+            low, middle, high = np.quantile(np.subtract(*reversed([*ends])), INTERVAL, axis=0)
             rows = zip(self.names, low, middle, high, strict=True)
             found[label] = {n: {"lower": float(a), "median": float(b), "upper": float(c)} for n, a, b, c in rows}
         return found
@@ -314,7 +295,7 @@ class PopulationFit(WithStatus):
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
-        low, middle, high = np.quantile(self.correlations, [0.05, 0.5, 0.95], axis=0)
+        low, middle, high = np.quantile(self.correlations, INTERVAL, axis=0)
         pairs, priors = [(a, b) for a in range(len(self.names)) for b in range(a)], self.priors()
         return {
             "schema": SCHEMA,
@@ -368,9 +349,3 @@ class PopulationFit(WithStatus):
 @eqx.filter_jit
 def _outputs(coordinates: Coordinates, x: Array, u: Array, dt: Array) -> Array:
     return jax.lax.map(lambda row: run(coordinates.assemble(row, 0), u, dt)[0], x)
-
-
-def _correlations(covariance: np.ndarray) -> np.ndarray:
-    """Correlations of covariances, shape (n, p, p)."""
-    sd = np.sqrt(np.einsum("nii->ni", covariance))
-    return covariance / (sd[:, :, None] * sd[:, None, :])

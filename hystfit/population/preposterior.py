@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.population.devices import DRAWS
-from hystfit.population.hierarchy import Hierarchy
+from hystfit.population.hierarchy import Hierarchy, correlations_of
 
 _ESTIMATES = 400  # drawn for each candidate, from as many of those draws
 _LEAST = 0.02  # effective fraction of the draws below which an expected fall is not known
@@ -46,13 +46,12 @@ class Beliefs:
         cls, drawn: Hierarchy, means: np.ndarray, precisions: np.ndarray, design: np.ndarray, seed: int = 0
     ) -> Beliefs:
         """Quantities: logarithms of the standard deviations, correlations (below the diagonal, by row), then the mean device."""
-        p = means.shape[1]
-        effects, covariance = drawn.effects.reshape(-1, *drawn.effects.shape[2:]), drawn.covariance.reshape(-1, p, p)
-        kept = np.linspace(0, len(effects) - 1, min(DRAWS, len(effects))).astype(int)
-        effects, covariance = effects[kept], covariance[kept]
+        p, every = means.shape[1], drawn.joined
+        kept = np.linspace(0, len(every.effects) - 1, min(DRAWS, len(every.effects))).astype(int)
+        effects, covariance = every.effects[kept], every.covariance[kept]
         sd = np.sqrt(np.einsum("nii->ni", covariance))
         below = np.tril_indices(p, -1)
-        correlations = (covariance / (sd[:, :, None] * sd[:, None, :]))[:, below[0], below[1]]
+        correlations = correlations_of(covariance)[:, below[0], below[1]]
         quantities = np.concatenate([np.log(sd), correlations, effects[:, 0]], axis=1)
         noise = np.random.default_rng(seed).normal(size=(_ESTIMATES, p))
         return cls(effects, covariance, means, precisions, design, quantities, noise)

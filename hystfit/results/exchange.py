@@ -40,7 +40,8 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
 def _contents(result: FitResult) -> dict[str, Any]:
     estimates = [{"unit": "", **p.to_dict(), "name": p.name} for p in result.parameters]
     column = lambda key: np.array([np.nan if p[key] is None else p[key] for p in estimates], dtype=float)
-    words = lambda key: _cells(str(p[key] or "") for p in estimates)
+    cells = lambda texts: np.array([*texts], dtype=object)
+    words = lambda key: cells(str(p[key] or "") for p in estimates)
     records = np.empty(len(result.data), dtype=object)
     for k, record in enumerate(result.data):
         t = np.full(len(record), np.nan) if record.t is None else record.t
@@ -53,16 +54,12 @@ def _contents(result: FitResult) -> dict[str, Any]:
         "status": str(result.status),
         "units": dict(result.data.units),
         "parameters": {"name": words("name"), **numbers, "unit": words("unit"), "fixed": fixed},
-        "free_names": _cells(result.free_names),
+        "free_names": cells(result.free_names),
         "covariance": result.covariance,
         "rmse": result.train.rmse,
         "error_percent": result.train.nrmse_percent,
         "records": records,
     }
-
-
-def _cells(texts: Any) -> np.ndarray:
-    return np.array([*texts], dtype=object)
 
 
 def to_xarray(result: FitResult) -> Any:

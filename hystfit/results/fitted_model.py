@@ -13,6 +13,7 @@ from hystfit.errors import DataError, ModelError
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis, Use
 from hystfit.models.registry import model_name
+from hystfit.models.varying import beyond_range
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.params.units import conversion
@@ -178,16 +179,15 @@ class FittedModel:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""
         record = self.in_fitted_units(record)
         low, high = self.input_range
-        outside = (record.u < low - 0.005 * (high - low)) | (record.u > high + 0.005 * (high - low))
-        outside &= record.used
+        far = beyond_range(record.u, low, high) & record.used
         beyond = [] if self.problem.settled else self._model_of(record).outside()
         if beyond:
             return warn(Code.EXTRAPOLATION, f"{record.name!r}: {', '.join(beyond)}: the prediction is an extrapolation")
-        if not outside.any():
+        if not far.any():
             return None
         span = f"{low:.4g} to {high:.4g} {record.u_unit}".rstrip()
         text = (
-            f"{outside.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs ({span}): the prediction "
+            f"{far.sum()} of {record.used.sum()} samples of {record.name!r} lie outside the fitted inputs ({span}): the prediction "
             "there is an extrapolation"
         )
         return warn(Code.EXTRAPOLATION, text)

@@ -32,6 +32,8 @@ class Branch:
 
 
 Pair = tuple[Branch, Branch]
+Found = tuple[float, float]  # a value read off a branch and its standard error, NaN where unknown
+NOT_FOUND: Found = (np.nan, np.nan)
 
 
 def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
@@ -115,21 +117,19 @@ def _thinned(branch: Branch) -> Branch:
     return Branch(branch.u[kept], branch.y[kept])
 
 
-def area_error(pair: Pair, sigma: float | None, correlated: float = 0.0) -> float | None:
+def area_error(pair: Pair, sigma: float, correlated: float = 0.0) -> float:
     """Standard error of the area of a loop by noise.
 
     Args:
-        sigma: standard deviation of the noise; None where unknown.
+        sigma: standard deviation of the noise.
         correlated: over which stretch of the input the noise is correlated; 0 for white noise.
     """
-    if sigma is None:
-        return None
     steps = np.abs(np.gradient(np.append(pair[0].u, pair[1].u)))
     together = max(1.0, 2.0 * correlated / max(float(np.median(steps)), 1e-300) - 1.0)  # sum of the autocorrelation
     return sigma * float(np.sqrt(together * np.sum(steps**2)))
 
 
-def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) -> tuple[float, float | None, int]:
+def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[float, float, int]:
     """Median area of closed loops, its standard error and their number.
 
     Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
@@ -141,9 +141,7 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
         sigma, correlated: see `area_error`.
     """
     areas = [abs(area(*pair)) for pair in pairs]
-    separate = combined(
-        [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
-    )
+    separate = [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
     value = float(np.median(areas))
     half = [(_thinned(one), _thinned(other)) for one, other in pairs]
     quarter = [(_thinned(one), _thinned(other)) for one, other in half]
@@ -151,8 +149,8 @@ def loss(pairs: Sequence[Pair], sigma: float | None, correlated: float = 0.0) ->
     lost = abs(value - second)
     ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
     strip = float(np.median([_missing(*pair) for pair in pairs]))
-    error = float(np.hypot((separate and separate[1]) or 0.0, lost / np.clip(ratio, 1.0, 3.0))) + strip
-    return value, error if error > 0 else None, len(areas)
+    error = float(np.hypot(np.nan_to_num(combined(separate)[1]), lost / np.clip(ratio, 1.0, 3.0))) + strip
+    return value, error if error > 0 else np.nan, len(areas)
 
 
 def _missing(one: Branch, other: Branch) -> float:
@@ -161,47 +159,45 @@ def _missing(one: Branch, other: Branch) -> float:
     return float(gap * np.ptp(one.y)) if gap > max(SAME_LEVEL * float(np.ptp(one.u)), 1.5 * step) else 0.0
 
 
-def is_open(pairs: Sequence[Pair], sigma: float | None) -> bool:
+def is_open(pairs: Sequence[Pair], sigma: float) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
-    error = area_error(pairs[0], sigma) or 0.0
+    error = np.nan_to_num(area_error(pairs[0], sigma))
     return bool(abs(np.median([area(*pair) for pair in pairs])) > CLEAR * error / np.sqrt(len(pairs)))
 
 
-def crossing(
-    level: np.ndarray, values: np.ndarray, sigma: float | None, of_values: float | None = None
-) -> tuple[float, float | None] | None:
-    """Value where a level passes zero, and its standard error; None where it ends on the side where it began, as an even output does.
+def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
+    """Value where a level passes zero, and its standard error; without where it ends on the side where it began, as an even output does.
 
     Args:
         level: along a branch, shape (n,).
         values: at the same samples, shape (n,).
-        sigma: noise of the level; of_values: noise of the values; None where unknown. The error is then that between the samples.
+        sigma: noise of the level; of_values: noise of the values. Where neither is known, the error is that between the samples.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if passed.size % 2 == 0:
-        return None
+        return NOT_FOUND
     k = int(passed[len(passed) // 2])
     step, run = level[k + 1] - level[k], values[k + 1] - values[k]
-    near = np.flatnonzero(np.abs(level) <= CLEAR * (sigma or 0.0))
+    near = np.flatnonzero(np.abs(level) <= CLEAR * sigma)
     runs = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)  # those at other crossings are apart
     near = next((run for run in runs if k in run), near[:0])
-    if near.size < 5 or abs(step) > CLEAR * (sigma or 0.0):
-        noise = of_values if sigma is None else sigma * abs(run / step)
-        chord = (level, values, k) if of_values is not None else (values, level, k)
-        curved = _beside_chord(*chord) * (1.0 if of_values is not None else abs(run / step))
+    if near.size < 5 or abs(step) > CLEAR * sigma:
+        per_level = abs(run / step)
+        known = np.isfinite(of_values)
+        curved = _beside_chord(level, values, k) if known else _beside_chord(values, level, k) * per_level
         between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), _of_jump(level, values, k))
-        error = float(np.hypot(noise or 0.0, between))
+        error = float(np.hypot(np.nansum([sigma * per_level, of_values]), between))
         rounding = np.finfo(float).eps * float(np.abs(values).max())
-        return float(values[k] - level[k] * run / step), error if error > rounding else None
+        return float(values[k] - level[k] * run / step), error if error > rounding else np.nan
     if not np.ptp(values[near]):  # an input that is switched between levels
-        return None
+        return NOT_FOUND
     # Noise crosses zero several times: a straight line through the samples about it.
     slope, offset = np.polyfit(values[near], level[near], 1)
     at = -offset / slope
     spread = 1.0 / near.size + (at - values[near].mean()) ** 2 / max(
         float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
     )
-    return float(at), float((sigma or 0.0) / abs(slope) * np.sqrt(spread))
+    return float(at), float(sigma / abs(slope) * np.sqrt(spread))
 
 
 def _of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:
@@ -229,21 +225,18 @@ def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:
     return 0.5 * float((x[k + 1] - x[k]) ** 2 * np.mean(second))
 
 
-def combined(found: list[tuple[float, float | None] | None]) -> tuple[float, float | None, int] | None:
-    """Median over branches and its standard error: by the noise of each, or their scatter where that is larger."""
-    known = [one for one in found if one is not None and np.isfinite(one[0])]
-    if not known:
-        return None
-    values = np.array([value for value, _ in known])
-    errors = [error for _, error in known if error is not None]
-    stated = float(np.sqrt(np.mean(np.square(errors)) / values.size)) if len(errors) == values.size else None
-    scatter = float(np.std(values, ddof=1) / np.sqrt(values.size)) if values.size > 2 else None
-    both = [error for error in (stated, scatter) if error is not None]
-    return float(np.median(values)), max(both, default=None), values.size
+def combined(found: list[Found]) -> tuple[float, float, int]:
+    """Median over branches and its standard error, by the noise of each or their scatter where that is larger; and their number."""
+    values, errors = np.array([one for one in found if np.isfinite(one[0])]).reshape(-1, 2).T
+    if not values.size:
+        return *NOT_FOUND, 0
+    stated = np.sqrt(np.mean(errors**2) / values.size)
+    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
+    return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
 
 
-def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
-    """How far a loop is no reflection of itself in its center; None without both branches.
+def asymmetry(branches: list[Branch]) -> tuple[float, float]:
+    """How far a loop is no reflection of itself in its center; zeros without both branches.
 
     Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
     not show.
@@ -253,15 +246,14 @@ def asymmetry(branches: list[Branch]) -> tuple[float, float] | None:
     """
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:
-        return None
+        return 0.0, 0.0
     level = 0.5 * (max(falling.y.max(), rising.y.max()) + min(falling.y.min(), rising.y.min()))
-    sides = [crossing(b.y - level, b.u, None) for b in (falling, rising)]
-    if sides[0] is not None and sides[1] is not None:  # exchange bias may shift a loop by more than its width
-        shift = 0.5 * (sides[0][0] + sides[1][0])
+    shift = 0.5 * sum(crossing(b.y - level, b.u)[0] for b in (falling, rising))
+    if np.isfinite(shift):  # exchange bias may shift a loop by more than its width
         falling, rising = (Branch(b.u - shift, b.y) for b in (falling, rising))
     most = LARGEST * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
     if not most > 0:
-        return None
+        return 0.0, 0.0
     grid = np.linspace(-most, most, POINTS)
     at = lambda u, y: np.interp(grid, u[np.argsort(u, kind="stable")], y[np.argsort(u, kind="stable")])
     one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)

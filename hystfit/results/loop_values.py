@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import MU0, loop_energy, parse_unit, quantity
+from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
@@ -37,7 +37,7 @@ from hystfit.results.loop_branches import (
 from hystfit.results.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.magnetic_sample import Sample
-from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values, quadrant_values
+from hystfit.results.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured_value import LoopValue
 from hystfit.results.polarization_values import centered, offset_of, polarization_values
 
@@ -129,9 +129,8 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
     """
     records = Dataset.of(data)
     family = recognize_family(records)
-    inner = (
-        {record.name for record in family.curves[:-1]} if family else set[str]()
-    )  # their reversals lie inside the loop
+    # Their reversals lie inside the loop.
+    inner = {record.name for record in family.curves[:-1]} if family else set[str]()
     read = {
         record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
         for record in records
@@ -161,12 +160,11 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
         return (), (), ()
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
+    # Of sparse samples the most that it can be: errors without it would be those of the straight lines alone.
+    sigma = np.nan if noise is None else noise
     if kind is LoopKind.FERROELECTRIC:
         record, of_zero = centered(record)
         y = record.y[kept]
-    sigma = (
-        noise  # of sparse samples the most that it can be: errors without it would be those of the straight lines alone
-    )
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
     turns = turns_of(u)
     if not turns.size:
@@ -178,7 +176,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs or cycles, None if is_bound else sigma):
+    if not is_open(pairs or cycles, np.nan if is_bound else sigma):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
@@ -196,7 +194,7 @@ def _with_data_sheet(
     record: Record,
     sample: Sample,
     correct: Collection[str],
-    sigma: float | None,
+    sigma: float,
     magnetic: MagneticLoop | None,
     *,
     closed: bool,
@@ -208,12 +206,10 @@ def _with_data_sheet(
         notes.append(Note(Code.NOT_CLOSED, text, Severity.WARNING))
     if magnetic is None:
         return rows, (), tuple(notes)
-    field = _field_unit(record)
-    of = lambda loop: (magnetic_values if loop.branches else quadrant_values)(loop, field, record.y_unit)
-    sheet = of(magnetic)
+    sheet = magnetic_values(magnetic)
     full = sample.with_header(record.metadata)
     longer = [one for axis in range(3) if (one := full.longer(axis)) is not None]
-    moved = [{r.name: r.value for r in of(MagneticLoop.of(record, one, sigma, correct))} for one in longer]
+    moved = [{r.name: r.value for r in magnetic_values(MagneticLoop.of(record, one, sigma, correct))} for one in longer]
     error = lambda row: (
         float(np.sqrt(sum((m.get(row.name, np.nan) - row.value) ** 2 for m in moved))) if moved else None
     )
@@ -234,16 +230,8 @@ def _with_data_sheet(
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 
 
-def _field_unit(record: Record) -> tuple[str, float]:
-    """Unit in which the fields of a data sheet are given, that of the file or kA/m for those in Oe, and its size in A/m."""
-    unit = parse_unit(record.u_unit)
-    if unit is None or "Oe" in record.u_unit or "G" in record.u_unit:
-        return "kA/m", 1e3
-    return record.u_unit, unit.factor / (MU0 if quantity(record.u_unit) == "induction" else 1.0)
-
-
 def _levels(
-    branches: list[Branch], cycles: Sequence[Pair], sigma: float | None, kind: LoopKind, record: Record
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float, kind: LoopKind, record: Record
 ) -> Iterator[LoopValue]:
     """Where the branches cross zero (coercivity, remanence), of other loops the middle of their ranges; stiffness of those of forces."""
     named, units = kind in REMANENT, (record.u_unit, record.y_unit)
@@ -256,14 +244,13 @@ def _levels(
         whole = lambda b: named or np.ptp(b.y) >= LARGEST * (top - bottom)
         of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
-        height = {r: combined([crossing(b.u - center, b.y, None, sigma) for b in of(r)]) for r in (True, False)}
+        height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}
         words = ("coercivity", "remanence") if named else ("half width", "half height")
         yield from _both(width, "coercive_input", words[0], units[0], sides=named)
         yield from _both(height, "remanence", words[1], units[1], sides=named)
     one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
     y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
-    error = None if sigma is None else _range_error(y, sigma)
-    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), error, units[1])
+    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
@@ -272,66 +259,60 @@ def _levels(
 
 def _range_error(y: np.ndarray, sigma: float) -> float:
     """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
-    many = np.array([np.count_nonzero(side >= side.max() - _NEAR * sigma) for side in (y, -y)])
+    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
     return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
-def _ends(branches: list[Branch], sigma: float | None, unit: str) -> Iterator[LoopValue]:
+def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:
     """Half the difference of the mean outputs near both ends of the input, as instruments read the saturation."""
     u, y = (np.concatenate(columns) for columns in zip(*((b.u, b.y) for b in branches), strict=True))
     center, half = 0.5 * (u.max() + u.min()), 0.5 * np.ptp(u)
     high, low = u - center >= ENDS * half, u - center <= -ENDS * half
-    error = None if sigma is None else 0.5 * sigma * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
+    error = 0.5 * sigma * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
     value = 0.5 * float(y[high].mean() - y[low].mean())
     yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
 
 
 def _stiffness(
-    branches: list[Branch], cycles: Sequence[Pair], sigma: float | None, units: tuple[str, str]
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float, units: tuple[str, str]
 ) -> Iterator[LoopValue]:
     """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
     width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    each = None if sigma is None else sigma * float(np.sqrt(2)) / width
+    each = sigma * float(np.sqrt(2)) / width
     longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
     of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
-    found = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
-    if found is None:
-        return
+    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
     unit = f"{units[1]}/{units[0]}".strip("/")
-    yield LoopValue("secant_stiffness", "secant stiffness", found[0], found[1], unit, found[2])
-    if cycles and found[0] > 0:
+    yield LoopValue("secant_stiffness", "secant stiffness", stiffness, error, unit, count)
+    if cycles and stiffness > 0:
         size, uncertain, count = loss(cycles, sigma)
-        ratio, stiffness = 100 * 2 * size / (np.pi * found[0] * width**2), found[1]
-        known = uncertain is not None and stiffness is not None and size > 0
-        damping = ratio * float(np.hypot(uncertain / size, stiffness / found[0])) if known else None  # type: ignore[operator]
+        ratio = 100 * 2 * size / (np.pi * stiffness * width**2)
+        damping = ratio * float(np.hypot(uncertain / size, error / stiffness)) if size > 0 else None
         yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
 
 
 def _both(
-    found: dict[bool, tuple[float, float | None, int] | None], name: str, label: str, unit: str, *, sides: bool
+    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, *, sides: bool
 ) -> Iterator[LoopValue]:
     """Half the distance of what was read on the rising and the falling branch, and each of them where `sides`."""
-    rising, falling = found[True], found[False]
-    if rising is not None and falling is not None:
-        known = rising[1] is not None and falling[1] is not None
-        error = 0.5 * float(np.hypot(rising[1] or 0.0, falling[1] or 0.0)) if known else None
+    (rising, *_), (falling, *_) = both = found[True], found[False]
+    if np.isfinite(rising - falling):
+        error = 0.5 * float(np.hypot(*(one[1] for one in both)))
         text = f"{label} (half width)" if name == "coercive_input" and sides else label
-        yield LoopValue(name, text, 0.5 * abs(rising[0] - falling[0]), error, unit, min(rising[2], falling[2]))
-    for which, one in (("rising", rising), ("falling", falling)):
-        if sides and one is not None:
+        yield LoopValue(name, text, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
+    for which, one in zip(("rising", "falling"), both, strict=True):
+        if sides and np.isfinite(one[0]):
             yield LoopValue(f"{name}_{which}", f"{label}, {which} branch", one[0], one[1], unit, one[2])
 
 
-def _loss(closed: Sequence[Pair], sigma: float | None, record: Record) -> Iterator[LoopValue]:
+def _loss(closed: Sequence[Pair], sigma: float, record: Record) -> Iterator[LoopValue]:
     """Loss per cycle, in energy where the units tell it."""
     value, error, count = loss(closed, sigma)
     unit, factor = loop_energy(record.u_unit, record.y_unit)
-    yield LoopValue(
-        "loop_area", "loss per cycle", factor * value, None if error is None else factor * error, unit, count
-    )
+    yield LoopValue("loop_area", "loss per cycle", factor * value, factor * error, unit, count)
 
 
-def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | None) -> tuple[LoopValue, ...]:
+def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> tuple[LoopValue, ...]:
     """Coercivity and remanence of a magnetic curve in one direction that is remanent at zero field; nothing of other curves.
 
     It is a demagnetization curve, half a loop, or a curve of remanences after back fields, whose zero is the coercivity of remanence.
@@ -348,9 +329,10 @@ def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float | No
         field, flux = field[::-1], flux[::-1]
     found = []
     if field[-1] > slack and flux[-1] <= SAME_LEVEL * largest:
-        found_at = crossing(flux, field, sigma) or (float(field[-1]), None)
+        at, error = crossing(flux, field, sigma)
         label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
-        found.append(LoopValue("coercive_input", label, *found_at, record.u_unit))
+        at = at if np.isfinite(at) else float(field[-1])
+        found.append(LoopValue("coercive_input", label, at, error, record.u_unit))
     if abs(u[rest]) <= slack:
         order = np.argsort(field, kind="stable")
         at_rest = float(np.interp(0.0, field[order], flux[order]))

@@ -14,8 +14,9 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.params.units import MU0, parse_unit
-from hystfit.results.loop_branches import ENDS, Branch, asymmetry, combined, crossing, large_branches, turns_of
+from hystfit.outcome.table import or_none
+from hystfit.params.units import MU0, size_in
+from hystfit.results.loop_branches import ENDS, Branch, Found, asymmetry, combined, crossing, large_branches, turns_of
 from hystfit.results.magnetic_sample import Sample
 from hystfit.results.saturation_law import Saturation, saturation
 
@@ -54,7 +55,7 @@ class MagneticLoop:
     Attributes:
         h: field [A/m], shape (T,).
         j: polarization [T]; where the volume is unknown, the output as in the file.
-        noise: standard deviation of the noise of j; None where unknown.
+        noise: standard deviation of the noise of j; NaN where unknown.
         absolute: whether j is in T.
         branches: between turning points over nearly the whole range of the field.
         corrections: in order.
@@ -65,7 +66,7 @@ class MagneticLoop:
 
     h: np.ndarray
     j: np.ndarray
-    noise: float | None
+    noise: float
     absolute: bool
     branches: tuple[Branch, ...]
     corrections: tuple[Correction, ...]
@@ -74,9 +75,7 @@ class MagneticLoop:
     per_field: float
 
     @classmethod
-    def of(
-        cls, record: Record, sample: Sample, noise: float | None, correct: Collection[str] = ()
-    ) -> MagneticLoop | None:
+    def of(cls, record: Record, sample: Sample, noise: float, correct: Collection[str] = ()) -> MagneticLoop | None:
         """The loop of a record; None where its input is no magnetic field, or has no unit.
 
         Args:
@@ -86,12 +85,10 @@ class MagneticLoop:
         """
         if unknown := set(correct) - set(ON_REQUEST):
             raise DataError(f"no correction {sorted(unknown)[0]!r}; there are {', '.join(ON_REQUEST)}")
-        powers, field = lambda text: getattr(parse_unit(text), "powers", None), parse_unit(record.u_unit)
-        per_field = {powers("A/m"): 1.0, powers("T"): 1 / MU0}.get(field.powers) if field else None
-        if field is None or per_field is None:
+        if (field := size_in(record.u_unit, "A/m", "T")) is None:
             return None
         sample = sample.with_header(record.metadata)
-        per_field *= field.factor
+        per_field = field[1] / (MU0 if field[0] == "T" else 1.0)
         h, y = per_field * record.u[record.used], record.y[record.used]
         factor, corrections = _to_polarization(record, sample)
         if sample.image is not None:
@@ -99,9 +96,10 @@ class MagneticLoop:
             y = y if factor is not None else y / sample.image
             corrections.append(Correction("image", "images in the poles", sample.image, None, "", True))
         scale = 1.0 if factor is None else factor
-        j = scale * y - (MU0 * h if factor is not None and _is_flux(record) else 0.0)
-        noise, units = None if noise is None else scale * noise, (record.u_unit, record.y_unit)
-        made = cls(h, j, noise, factor is not None, (), tuple(corrections), None, units, per_field)
+        is_flux = size_in(record.y_unit, "T") is not None and not _POLARIZATION.match(record.y_name)
+        j = scale * y - (MU0 * h if is_flux else 0.0)
+        units = (record.u_unit, record.y_unit)
+        made = cls(h, j, scale * noise, factor is not None, (), tuple(corrections), None, units, per_field)
         return made._drift("drift" in correct)._demagnetized(sample)._centered("offset" in correct)._sloped("slope" in correct)  # fmt: skip
 
     def _with(self, correction: Correction | None = None, **changes: object) -> MagneticLoop:
@@ -116,7 +114,7 @@ class MagneticLoop:
         return "T" if self.absolute else self.units[1]
 
     @property
-    def sigma(self) -> float | None:
+    def sigma(self) -> float:
         """Standard deviation of one output [T]: of its white noise, or of the asymmetry of the loop where that is larger."""
         return self._scatter[0]
 
@@ -126,9 +124,9 @@ class MagneticLoop:
         return self._scatter[1]
 
     @property
-    def _scatter(self) -> tuple[float | None, float]:
+    def _scatter(self) -> tuple[float, float]:
         found = asymmetry(list(self.branches))
-        return found if found is not None and found[0] > (self.noise or 0.0) else (self.noise, 0.0)
+        return found if found[0] > np.nan_to_num(self.noise) else (self.noise, 0.0)
 
     def _drift(self, apply: bool) -> MagneticLoop:
         """The gap at the tip of the first closed cycle, removed in proportion to the number of samples."""
@@ -143,7 +141,7 @@ class MagneticLoop:
         first, last = edges[tops[0]], edges[tops[0] + 2]
         gap = float(self.j[last] - self.j[first])
         removed = gap * np.arange(self.h.size) / (last - first) if apply else 0.0
-        error = None if self.noise is None else float(np.sqrt(2)) * self.noise
+        error = or_none(np.sqrt(2) * self.noise)
         found = Correction("drift", "gap at the tip after one cycle", gap, error, self.unit, apply)
         return self._with(found, j=self.j - removed)
 
@@ -166,18 +164,18 @@ class MagneticLoop:
             for rises in (True, False)
         ]
         made = self._with(
-            Correction("offset", "of the output: half sum of its ends", level, error, self.unit, apply),
+            Correction("offset", "of the output: half sum of its ends", level, or_none(error), self.unit, apply),
             j=self.j - (level if apply else 0.0),
         )
-        if sides[0] is None or sides[1] is None:
+        shift, error = (
+            0.5 * (sides[0][0] + sides[1][0]),
+            or_none(0.5 * np.hypot(sides[0][1], sides[1][1]) / self.per_field),
+        )
+        if not np.isfinite(shift):
             return made
-        shift = 0.5 * (sides[0][0] + sides[1][0])
-        known = sides[0][1] is not None and sides[1][1] is not None
-        size = self.per_field
-        error = 0.5 * float(np.hypot(sides[0][1] or 0.0, sides[1][1] or 0.0)) / size if known else None
         text = "of the field: half sum of both crossings"
         return made._with(
-            Correction("offset", text, shift / size, error, self.units[0], apply),
+            Correction("offset", text, shift / self.per_field, error, self.units[0], apply),
             h=made.h - (shift if apply else 0.0),
         )
 
@@ -191,7 +189,7 @@ class MagneticLoop:
         made = self._with(found, j=self.j - (law.slope * self.h if found.applied else 0.0))
         return dataclasses.replace(made, saturation=law)
 
-    def ends(self, sign: float = -0.5) -> tuple[float, float | None]:
+    def ends(self, sign: float = -0.5) -> Found:
         """Mean output at the positive plus, or minus by default, that at the negative ends of the branches over two, and its error.
 
         Args:
@@ -200,34 +198,23 @@ class MagneticLoop:
         largest = min(float(self.h.max()), -float(self.h.min()))
         high, low = self.h >= ENDS * largest, self.h <= -ENDS * largest
         if not (largest > 0 and high.any() and low.any()):
-            return 0.5 * float(self.j.max()) + sign * float(self.j.min()), None
-        error = None if self.noise is None else 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
+            return 0.5 * float(self.j.max()) + sign * float(self.j.min()), np.nan
+        error = 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
         return 0.5 * float(self.j[high].mean()) + sign * float(self.j[low].mean()), error
-
-
-def _is_flux(record: Record) -> bool:
-    """Whether an output in T is the flux density B, and no polarization."""
-    unit = parse_unit(record.y_unit)
-    return unit is not None and unit.powers == parse_unit("T").powers and not _POLARIZATION.match(record.y_name)  # type: ignore[union-attr]
 
 
 def _to_polarization(record: Record, sample: Sample) -> tuple[float | None, list[Correction]]:
     """Factor from the output to T, None where it is unknown, and the correction for the volume."""
-    unit = parse_unit(record.y_unit)
-    if unit is None:
-        return None, []
-    powers = lambda text: getattr(parse_unit(text), "powers", None)
-    if unit.powers == powers("T"):
-        return unit.factor, []
-    if unit.powers == powers("A/m"):
-        return MU0 * unit.factor, []
-    if unit.powers == powers("A*m^2/kg") and sample.density is not None:
+    kind, size = size_in(record.y_unit, "T", "A/m", "A*m^2/kg", "A*m^2") or ("", 0.0)
+    if kind in ("T", "A/m"):
+        return size * (MU0 if kind == "A/m" else 1.0), []
+    if kind == "A*m^2/kg" and sample.density is not None:
         found = Correction("volume", "density of the sample", 1e-3 * sample.density, None, "g/cm3", True)
-        return MU0 * unit.factor * sample.density, [found]
+        return MU0 * size * sample.density, [found]
     volume = sample.known_volume
-    if unit.powers != powers("A*m^2") or volume is None:
+    if kind != "A*m^2" or volume is None:
         return None, []
     text = volume[1]
     if sample.mass is not None and sample.density is None:
         text += f"; the mass then gives a density of {1e-3 * sample.mass / volume[0]:.4g} g/cm3"
-    return MU0 * unit.factor / volume[0], [Correction("volume", text, 1e9 * volume[0], None, "mm3", True)]
+    return MU0 * size / volume[0], [Correction("volume", text, 1e9 * volume[0], None, "mm3", True)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from hystfit.params.units import MU0
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
-from hystfit.results.loop_branches import Branch, closes, crossing, loss
+from hystfit.results.loop_branches import NOT_FOUND, Branch, Found, closes, crossing, loss
 from hystfit.results.magnetic_loop import MagneticLoop
 from hystfit.results.measured_value import LoopValue
 
@@ -26,7 +27,6 @@ _RAYLEIGH = 0.3  # of the coercivity, up to which the first curve follows the Ra
 REMANENT_PART = 0.05  # of the largest polarization: remanence from which a curve in one direction is no first curve
 _NEIGHBORS = 7  # samples of a local quadratic of a switching field distribution, at least
 _LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at least
-Found = tuple[float, float | None]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +36,7 @@ class _Row:
     Attributes:
         name, label: of the row.
         kind: "field", "induction", "energy product" or "" for a ratio, which tells its unit.
-        of_branch: value and standard error, from the branch and the noise; None where the branch does not have it.
+        of_branch: value and standard error, from the branch and the noise.
         hard: whether only hard materials have it.
         absolute: whether it needs the polarization in T.
     """
@@ -44,47 +44,43 @@ class _Row:
     name: str
     label: str
     kind: str
-    of_branch: Callable[[Branch, float | None], Found | None]
+    of_branch: Callable[[Branch, float], Found]
     hard: bool = False
     absolute: bool = True
 
 
-def _opposing(level: np.ndarray, field: np.ndarray, noise: float | None) -> Found | None:
+def _opposing(level: np.ndarray, field: np.ndarray, noise: float) -> Found:
     """Opposing field where a level passes zero, and its error: that of one sample, as the noise is correlated, or between the samples."""
-    found = crossing(level, field, noise)
-    if found is None:
+    at, error = crossing(level, field, noise)
+    if not np.isfinite(at):
         last = int(np.argmin(field))  # a curve that was taken or listed up to its zero has no sample beyond
         ends = field[last] < 0 and 0 <= level[last] <= SAME_LEVEL * float(np.abs(level).max())
-        return (-float(field[last]), None) if ends else None
-    near = np.argsort(np.abs(field - found[0]), kind="stable")[:_NEIGHBORS]
-    slope = np.polyfit(field[near] - found[0], level[near], 1)[0] if np.ptp(field[near]) > 0 else 0.0
-    of_noise = None if noise is None or slope == 0 else noise / abs(float(slope))
-    return -found[0], max((error for error in (found[1], of_noise) if error is not None), default=None)
+        return (-float(field[last]), np.nan) if ends else NOT_FOUND
+    near = np.argsort(np.abs(field - at), kind="stable")[:_NEIGHBORS]
+    slope = np.polyfit(field[near] - at, level[near], 1)[0] if np.ptp(field[near]) > 0 else 0.0
+    return -at, float(np.fmax(error, noise / abs(float(slope)) if slope else np.nan))
 
 
-def _coercivity(b: Branch, noise: float | None) -> Found | None:
+def _coercivity(b: Branch, noise: float) -> Found:
     return _opposing(b.y, b.u, noise)
 
 
-def _remanence(b: Branch, noise: float | None) -> Found | None:
-    return crossing(b.u, b.y, None, noise)
+def _remanence(b: Branch, noise: float) -> Found:
+    return crossing(b.u, b.y, of_values=noise)
 
 
-def _squareness_field(b: Branch, noise: float | None) -> Found | None:
-    remanence = _remanence(b, noise)
-    return None if remanence is None else _opposing(b.y - _KNEE * remanence[0], b.u, noise)
+def _squareness_field(b: Branch, noise: float) -> Found:
+    return _opposing(b.y - _KNEE * _remanence(b, noise)[0], b.u, noise)
 
 
-def _knee_ratio(b: Branch, noise: float | None) -> Found | None:
-    knee, width = _squareness_field(b, noise), _coercivity(b, noise)
-    if knee is None or width is None or not width[0] > 0:
-        return None
-    ratio = knee[0] / width[0]
-    known = knee[1] is not None and width[1] is not None
-    return ratio, abs(ratio) * float(np.hypot((knee[1] or 0) / knee[0], (width[1] or 0) / width[0])) if known else None
+def _knee_ratio(b: Branch, noise: float) -> Found:
+    (knee, of_knee), (width, of_width) = _squareness_field(b, noise), _coercivity(b, noise)
+    if not width > 0:
+        return NOT_FOUND
+    return knee / width, abs(knee / width) * float(np.hypot(of_knee / knee, of_width / width))
 
 
-def energy_product(b: Branch, noise: float | None) -> Found | None:
+def energy_product(b: Branch, noise: float) -> Found:
     """(BH)max [J/m^3]: the top of a parabola through the largest product in the second quadrant and its neighbors.
 
     Args:
@@ -95,24 +91,24 @@ def energy_product(b: Branch, noise: float | None) -> Found | None:
     field, flux = -b.u[order], b.y[order] + MU0 * b.u[order]
     inside = (field >= 0) & (flux >= 0)
     if inside.sum() < 3:
-        return None
+        return NOT_FOUND
     field, product = field[inside], (field * flux)[inside]
     k = int(np.clip(np.argmax(product), 1, product.size - 2))
     three, best = slice(k - 1, k + 2), float(product[k])
     if np.unique(field[three]).size == 3:
         p2, p1, p0 = np.polyfit(field[three] - field[k], product[three], 2)
         best = float(p0 - p1**2 / (4 * p2)) if p2 < 0 and abs(p1 / (2 * p2)) <= np.ptp(field[three]) else best
-    return best, None if noise is None else noise * float(field[k])
+    return best, noise * float(field[k])
 
 
-def switching_distribution(b: Branch, noise: float | None) -> Found | None:
+def switching_distribution(b: Branch, noise: float) -> Found:
     """Full width at half maximum of dJ/dH over HcJ, the derivative by local quadratics; without an error."""
     order = np.argsort(b.u, kind="stable")
     u, y = b.u[order], b.y[order]
     width = 2 * (max(_NEIGHBORS, int(_LOCAL * u.size)) // 2) + 1
-    coercive = _coercivity(b, noise)
-    if u.size < 3 * width or coercive is None or not coercive[0] > 0:
-        return None
+    coercive = _coercivity(b, noise)[0]
+    if u.size < 3 * width or not coercive > 0:
+        return NOT_FOUND
     at = np.arange(u.size - width + 1)[:, None] + np.arange(width)
     center = u[at].mean(1)
     x = u[at] - center[:, None]
@@ -124,9 +120,9 @@ def switching_distribution(b: Branch, noise: float | None) -> Found | None:
     left = np.flatnonzero(slope[:peak] < half)
     right = peak + np.flatnonzero(slope[peak:] < half)
     if not left.size or not right.size:
-        return None
+        return NOT_FOUND
     edge = lambda k: center[k] + (half - slope[k]) / (slope[k + 1] - slope[k]) * (center[k + 1] - center[k])
-    return float((edge(right[0] - 1) - edge(left[-1])) / coercive[0]), None
+    return float((edge(right[0] - 1) - edge(left[-1])) / coercive), np.nan
 
 
 _ROWS = (
@@ -140,36 +136,21 @@ _ROWS = (
 )
 
 
-def magnetic_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
-    """The rows of the data sheet.
+def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
+    """The rows of the data sheet of a loop, or of a curve in one direction: half a loop, or a demagnetization curve.
 
-    Args:
-        field_unit: unit of fields, and its size in A/m.
-        output_unit: of the output, where it is not in T.
+    Fields are in the unit of the file, or in kA/m where that is Oe or G.
     """
-    falling = [b if not b.rises else Branch(-b.u, -b.y) for b in loop.branches]
-    return _of_branches(loop, falling, [b.rises for b in loop.branches], field_unit, output_unit)
-
-
-def quadrant_values(loop: MagneticLoop, field_unit: tuple[str, float], output_unit: str) -> tuple[LoopValue, ...]:
-    """The same of a curve in one direction: half a loop, or a demagnetization curve.
-
-    Args:
-        loop, field_unit, output_unit: as of `magnetic_values`.
-    """
-    h, j = loop.h, loop.j
-    rest = float(j[np.argmin(np.abs(h))])
-    branch = Branch(np.sign(rest) * h, np.sign(rest) * j)
-    if abs(rest) < REMANENT_PART * np.abs(j).max() or branch.u.min() >= -SAME_LEVEL * np.abs(h).max():
-        return ()
-    return _of_branches(loop, [branch], [False], field_unit, output_unit)
-
-
-def _of_branches(
-    loop: MagneticLoop, falling: list[Branch], mirrored: list[bool], field_unit: tuple[str, float], output_unit: str
-) -> tuple[LoopValue, ...]:
-    units = {"field": field_unit, "induction": ("T", 1.0), "energy product": ("kJ/m3", 1e3), "": ("", 1.0)}
-    width = [found[0] for b in falling if (found := _coercivity(b, loop.noise)) is not None]
+    mirrored = [b.rises for b in loop.branches] or [False]
+    falling = [Branch(-b.u, -b.y) if b.rises else b for b in loop.branches]
+    if not falling:
+        rest = float(loop.j[np.argmin(np.abs(loop.h))])
+        falling = [Branch(np.sign(rest) * loop.h, np.sign(rest) * loop.j)]
+        if abs(rest) < REMANENT_PART * np.abs(loop.j).max() or falling[0].u.min() >= -SAME_LEVEL * np.abs(loop.h).max():
+            return ()
+    field = ("kA/m", 1e3) if re.search("Oe|G", loop.units[0]) else (loop.units[0], loop.per_field)
+    units = {"field": field, "induction": ("T", 1.0), "energy product": ("kJ/m3", 1e3), "": ("", 1.0)}
+    width = [at for b in falling if np.isfinite(at := _coercivity(b, loop.noise)[0])]
     hard = float(np.median(width) if width else np.abs(loop.h).max()) >= _HARD
     rows, sigma = [], loop.sigma
     middle = _about_middle(falling, mirrored, loop.noise)
@@ -178,20 +159,20 @@ def _of_branches(
         if (row.hard and not hard) or (row.absolute and not magnet):
             continue
         of = middle if row.name == "switching_distribution" else falling
-        found = [(side, one) for side, b in zip(mirrored, of, strict=True) if (one := row.of_branch(b, sigma))]
+        found = [(side, row.of_branch(b, sigma)) for side, b in zip(mirrored, of, strict=True)]
         rows.extend(_mean(row.name, row.label, found, units[row.kind]))
     if any(one.name == "volume" for one in loop.corrections):
         rows.extend(_loss(loop))
-    rows.extend(_saturation(loop, falling, output_unit))
+    rows.extend(_saturation(loop, falling))
     if magnet and not hard:
         rows.extend(_permeabilities(loop, width))
     return tuple(rows)
 
 
-def _about_middle(falling: list[Branch], mirrored: list[bool], noise: float | None) -> list[Branch]:
+def _about_middle(falling: list[Branch], mirrored: list[bool], noise: float) -> list[Branch]:
     """Branches about the middle of a loop that is shifted along the field, as by exchange bias; as they are where it has one branch."""
     opposing = lambda side: [
-        found[0] for b, m in zip(falling, mirrored, strict=True) if m == side and (found := _coercivity(b, noise))
+        at for b, m in zip(falling, mirrored, strict=True) if m == side and np.isfinite(at := _coercivity(b, noise)[0])
     ]
     one, other = opposing(False), opposing(True)
     if not one or not other:
@@ -202,23 +183,20 @@ def _about_middle(falling: list[Branch], mirrored: list[bool], noise: float | No
 
 def _is_superconducting(b: Branch) -> bool:
     """Whether a branch that falls from the largest field has a larger moment without field, which is that of its currents."""
-    rest = _remanence(b, None)
-    return rest is not None and float(b.y[np.argmax(b.u)]) < _SATURATED * rest[0]
+    return float(b.y[np.argmax(b.u)]) < _SATURATED * _remanence(b, np.nan)[0]
 
 
 def _mean(name: str, label: str, found: list[tuple[bool, Found]], unit: tuple[str, float]) -> Iterator[LoopValue]:
     """Mean over both branches, with half their difference."""
-    sides = [[one for which, one in found if which == side] for side in (False, True)]
+    sides = [[one for which, one in found if which == side and np.isfinite(one[0])] for side in (False, True)]
     sides = [side for side in sides if side]
     if not sides:
         return
     values = [float(np.median([value for value, _ in side])) for side in sides]
     errors = [error for side in sides for _, error in side]
-    known = len([error for error in errors if error is not None]) == len(errors)
-    error = float(np.sqrt(np.mean(np.square(errors)) / len(errors))) if known else None  # type: ignore[arg-type]
+    error = float(np.sqrt(np.mean(np.square(errors)) / len(errors))) / unit[1]
     spread = 0.5 * abs(values[0] - values[1]) / unit[1] if len(values) == 2 else None
-    value = float(np.mean(values)) / unit[1]
-    yield LoopValue(name, label, value, None if error is None else error / unit[1], unit[0], len(errors), spread=spread)
+    yield LoopValue(name, label, float(np.mean(values)) / unit[1], error, unit[0], len(errors), spread=spread)
 
 
 def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
@@ -231,13 +209,13 @@ def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
         yield LoopValue("W", "hysteresis loss per cycle", value, error, "J/m3", count)
 
 
-def _saturation(loop: MagneticLoop, falling: list[Branch], output_unit: str) -> Iterator[LoopValue]:
+def _saturation(loop: MagneticLoop, falling: list[Branch]) -> Iterator[LoopValue]:
     """Js by the law of approach, and the squareness that follows."""
-    law, unit = loop.saturation, "T" if loop.absolute else output_unit
+    law = loop.saturation
     if law is None or not law.settled:
         return
-    yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, unit, spread=law.spread)
-    remanent = [found[0] for b in falling if (found := _remanence(b, loop.noise)) is not None]
+    yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, loop.unit, spread=law.spread)
+    remanent = [at for b in falling if np.isfinite(at := _remanence(b, loop.noise)[0])]
     if remanent:
         ratio = float(np.mean(remanent)) / law.value
         error = abs(ratio) * law.stderr / law.value
@@ -273,7 +251,7 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
     away = h > 0
     if away.any():
         # Near zero field, the noise and an induction that is left at the start are large beside the induction.
-        error = float(np.hypot(loop.sigma or 0.0, start))
+        error = float(np.hypot(np.nan_to_num(loop.sigma), start))
         k = int(np.argmax((b[away] - CLEAR * error) / h[away]))
         largest, error = (float(size / (MU0 * h[away][k])) for size in (b[away][k], error))
         yield LoopValue("mu_max", "maximum permeability, first curve", largest, error or None, "")

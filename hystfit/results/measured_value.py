@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+from hystfit.outcome.table import or_none
+
 
 @dataclasses.dataclass(frozen=True)
 class LoopValue:
-    """One quantity of a measured loop.
+    """One quantity of a measured loop; a `stderr`, `spread` or `scale` of NaN becomes None.
 
     Attributes:
         name, label: what it is; `name` is that of `hystfit.results.quantities` where it is one of them.
@@ -31,3 +33,7 @@ class LoopValue:
     stated: float | None = None
     spread: float | None = None
     scale: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("stderr", "spread", "scale"):
+            object.__setattr__(self, name, or_none(getattr(self, name)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
-from hystfit.params.units import parse_unit
+from hystfit.params.units import size_in
 from hystfit.results.loop_branches import GAP
 from hystfit.results.measured_value import LoopValue
 
@@ -43,7 +43,7 @@ def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
         yield LoopValue("offset_input", label, 0.5 * (sides[0].value + sides[1].value), error, sides[0].unit)
 
 
-def polarization_values(record: Record, rows: list[LoopValue], noise: float | None) -> Iterator[LoopValue]:
+def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
     """The rows besides those of every loop.
 
     Args:
@@ -58,10 +58,9 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float | No
     if abs(u[-1] - u[0]) <= GAP * np.ptp(u) and abs(u[-1]) <= GAP * np.ptp(u):
         first, last = float(y[0]), float(y[-1])
         switched = max((tip - first for tip in tips.values()), key=abs)
-        error = None if noise is None else noise * float(np.sqrt(2))
         yield LoopValue("remanence_start", "polarization at the start of the loop", first, noise, record.y_unit)
         label = "switched polarization, from the start to the farther tip"
-        yield LoopValue("switched_polarization", label, switched, error, record.y_unit)
+        yield LoopValue("switched_polarization", label, switched, noise * float(np.sqrt(2)), record.y_unit)
         yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
     yield from _leakage(record)
 
@@ -86,32 +85,11 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
             after += 1
         if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
             return
-        slopes = [_slope(t[a : b + 1], y[a : b + 1]) for a, b in ((before, tip), (tip, after))]
-        found.append(sign * 0.5 * (slopes[0][0] + slopes[1][0]))
-        errors.append(0.5 * float(np.hypot(slopes[0][1], slopes[1][1])))
-    unit, factor = _current(record)
+        lines = [np.polyfit(t[a : b + 1], y[a : b + 1], 1, cov=True) for a, b in ((before, tip), (tip, after))]
+        found.append(sign * 0.5 * sum(theta[0] for theta, _ in lines))
+        errors.append(0.5 * float(np.sqrt(sum(covariance[0, 0] for _, covariance in lines))))
+    per_time = f"{record.y_unit}/{record.t_unit}".strip("/")
+    unit, factor = size_in(per_time, "A/m2", "A") or (per_time, 1.0)
     value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
     spread = factor * 0.5 * abs(found[0] - found[1])
     yield LoopValue("leakage", "leakage at the tips (upper bound)", value, error, unit, 2, spread=spread)
-
-
-def _slope(t: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope of a straight line through samples, and its standard error."""
-    x = t - t.mean()
-    columns = np.column_stack([np.ones_like(x), x])
-    theta, square = np.linalg.lstsq(columns, y, rcond=None)[:2]
-    variance = float(square[0]) / max(x.size - 2, 1) if square.size else 0.0
-    return float(theta[1]), float(np.sqrt(variance / np.sum(x**2)))
-
-
-def _current(record: Record) -> tuple[str, float]:
-    """Unit of the output per time as a current (density), and the factor to it."""
-    unit, time = parse_unit(record.y_unit), parse_unit(record.t_unit)
-    for text in ("A/m2", "A"):
-        target = parse_unit(text)
-        if unit is not None and time is not None and target is not None:
-            powers = dict(unit.powers)
-            powers["s"] = powers.get("s", 0.0) - 1
-            if tuple(sorted((b, p) for b, p in powers.items() if p)) == target.powers:
-                return text, unit.factor / time.factor
-    return f"{record.y_unit}/{record.t_unit}".strip("/"), 1.0

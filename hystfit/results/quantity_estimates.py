@@ -31,7 +31,7 @@ _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, rel
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
 _MISSING = {"coercive_input": Unknown.NO_CROSSING, "remanence": Unknown.LOBES, "loop_area": Unknown.LOBES}
-_BACK = 0.01  # of the input's range, by which a branch goes back by noise alone
+
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
 _COARSE, _SEEN, _INSERTED = 40, 10, 16
@@ -128,9 +128,8 @@ def _estimate(
     error = float(np.sqrt(max(slope @ known @ slope, 0.0)))
     if error > OPEN * natural:
         return made(None, None, Unknown.NOT_DETERMINED)
-    return made(
-        value, error if error > ROUNDED * natural else None, None
-    )  # a loop of full height is 100 % at all parameters
+    # A loop of full height is 100 % at all parameters.
+    return made(value, error if error > ROUNDED * natural else None, None)
 
 
 def values_of_outputs(
@@ -276,10 +275,10 @@ def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) 
     """The measured output at inputs between two turning points; None where the branch does not cover them."""
     kept = first + np.flatnonzero(record.used[first : last + 1])
     onward = np.sign(record.u[last] - record.u[first]) * record.u[kept]
-    ahead = onward >= np.maximum.accumulate(onward) - _BACK * (inputs[-1] - inputs[0])
-    kept = kept[ahead]  # without small loops inside the branch
+    slack = SLACK * float(inputs[-1] - inputs[0])
+    kept = kept[onward >= np.maximum.accumulate(onward) - slack]  # without small loops inside the branch
     kept = kept[np.argsort(record.u[kept], kind="stable")]
-    u, slack = record.u[kept], SLACK * float(inputs[-1] - inputs[0])
+    u = record.u[kept]
     if not kept.size or u[0] > inputs[0] + slack or u[-1] < inputs[-1] - slack:
         return None
     return np.interp(inputs, u, record.y[kept])

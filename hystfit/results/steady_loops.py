@@ -216,9 +216,8 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
     The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
     """
     for record in data:
-        found = (
-            () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
-        )  # half: a first rise from the middle
+        # Half: a first rise from the middle.
+        found = () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
         if record.t is None or not len(found):
             continue
         first, last = found[:, 0], found[:, 2]
@@ -231,10 +230,8 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
 def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:
     """RMS over time of the input in each cycle, about the middle of its range and over half of it; cycles as by `cycles`."""
     first, last = found[:, 0], found[:, 2]
-    u, edges = (
-        u - u.mean(),
-        np.stack([first, last + 1], axis=1).ravel(),
-    )  # far from zero, squares would lose their digits
+    # Far from zero, squares would lose their digits.
+    u, edges = u - u.mean(), np.stack([first, last + 1], axis=1).ravel()
     low, high = (extreme.reduceat(np.append(u, u[-1]), edges)[::2] for extreme in (np.minimum, np.maximum))
     middle, half, duration = 0.5 * (low + high), 0.5 * (high - low), t[last] - t[first]
 

@@ -224,9 +224,8 @@ def _covariance(stored: Stored, p: int) -> np.ndarray:
 def _metrics(stored: Stored | None) -> Metrics | None:
     if stored is None:
         return None
-    sizes = {
-        name: stored.get(name, float | None) for name in ("rmse", "max_error")
-    }  # null where the simulation is not finite
+    # Null where the simulation is not finite.
+    sizes = {name: stored.get(name, float | None) for name in ("rmse", "max_error")}
     return stored.read(Metrics, **{name: np.nan if size is None else size for name, size in sizes.items()})
 
 

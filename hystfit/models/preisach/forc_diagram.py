@@ -14,7 +14,6 @@ from hystfit.errors import DataError
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.reversal_curves import reversal_curves
 
-_TERMS = 6  # coefficients of a polynomial of second degree in two variables
 _FEWEST = 9  # points of a local fit
 _FINEST = 8.0  # fields for each step of the reversals at most: more cost memory, and a window averages over all of them
 
@@ -207,7 +206,7 @@ def _local_fit(
     scale = np.ptp(x), np.ptp(y)
     x, y = x / scale[0], y / scale[1]
     terms = np.column_stack([np.ones(x.size), x, y, x * x, x * y, y * y])
-    if np.linalg.matrix_rank(terms, tol=1e-9 * np.sqrt(terms.size)) < _TERMS:
+    if np.linalg.matrix_rank(terms, tol=1e-9 * np.sqrt(terms.size)) < terms.shape[1]:
         return None
     weights = np.linalg.pinv(terms)
     return at, shift, -0.5 * weights[4] / (scale[0] * scale[1]), weights[0]

@@ -11,7 +11,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.outcome.table import number, rounded
+from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import NAMED
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
@@ -78,11 +78,6 @@ def option_words(options: Mapping[str, object]) -> list[str]:
     ]
 
 
-def new_loop(data: Dataset) -> str:
-    """NEW_LOOP with the options for reading a file like those of the records, but for the choice among its curves."""
-    return shlex.join(["NEW_LOOP", *option_words({k: v for k, v in data[0].reading.items() if k != "only"})])
-
-
 def opened(result: FitResult, folder: str) -> str:
     """The folder of a fit as an argument, with --trust where opening it runs a file of the user's or accepts an edited one."""
     own = checksums(result.models, result.noise.name) or has(result.notes, Code.CHANGED_FILES)
@@ -118,36 +113,25 @@ def _error(result: FitResult) -> str:
 
 
 def _numbers(result: FitResult) -> list[tuple[str, str]]:
+    first = next(iter(result.measured.rows.values()), ())
     if result.status in (Status.NO_LOOP, Status.UNDETERMINED):  # nothing tests the loop of the model
-        read = next(iter(result.measured.rows.values()), ())
-        return [
-            (
-                _capital(one.label),
-                " +- ".join(t for t in rounded(one.value, one.stderr) if t != "-") + f" {one.unit}".rstrip(),
-            )
-            for one in read
-        ]
+        return [(_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in first]
     kind, rows = LoopKind.of(result.data), []
-    alone = len(result.data) == 1
-    measured = {one.name: one for one in next(iter(result.measured.rows.values()), ()) if alone}
+    measured = {one.name: one for one in first} if len(result.data) == 1 else {}
     crossed = kind in REMANENT  # fields that read coercivity and remanence where the loop passes zero
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
             continue
-        if q.value is None:
-            rows.append((_capital(one.label_on(result.data)), "unknown" if q.reason is None else q.reason.text))
-            continue
-        value, error = rounded(q.value, q.stderr)
-        known = f" +- {error}" if q.stderr else ""
-        text = f"{value}{known} {q.unit}".rstrip()
         read = measured.get(q.name)
+        text = "unknown" if q.reason is None else q.reason.text
+        if q.value is not None:
+            text = with_error(q.value, q.stderr, q.unit)
         if q.differs or (q.measured is not None and q.vaguer_than(None)):
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
-        elif read is not None and read.unit == q.unit:
+        elif q.value is not None and read is not None and read.unit == q.unit:
             at_zero = crossed and one.at_middle
-            seen = " +- ".join(t for t in rounded(read.value, read.stderr) if t != "-")
-            seen = f"{seen} {q.unit}".rstrip()
+            seen = with_error(read.value, read.stderr, q.unit)
             if at_zero and q.beside(read.value, read.stderr).differs:
                 text = f"{seen} where the measured loop passes zero; {text} by the model at the middle"
             elif not at_zero and q.vaguer_than(read.stderr):
@@ -193,7 +177,8 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     )
     if not result.usable and result.status is not Status.ROUGH:
         return [*improve, f"hystfit check {loop}"]
-    commands = [f"hystfit predict {fit} {new_loop(result.data)}"]
+    like = option_words({k: v for k, v in result.data[0].reading.items() if k != "only"})  # the choice among curves
+    commands = [f"hystfit predict {fit} {shlex.join(['NEW_LOOP', *like])}"]
     if result.obstacle("inverse") is None:
         commands.append(f"hystfit invert {fit} REFERENCE")
     if result.obstacle("export") is None:
@@ -207,11 +192,8 @@ def _changed_fit(result: FitResult, wording: Wording, loop: str) -> list[str]:
     """The command of another fit that notes propose: without a half cycle at an end or, where none is wrong, with a robust loss."""
     for code in _REMEDIED:
         for name, value in (note.option for note in result.notes if note.code is code and note.option is not None):
-            return (
-                []
-                if f"--{name}" in wording.split
-                else [_joined("hystfit fit", loop, wording.split, f"--{name}={value}")]
-            )
+            command = _joined("hystfit fit", loop, wording.split, f"--{name}={value}")
+            return [] if f"--{name}" in wording.split else [command]
     return []
 
 

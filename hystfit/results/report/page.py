@@ -58,17 +58,16 @@ def pictures(result: FitResult, *, test: Data | None = None, refit_offset: bool 
     kinds += ["residuals", "residuals-input", "autocorrelation", "parameters"]
     kinds += ["weights"] if result.model.plays() else []
     kinds += ["density"] if result.model.plane() is not None else []
+    wanted = [(kind, kind, traces) for kind in kinds]
+    if test is not None:
+        held = traces_of(result, test, refit_offset)
+        wanted += [("test", "loop", held), ("test-series", "series", held)]
     figures: dict[str, Figure] = {}
     count = len(grouped([p for p in result.parameters if not p.fixed]))
-    for kind in kinds:
+    for name, kind, shown in wanted:
         height = min(12.0, max(2.4, 1.2 + 0.3 * count)) if kind == "parameters" else 4.0
-        figures[kind] = Figure(figsize=(5.6, height), layout="constrained")
-        draw(result, kind, figures[kind].subplots(), traces)
-    if test is not None:
-        traces = traces_of(result, test, refit_offset)
-        for name, kind in (("test", "loop"), ("test-series", "series")):
-            figures[name] = Figure(figsize=(5.6, 4.0), layout="constrained")
-            draw(result, kind, figures[name].subplots(), traces)
+        figures[name] = Figure(figsize=(5.6, height), layout="constrained")
+        draw(result, kind, figures[name].subplots(), shown)
     return figures
 
 

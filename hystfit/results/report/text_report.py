@@ -10,7 +10,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import number, rounded
+from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import PROSE, shortened, within
 from hystfit.results.loop_values import MEASURED
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate
@@ -75,9 +75,8 @@ def verdict(result: FitResult) -> list[Note]:
 
 def _difference(one: QuantityEstimate, data: Dataset) -> Note:
     """A warning that the model has another value of a quantity than the measured loop."""
-    value, error = rounded(one.value, one.stderr)
-    measured = f"{number(one.measured)} {one.unit}".rstrip()
-    text = f"{QUANTITIES[one.name].label_on(data)}: {value} +- {error} {one.unit} by the model, {measured} in the measured loop"
+    values = with_error(one.value, one.stderr, one.unit), f"{number(one.measured)} {one.unit}".rstrip()
+    text = f"{QUANTITIES[one.name].label_on(data)}: {values[0]} by the model, {values[1]} in the measured loop"
     return warn(Code.QUANTITY_DIFFERS, f"{text}; use the measured value")
 
 
@@ -137,12 +136,10 @@ def _extent(values: np.ndarray, unit: str) -> str:
 
 def _columns_of(record: Record) -> list[str]:
     """Names, ranges and units of input, output and time."""
-    ranges = []
-    for role, name, values, unit in (
-        ("input", record.u_name, record.u, record.u_unit),
-        ("output", record.y_name, record.y, record.y_unit),
-    ):
-        ranges.append(f"{role} {name} {_extent(values, unit)}")
+    ranges = [
+        f"input {record.u_name} {_extent(record.u, record.u_unit)}",
+        f"output {record.y_name} {_extent(record.y, record.y_unit)}",
+    ]
     if record.t is not None:
         ranges.append(f"{record.t[-1] - record.t[0]:.4g} {record.t_unit}".rstrip() + " long")
     return ranges
