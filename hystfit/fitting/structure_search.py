@@ -112,12 +112,14 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
     tried, chosen = 0, terms
-    for other in _OTHER_PLAYS if plays is None and score > rounding else ():
+    # A curve with few knots is taken where it predicts no worse: a line needs two.
+    few = (2,) if structure.operator == "curve" else ()
+    for other in (*few, *_OTHER_PLAYS) if plays is None and score > rounding else ():
         resized = Terms(data, other, terms.held)
         if other > most or other == terms.plays or not resized.served(structure):
             continue
         tried += 1
-        if resized.score(structure) < GAIN * score:
+        if resized.score(structure) < (1.0 if other in few else GAIN) * score:
             trail.append(
                 _step(
                     f"{other} instead of {chosen.plays} {structure.elements}",

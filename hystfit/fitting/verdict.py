@@ -15,7 +15,7 @@ from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.params.relative_size import ROUNDED
-from hystfit.quality.baselines import USABLE, Baselines, curve_scatter
+from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
@@ -145,7 +145,7 @@ def _change_by_input_noise(fitted: Fitted) -> float:
     draws, changes = np.random.default_rng(0), []
     for record in fitted.data:
         noise, is_bound = noise_rms(record.u)
-        if noise is None or is_bound:
+        if noise is None or is_bound or not is_resolved(record):
             return 0.0
         other = record.u + noise * draws.standard_normal(record.u.size)
         run = lambda u, dt=record.dt: fitted.model.free_run(u, dt)
