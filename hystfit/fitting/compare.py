@@ -232,7 +232,12 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(equal * least, floor)
     alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and _error(row) <= most]
-    plain = lambda row: (row.hysteretic, row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
+    plain = lambda row: (
+        row.hysteretic,
+        row.effective or row.parameters or 0,
+        not row.family_inverts,
+        row.score_percent,
+    )
     # Rounding errors are no evidence.
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
     limit = min(bics, default=math.inf) + STRONG
