@@ -95,6 +95,32 @@ class TestNonnegative:
         assert (w[bounded] >= 0).all()
 
 
+def measured(errors: tuple[float, ...], likely: float | None, *, bounded: bool = True) -> _Trials:
+    """Trials whose errors on held-out groups are given, by `SMOOTHNESS`."""
+    strength = likely
+
+    class Measured(_Trials):
+        likely = strength
+
+        def __init__(self):
+            self._bounded = np.full(3, bounded)
+
+        def solved(self, strength):
+            pass
+
+        def fitted(self, strength):
+            return 0.5 * min(errors)  # rules out none
+
+        def bar(self, strength, most):
+            return most
+
+        def error(self, strength, *, refitted, most):
+            found = errors[SMOOTHNESS.index(strength)]
+            return found if found <= most else np.inf
+
+    return Measured()
+
+
 class TestWeights:
     def test_rich_input_gives_back_the_weights(self):
         model = truth("negative")
@@ -157,6 +183,7 @@ class TestWeights:
         y = record.y / system.size - middle
         joint = np.column_stack([A[index], np.ones(u.size), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-6 if level else 1e-9)
+        assert len(system.visited[0][0]) < np.unique(index[record.used]).size
         span = np.ptp(A[np.unique(index[record.used])], axis=0)[: model.w.size]
         np.testing.assert_allclose(
             system.reach[: model.w.size], span / (2 * model.design_matrix(u).blocks[0].penalty.cells), atol=1e-12
@@ -183,26 +210,13 @@ class TestWeights:
     )
     @pytest.mark.parametrize("strength", [None, SMOOTHNESS[0], SMOOTHNESS[4]])
     def test_the_smoothness_is_the_best_of_all_where_weak_ones_have_minima_of_their_own(self, errors, strength):
-        class Measured(_Trials):
-            likely = strength
+        assert min(measured(errors, strength).left_out(SMOOTHNESS, refitted=True)) == min(errors)
 
-            def __init__(self):
-                pass
-
-            def solved(self, strength):
-                pass
-
-            def fitted(self, strength):
-                return 0.5 * min(errors)  # rules out none
-
-            def bar(self, strength, most):
-                return most
-
-            def error(self, strength, *, refitted, most):
-                found = errors[SMOOTHNESS.index(strength)]
-                return found if found <= most else np.inf
-
-        assert min(Measured().left_out(SMOOTHNESS, refitted=True)) == min(errors)
+    def test_a_likely_smoothness_is_not_forgotten_behind_a_minimum_of_stronger_ones(self):
+        errors = (0.1, 0.2, 0.8, 0.85, 0.9, 0.6, 0.4, 0.5, 0.7)
+        found = measured(errors, SMOOTHNESS[0], bounded=False).left_out(SMOOTHNESS, refitted=True)
+        assert int(np.argmin(found)) == 0
+        assert not np.isfinite(found[2:]).any()  # none of these was finished
 
     @pytest.mark.parametrize("nonnegative", [True, False])
     def test_groups_are_solved_until_the_error_is_above_what_is_asked(self, monkeypatch, nonnegative):

@@ -89,6 +89,11 @@ def test_reversals_of_a_zigzag_are_its_corners():
     np.testing.assert_array_equal(geometry.reversals(u), [10, 20, 30, 40])
     np.testing.assert_array_equal(geometry.reversals(u, 1.5), [10, 40])
     np.testing.assert_array_equal(geometry.branches(u, 1.5), [[0, 10], [10, 40], [40, 50]])
+    u.flags.writeable = False
+    corners = geometry._corners(u)
+    assert geometry._corners(u[0 : u.size]) is corners  # found once
+    np.testing.assert_array_equal(geometry.reversals(u[::-1]), [10, 20, 30, 40])
+    np.testing.assert_array_equal(geometry.reversals(u[1:]), [9, 19, 29, 39])
 
 
 @settings(max_examples=60)

@@ -58,6 +58,9 @@ _known: dict[int, tuple[weakref.ref[np.ndarray], _Corners]] = {}
 
 def _corners(u: np.ndarray) -> _Corners:
     """Samples that alone can be turning points, and their values: the ends, and local extremes, each the first of its flat run."""
+    whole = u.base
+    if isinstance(whole, np.ndarray) and (whole.shape, whole.strides, whole.dtype) == (u.shape, u.strides, u.dtype):
+        u = whole  # a view of all samples
     known = _known.get(id(u))
     if known is not None and known[0]() is u:
         return known[1]

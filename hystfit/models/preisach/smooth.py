@@ -197,9 +197,10 @@ class _Trials:
         Every second one from the strongest until the error grows, and the neighbors of the best: among weak ones, with which other
         samples hardly determine the weights, the error has several minima. One whose fit errs more on all samples than another, such as the
         likely one, on those held out is not tried, and one whose first groups tell that it is not as good is not finished: each of its
-        solves is for one group.
+        solves is for one group. Bounded weights are compared with stronger penalties alone, since those held at zero prefer weak ones.
         """
         errors, self.least, best = [np.inf] * len(strengths), np.inf, np.inf
+        held = bool(self._bounded.any())
         every = range(len(strengths) - 1, -1, -2)
 
         def error(k: int) -> float:
@@ -207,7 +208,7 @@ class _Trials:
             if min(most, best) < (least := self.fitted(strengths[k])):
                 self.least = min(self.least, least) if most < least else self.least
                 return np.inf
-            found = self.error(strengths[k], refitted=refitted, most=_EQUAL * min(errors))
+            found = self.error(strengths[k], refitted=refitted, most=_EQUAL * (min(errors) if held else best))
             best = min(best, found)
             return found
 

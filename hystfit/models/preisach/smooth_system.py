@@ -94,7 +94,7 @@ class SmoothSystem:
         bounded: which weights are >= 0, shape (p,).
         offsets: which weights are offsets of single records, shape (p,), bool.
         visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
-            that count, record after record.
+            that count, record after record; shapes (any, p).
         size: of the output, by which it was divided.
         solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
     """
@@ -106,7 +106,7 @@ class SmoothSystem:
     roughness: np.ndarray
     bounded: np.ndarray
     offsets: np.ndarray
-    visited: Mapping[int, Sequence[Columns]]
+    visited: Mapping[int, Sequence[np.ndarray]]
     size: float
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
@@ -146,7 +146,7 @@ class SmoothSystem:
         with_cells = [
             k for k, block in enumerate(blocks) if block.penalty is not None and block.penalty.cells is not None
         ]
-        visited: dict[int, list[Columns]] = {k: [] for k in with_cells}
+        visited: dict[int, list[np.ndarray]] = {k: [] for k in with_cells}
         every = itertools.chain([design], later)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
@@ -157,11 +157,9 @@ class SmoothSystem:
                     y = (record.y[mask] - design.rest[index]) / size - (A @ origin[others[:-1]])[index]
                     sums[fold].add(few, A, index, y, record.weight[mask])
                     counts[fold] += record.weight[mask].sum()
-            seen = np.unique(design.index[record.used])
             for k in with_cells:
-                columns = design.blocks[layout.kept[k]].columns[seen]
-                dense = not isinstance(columns, Factored)
-                visited[k].append(np.stack([columns.min(axis=0), columns.max(axis=0)]) if dense else columns)
+                columns = design.blocks[layout.kept[k]].columns
+                visited[k].append(np.asarray(columns[_turning(columns, design.index, record.used)]))
         Workers(None if grams[0].size > NUMBERS else 1).run([part.finish for part in sums])
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
@@ -184,11 +182,8 @@ class SmoothSystem:
             penalty, start = self.layout.blocks[k].penalty, self.layout.starts[k]
             assert penalty is not None
             assert penalty.cells is not None
-            low, high, step = np.inf, -np.inf, max(NUMBERS // penalty.cells.size, 1)
-            for rows in every:
-                for begin in range(0, rows.shape[0], step):
-                    part = np.asarray(rows[begin : begin + step])
-                    low, high = np.minimum(low, part.min(axis=0)), np.maximum(high, part.max(axis=0))
+            low = np.min([rows.min(axis=0) for rows in every], axis=0)
+            high = np.max([rows.max(axis=0) for rows in every], axis=0)
             reach[start : start + penalty.cells.size] = np.clip((high - low) / (2 * penalty.cells), 0.0, 1.0)
         return reach
 
@@ -239,6 +234,20 @@ class SmoothSystem:
 def _far(level: Any) -> Any:
     """Levels in parts of the output's range; zero where zero is near."""
     return np.where(np.abs(level) > FAR, level, 0.0)
+
+
+def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """Rows of the used samples but those between two neighbors on one branch, along which all cells switch one way.
+
+    Args:
+        columns: of weights that belong to cells, shape (S, p).
+        index: row of each sample, shape (T,).
+        used: which samples count, shape (T,), bool.
+    """
+    moves = np.diff((columns @ np.ones(columns.shape[1]))[index])
+    ends = used.copy()
+    ends[1:-1] &= ~(used[:-2] & used[2:] & (moves[1:] * moves[:-1] > 0))
+    return np.unique(index[ends])
 
 
 def _is_offset(block: Block) -> bool:
