@@ -128,9 +128,10 @@ def compare(
     single loop; beside scattered samples of loops of several sizes smaller loops, and the geometric mean of both errors ranks. The input
     drives the model through what is held out, but its output is not fitted; the offset of a whole record is. Test data are not used.
     Among models within one standard error of the smallest error, those rank first whose fit converged, that have no hysteresis, of which
-    the data determine fewer parameters, and that have an inverse; one that has not converged or describes the loops only roughly, or whose family has no inverse,
-    must err clearly less. A model that cannot be fitted is listed with the reason. Long records that are sampled far finer than their
-    signals count by the means of several samples, on which the winner is fitted too (`hystfit.fitting.thinning.coarse`).
+    the data determine fewer parameters, and that have an inverse; one that has not converged or describes the loops only roughly, or whose
+    family has no inverse, must err clearly less. A model that cannot be fitted is listed with the reason. Long records that are sampled
+    far finer than their signals count by the means of several samples, on which the winner is fitted too
+    (`hystfit.fitting.thinning.coarse`).
 
     Args:
         data: one record or several, or a data frame.
