@@ -136,3 +136,21 @@ def test_noise_that_hides_records_alike_is_no_difference_between_them() -> None:
     result = hf.fit("prandtl-ishlinskii:plays=6", data, noise="iid")
     assert result.status is Status.OK
     assert has(result.notes, Code.MEASUREMENT_NOISE)
+
+
+def test_loops_at_different_speeds_are_no_states_of_a_device() -> None:
+    """One damper at three speeds: its force differs at equal displacements, as a law of the rate describes."""
+    phase = np.linspace(0, 2 * np.pi, N)
+    records = [
+        made(np.sin(phase), speed * np.cos(phase), t=phase / speed, name=f"{speed} in/s") for speed in (1.0, 5.0, 10.0)
+    ]
+    assert records_apart(records) is None
+    assert records_apart([records[0], records[0].replace(y=2 * records[0].y)]) is not None
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "role"), [(10 ** (1.5 + 1.5 * LOOP), LOOP, "input"), (LOOP, 10 ** (3 + 2 * LOOP), "output")]
+)
+def test_a_quantity_over_decades_is_told(u: np.ndarray, y: np.ndarray, role: str) -> None:
+    notes = hf.check(hf.Record(u, y)).findings
+    assert [role in note.text for note in notes if note.code is Code.DECADES] == [True]

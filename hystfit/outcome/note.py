@@ -98,6 +98,7 @@ class Code(enum.StrEnum):
     SPIKES = "spikes"
     CHATTER = "chatter"
     OUTPUT_NOISE = "output-noise"
+    DECADES = "decades"
     RECORDS_DIFFER = "records-differ"
     QUANTITY_DIFFERS = "quantity-differs"
     SINGLE_VALUED = "single-valued"

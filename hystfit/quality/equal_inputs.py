@@ -11,7 +11,6 @@ from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.quality.baselines import USABLE
 from hystfit.quality.loops import SAME_LEVEL, closed_loops, loop_branches
-from hystfit.quality.record_quality import SPEEDS_APART
 
 _EDGES = np.linspace(0.015, 0.985, 98)
 _GRID = (_EDGES[1:] + _EDGES[:-1]) / 2  # parts of the range at which loops are compared, apart from the turning points
@@ -41,8 +40,8 @@ class _Loop:
     def like(self, other: _Loop) -> bool:
         """Whether the other loop has the same input: its range and, where both are timed, its speed."""
         near = SAME_LEVEL * (self.high - self.low)
-        if self.duration and other.duration and abs(np.log10(self.duration / other.duration)) > SPEEDS_APART:
-            return False
+        if self.duration and other.duration and abs(self.duration - other.duration) > SAME_LEVEL * self.duration:
+            return False  # a law of the rate may tell them apart
         return abs(self.low - other.low) <= near and abs(self.high - other.high) <= near
 
 

@@ -16,6 +16,9 @@ from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.resonance import Dynamics
 
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
+# Decades over which three quarters of a column extend, from which its logarithm is the quantity to fit: suctions of soils, resistances of a
+# transition and currents of a transistor have 2.0 to 6, loads, fields and the pressures of most isotherms less than 1.8.
+_DECADES = 2.0
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 CONTROLLED = warn(
@@ -37,7 +40,14 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     names: dict[Note, list[str]] = {}
     span = max((record.y.range for record in records), default=0.0)
     for record in records:
-        parts = (_faults(record), _noise(record, span), _response(record), _loops(record), _changes(record))
+        parts = (
+            _faults(record),
+            _noise(record, span),
+            _scale(record),
+            _response(record),
+            _loops(record),
+            _changes(record),
+        )
         for note in itertools.chain(*parts):
             names.setdefault(note, []).append(record.name)
     merged = []
@@ -115,6 +125,14 @@ def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
                 "were measured is lost"
             )
         yield warn(Code.OUTPUT_NOISE, text)
+
+
+def _scale(record: RecordQuality) -> Iterator[Note]:
+    """Whether the input or the output extends over decades."""
+    for role, column in (("input", record.u), ("output", record.y)):
+        if column.decades > _DECADES - 1e-9:
+            text = f"a quarter of the {role}s are below {10 ** (2 - column.decades):.2g} % of the largest, where a fit hardly sees them"
+            yield warn(Code.DECADES, f"{text}: write log10 of the {role} to the file and fit that")
 
 
 def conducts(units: Mapping[str, str]) -> bool:

@@ -44,13 +44,19 @@ class Sampling:
 
 @dataclasses.dataclass(frozen=True)
 class Column:
-    """Extent and noise of one column, in its unit; `noise_is_bound`: the noise is an upper bound only."""
+    """Extent and noise of one column, in its unit.
+
+    Attributes:
+        noise_is_bound: the noise is an upper bound only.
+        decades: over which the upper three quarters of the sizes extend, of a column of one sign; 0 of others.
+    """
 
     low: float
     high: float
     resolution: float | None
     noise_rms: float | None
     noise_is_bound: bool
+    decades: float = 0.0
 
     @property
     def range(self) -> float:

@@ -192,7 +192,10 @@ def _sign_of_rate(u: np.ndarray, y: np.ndarray) -> float:
 
 def _column(values: np.ndarray) -> Column:
     noise, bound = noise_rms(values)
-    return Column(float(np.nanmin(values)) + 0.0, float(np.nanmax(values)) + 0.0, resolution(values), noise, bound)
+    low, high = float(np.nanmin(values)) + 0.0, float(np.nanmax(values)) + 0.0
+    sizes = np.abs(values[np.isfinite(values)])
+    decades = float(np.log10(sizes.max() / np.quantile(sizes, 0.25))) if low * high > 0 else 0.0
+    return Column(low, high, resolution(values), noise, bound, decades)
 
 
 def _sampling(record: Record) -> Sampling:

@@ -43,6 +43,7 @@ _TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half
 _OF_PARTS = ("displacement", "strain", "field", "induction")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
+_PAIR = 2  # columns of a loop
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,6 +79,11 @@ class ColumnFacts:
         roles = _roles(table, components)
         ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
         return cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
+
+    def is_open(self, k: int) -> bool:
+        """Whether a column is one of three or more of which names tell no quantity, and has no role: it may drive as well as another."""
+        told = self.kinds[k] or self.roles[k] or any(map(str.isdigit, self._parts[k]))  # joint 1 is before joint 2
+        return not told and sum(self.kinds[j] == "" for j in self.ranks) > _PAIR
 
     def are_sides(self, i: int, o: int) -> bool:
         """Whether two columns are one quantity at two sides of a specimen, by their names: "Left angle", "Right angle"."""
@@ -241,8 +247,8 @@ def _roles(table: Table, components: Sequence[int]) -> dict[int, str]:
     is_length = lambda k, name: (
         split_unit(name)[0].strip().lower() == "y" and quantity(table.units[k]) == "displacement"
     )
-    told = lambda k, name: table.named and k not in components and not is_length(k, name)
-    return {k: column_role(name) if told(k, name) else "" for k, name in enumerate(table.names)}
+    role = lambda k, name: "output" if k in components else "" if is_length(k, name) else column_role(name)
+    return {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
 
 
 def _axes(names: Sequence[str]) -> dict[int, str]:

@@ -24,7 +24,7 @@ _CHANNEL = re.compile(
 # Voltages and currents of terminals and of source-measure units: AnodeV, GateI, AV, VForce, Imeas, VGS, I_D.
 _TERMINAL = re.compile(
     r"(?:[Aa]node|[Cc]athode|[Dd]rain|[Gg]ate|[Ss]ource|[Bb]ulk|[ADG])_?([VI])\d?"
-    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
+    r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Rr]ead|[Ww]rite|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
     r"|(V)[DSBdsb]\d?"
 )
 _OF_DRAIN = re.compile(
@@ -36,7 +36,7 @@ _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|
 _TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
-RELATIVE_PRESSURE = re.compile(r"(?<!\w)p ?/ ?p[0os₀]?(?!\w)", re.IGNORECASE)
+RELATIVE_PRESSURE = re.compile(r"(?<!\w)p_?e?q? ?/ ?p_?[0os₀]?(?!\w)", re.IGNORECASE)
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -53,7 +53,7 @@ def column_quantity(name: str, unit: str = "") -> str:
         "capacitance",
     ):
         return "temperature"  # T or Ta in degrees Celsius without their sign
-    if re.fullmatch(r"[pP](?:_?c(?:ap)?)?", base) and by_unit == "stress":
+    if by_unit == "stress" and re.fullmatch(r"p(?: ?c(?:ap)?)?", without_role(name)):
         return "pressure"  # whose unit is that of a stress, also the capillary one
     if re.fullmatch(r"(?i)theta_?(?:[vw]|c?m3_?c?m3)", base):
         return "loading"  # the water in soil, and no angle

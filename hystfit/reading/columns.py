@@ -227,10 +227,15 @@ def _guess_pair(
     ordered = readings(table, free, kinds, given, named=table.named)
     best = ordered[0]
     alike = _one_quantity(table, free, kinds, best) if not given else set()
+    if kinds[best.input] == "index" and not given:  # a number of each result, and no input
+        raise _too_few(table, [best.output], given, clock)
+    open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
     near = [
         reading
         for reading in ordered[1:]
-        if best.points - reading.points < TIE or {reading.input, reading.output} <= alike
+        if best.points - reading.points < TIE
+        or {reading.input, reading.output} <= alike
+        or (open_ and not (kinds[reading.input] or kinds[reading.output]))
     ]
     if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
         equal = [best, other, *(one for one in near if one is not other)]

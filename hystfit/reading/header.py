@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import quantity
 from hystfit.reading import cells
 from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity
 from hystfit.reading.limits import FEW, LONGEST
@@ -45,11 +44,10 @@ _NAME_CELL = re.compile(
     r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?|titles?)[=:]?|CH名称|信号名|通道名称?|Kanalname",
     re.IGNORECASE,
 )
-_UNIT_CELL = re.compile(
-    r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE
+UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
+_OF_CHANNEL = re.compile(
+    r"\W*(?:(?:ch|channel|kanal|signal|column)[ _.]?\d*[ _.]?)?(name|unit)[ _]?\d*\s*[:=]\s*(\S.*)", re.IGNORECASE
 )
-_UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
-_PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:olt)?s?\b")
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -131,6 +129,17 @@ def _named(parts: list[str]) -> list[str]:
     return parts
 
 
+def _is_remark(parts: Sequence[str], over: Sequence[str]) -> bool:
+    """Whether a row has a text alone, with the names of columns over it: "Starting M vs H", and not the name of the first of them."""
+    filled = [sum(map(bool, row)) for row in (parts, over)]
+    return (
+        not _are_units(_bare(parts), parts)
+        and filled[0] == 1
+        and 2 * filled[1] > len(parts) > 2
+        and not _mostly_units(_bare(over))
+    )
+
+
 def _is_header(parts: list[str], decimal: str) -> bool:
     kinds = [cells.kind(part, decimal) for part in parts if not re.fullmatch(r"[\[(<][-1][\])>]", part)]
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
@@ -158,11 +167,11 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     elif (
         place == 1
         and len(rows) > 2
-        and _meanings(rows[2]) > _meanings(rows[0])
+        and ((first := bool(rows[0][0]) and not any(rows[0][1:])) or _meanings(rows[2]) > _meanings(rows[0]))
         and (distinct(rows[2]) or _grouped(rows[2]))
     ):
         # The row below the units has comments, the axis of a plot that each is for, or the name of the first column alone.
-        rows[2] = [rows[0][0], *rows[2][1:]] if rows[0][0] and not any(rows[0][1:]) else rows[2]
+        rows[2] = [rows[0][0], *rows[2][1:]] if first else rows[2]
         of_names, used = 2, 3
     elif place is None or (place == 1 and distinct(rows[0])):  # units above the names
         of_names, used = 0, 1 if place is None else 2
@@ -170,6 +179,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         of_names, used, units = 0, 1, None
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
+    of_names = next((k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0])), of_names)
     names = rows[of_names]
     alike = not (distinct(names) or _grouped(names))  # Force, Force under A, B
     if alike and used < len(rows) and len(set(rows[used])) == len(names):
@@ -190,58 +200,9 @@ def _meanings(names: Sequence[str]) -> int:
     return sum(column_quantity(name) != "" for name in names)
 
 
-def unit_key(name: str) -> str:
-    """The column whose unit a setting or a column of this name states ("loading_unit", "Units of force"), in lower case; "" for others."""
-    match = _UNIT_KEY.fullmatch(name)
-    return "" if match is None else (match["of"] or match["by"]).lower()
-
-
-def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | None) -> list[str]:
-    """Units in lines of the header that are called so.
-
-    They are those of a column by its name ("loading_unit", "Units of force"), those of all columns ("UNIT = gf,mm"), or those of the
-    columns after the first ("Y_Unit_Label", "VUnit", not "HUnit").
-    """
-    width = len(names)
-    if width > 1 and (all_of_them := _behind_words(above, width).get(True)) and all(map(is_unit, all_of_them)):
-        return all_of_them
-    settings = (pair for line in above if (pair := setting_of(line)) is not None)
-    known = {unit_key(key): unit for key, unit in settings}
-    if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
-        return named
-    for line in reversed(above):
-        title, *units = [cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] or [""]
-        units = ["" if unit in ("*", "-", title) else unit for unit in units]  # the title again, above each clock
-        known = [unit for unit in units if is_unit(unit)]  # "TTL" is that of no quantity
-        enough = len(known) > 1 and 2 * len(known) >= len([*filter(None, units)])
-        if (re.search("unit", title, re.IGNORECASE) or _UNIT_CELL.fullmatch(title)) and enough and len(units) < width:
-            units = [unit if unit in known else "" for unit in units]
-            if all(quantity(unit) == "time" for unit in known):
-                continue
-            return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
-    return [""] * width
-
-
-def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> list[str]:
-    """Units of channels with the scale of each, where the header states one per volt; "V" where zeros of sensors are stated too."""
-    rows = [[cells.clean(cell) for cell in line.rstrip(" \t;,").split(delimiter)] for line in above]
-    numbers = {
-        row[0].lower(): [cells.number(cell, ".") for cell in row[1:]] for row in rows if len(row) == len(units) + 1
-    }
-    scales = next((values for title, values in numbers.items() if _PER_VOLT.match(title)), None)
-    if scales is None or None in scales:
-        return units
-    zeros = next((values for title, values in numbers.items() if title.startswith(("offset", "zero"))), [0.0])
-    if any(zeros):
-        return ["V"] * len(units)
-    return [
-        unit if scale == 1.0 or not unit else f"{scale:g} × {unit}" for scale, unit in zip(scales, units, strict=True)
-    ]
-
-
 def _bare(parts: Sequence[str]) -> list[str]:
     """Cells without the brackets around each."""
-    return [part.strip("[]()<>") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
+    return [part.strip("[]()<> ") if re.fullmatch(r"[\[(<].*[\])>]", part) else part for part in parts]
 
 
 def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
@@ -285,7 +246,7 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
     return attributes if len(attributes) == width else []
 
 
-def _behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
     """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
     found = {}
     for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
@@ -298,6 +259,15 @@ def _behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
     return found
 
 
+def _of_channels(above: Sequence[str], width: int) -> dict[bool, list[str]]:
+    """Names (False) and units (True) of as many channels as there are columns, a setting each: "Name=Force", "Channel 2 unit: kN"."""
+    settings = [
+        (match[1].lower(), match[2].strip()) for line in above if (match := _OF_CHANNEL.fullmatch(line.strip()))
+    ]
+    found = {word == "unit": [value for key, value in settings if key == word] for word in ("name", "unit")}
+    return {key: values for key, values in found.items() if len(values) == width}
+
+
 def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
     """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
     found = {}
@@ -305,7 +275,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
         title, *names = _cut(line, delimiter)
         if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
             found[False] = ["", *names]
-    found |= _behind_words(above, width)
+    found |= _of_channels(above, width) | behind_words(above, width)
     names = found.get(False, [])
     if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
         return [], []
@@ -317,24 +287,33 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
 
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
     """Names over columns of fixed width that go on below, with units in brackets below some; None where every line has all columns."""
-    rows: list[dict[int, str]] = []
-    lines = [*above]
-    while lines and (not rows or len(rows[0]) < width) and len(rows) <= FEW:
+    rows: list[list[re.Match[str]]] = []
+    lines, top = [*above], []
+    while lines and (len(top) < width or _are_units(_bare(top), top)) and len(rows) <= FEW:
         line = lines.pop()
         if line.strip(" -="):
-            rows.insert(0, {cell.start(): cell[0] for cell in re.finditer(r"\S+(?: \S+)*", line)})
+            rows.insert(0, [*re.finditer(r"\S+(?: \S+)*", line)])
+            top = [cell[0] for cell in rows[0]]
         elif rows:
             return None
-    units = [*rows[-1].values()] if len(rows) > 1 else []
-    if (
-        not units
-        or {*_bare(units)} & {*units}
-        or any(row.keys() - rows[0].keys() for row in rows)
-        or len(rows[0]) != width
-    ):
+    units = [cell[0] for cell in rows[-1]] if len(rows) > 1 else []
+    bracketed = [a != b or RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
+    if not units or not all(bracketed) or len(top) != width:
         return None
-    names = [" ".join(row[start] for row in rows if start in row) for start in rows[0]]
-    return names, [split_unit(name, names)[1] for name in names], len(above) - len(lines)
+    names = [[name] for name in top]
+    for row in rows[1:]:
+        under = [[k for k, top in enumerate(rows[0]) if _overlap(cell, top)] for cell in row]
+        if any(len(places) != 1 for places in under) or len({places[0] for places in under}) < len(row):
+            return None
+        for cell, (place,) in zip(row, under, strict=True):
+            names[place].append(cell[0])
+    whole = [" ".join(words) for words in names]
+    return whole, [split_unit(name, whole)[1] for name in whole], len(above) - len(lines)
+
+
+def _overlap(one: re.Match[str], other: re.Match[str]) -> bool:
+    """Whether two cells of different lines stand over each other."""
+    return one.start() < other.end() and other.start() < one.end()
 
 
 def read_header(
@@ -364,6 +343,8 @@ def read_header(
                 longer = _cut(above[position], delimiter) if parts else []
         if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
             continue
+        if parts and not headers and _is_remark(parts, _fields(above[position - 1], width, delimiter) or []):
+            continue
         if parts and headers and not headers[-1][1][0] and parts[0].endswith(":") and all(parts):
             parts[0] = ""  # "Interval data:" before the names, above a row of units
         # Channels of an oscilloscope
@@ -380,7 +361,7 @@ def read_header(
         return names or [""] * width, [split_unit(name)[1] for name in names or [""] * width], int(bool(names))
     bare = [_bare(parts) for _, parts in headers]
     for row in bare:
-        if match := _UNIT_CELL.fullmatch(row[0]):
+        if match := UNIT_CELL.fullmatch(row[0]):
             row[0] = match["unit"] or ""
     names, of_row, used = _names_and_units([parts for _, parts in headers], bare)
     units = of_row or [""] * width

@@ -17,11 +17,12 @@ from hystfit.reading.array_table import table_of_arrays
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.header import MOST_METADATA, unit_key
+from hystfit.reading.header import MOST_METADATA
 from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Part, Table, below_each_other
 from hystfit.reading.stated_results import result_of
+from hystfit.reading.stated_units import unit_key
 from hystfit.reading.text_file import TextFile
 
 _LABELS, _UNITS = ("label", "name", "title"), ("unit", "units")  # keys of a mapping that describes a column

@@ -13,11 +13,13 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.reading import cells
 from hystfit.reading.coded_names import with_meanings
+from hystfit.reading.column_names import is_channel
 from hystfit.reading.dialect import Text
-from hystfit.reading.header import is_listed, listed_names, read_header, stated_units, titled_names
+from hystfit.reading.header import is_listed, listed_names, read_header, titled_names
 from hystfit.reading.limits import ABOVE, BESIDE, FEW
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.number_block import Block, is_comment, is_mark
+from hystfit.reading.stated_units import stated_units
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
@@ -86,6 +88,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
             units.insert(position, "")
     listed = [] if used and not is_listed(text.lines[first - 1]) else listed_names(text.lines[:first], dialect.width)
     used = 0 if listed else used
+    if used and all(map(is_channel, names[1:])):  # of an oscilloscope, which may have labels
+        labels, _ = titled_names(text.lines[: first - used], dialect.width, dialect.delimiter)
+        names = [names[0], *labels[1:]] if labels else names
     titled, of_titled = (
         ([], []) if used or listed else titled_names(text.lines[:first], dialect.width, dialect.delimiter)
     )
@@ -105,8 +110,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
             names, units, used = _labeled_units(text, block)
     names, of_codes = with_meanings(names, text.lines[:first])
     units = [unit or of_code for unit, of_code in zip(units, of_codes, strict=True)]
-    if not any(units):
-        units = stated_units(text.lines[:first], names, dialect.delimiter)
+    if not any(units[1:]):
+        of_header = stated_units(text.lines[:first], names, dialect.delimiter)
+        units = [unit or stated for unit, stated in zip(units, of_header, strict=True)]
     unknown = [unit for unit in units if unit and not is_unit(unit)]
     if len(unknown) >= FEW and len({*unknown}) == len(unknown):  # strain (EXX), strain (EYY), stress (SXX)
         units = ["" if unit in unknown else unit for unit in units]

@@ -113,7 +113,7 @@ class _Evidence:
             + self._of_quantity(o, RESPONSE, told=self.facts.roles[o] == "output")
             + self._of_pair(i, o)
         )
-        points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal))
+        points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal)) * (not self.facts.is_open(i))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         across = kinds[o] == "strain" and self.facts.is_partial[o]
         points += _PARTIAL * (self.facts.is_partial[i] + across) + _HELD_INPUT * self.facts.is_held[i]
@@ -127,8 +127,9 @@ class _Evidence:
             points += _COLD
         told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o]
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
-            plain, bent = self.facts.overtones[i], self.facts.overtones[o]
-            points += _CLEAN * (plain <= _PURE and bent > _PLAINER * plain)
+            wave = self.facts.overtones
+            plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
+            points += _CLEAN * plainer(i, o)
             points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
         return Reading(i, o, points)
 

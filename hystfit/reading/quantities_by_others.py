@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hystfit.reading.column_names import column_quantity, column_role, has_terminals, is_drain, parts_of
+from hystfit.reading.column_names import (
+    RELATIVE_PRESSURE,
+    column_quantity,
+    column_role,
+    has_terminals,
+    is_drain,
+    parts_of,
+)
 from hystfit.reading.limits import MAJORITY
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.quantity_points import LOADS
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import is_even, is_near_median
+from hystfit.reading.signal_evidence import is_even, is_near_median, proportional
 
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
@@ -45,6 +52,13 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         pair = [k for name in names for k in free if table.names[k] == name]
         if len(pair) == 2 and 0 <= np.nanmin(table.columns[pair[1]]) < np.nanmax(table.columns[pair[1]]) <= 1:
             kinds.update(zip(pair, ("pressure", "loading"), strict=True))
+    relative = [k for k in free if RELATIVE_PRESSURE.search(table.names[k])]
+    if (
+        among("loading", "mass") and relative
+    ):  # the gas pressures that it was computed from, unless its digits are too few
+        values = lambda k: np.unique(table.columns[k]).size
+        finer = lambda k: values(relative[0]) > MAJORITY * values(k)
+        kinds.update({k: "status" for k in free if kinds[k] == "pressure" and k not in relative and finer(k)})
     if among("loading") and not among("pressure"):
         kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):
@@ -57,9 +71,10 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
         if among("force", "current"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    if {"X", "Y"} <= {split_unit(name)[0] for name in table.names} and among(*_SWEPT):  # of a lock-in amplifier
-        kinds.update({k: "" for k in free if table.names[k] == "X"})
-        kinds.update({k: "phase" for k in free if table.names[k].lower() in _POLAR})
+    bases = {k: split_unit(table.names[k])[0].strip() for k in free}
+    if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
+        kinds.update(dict.fromkeys(parts, ""))
+        kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
     if among("voltage") and has_terminals(table.names):
         kinds.update({k: "current" for k in free if is_drain(table.names[k])})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
@@ -92,6 +107,17 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     if table.named and many:
         unnamed = lambda k: kinds[k] == "" or table.names[k] == "X"  # of an oscilloscope, which numbers its samples so
         kinds.update({k: "index" for k in free if unnamed(k) and table.counts(k, groups=True)})
+
+
+def _components(table: Table, bases: Mapping[int, str], *, swept: bool) -> list[int]:
+    """The columns X and Y that are components of one signal: beside a swept quantity, or beside their size in a third column."""
+    places = {name.lower(): k for k, name in bases.items()}
+    if not {"x", "y"} <= places.keys():
+        return []
+    pair = [places["x"], places["y"]]
+    size = np.hypot(*(table.columns[k] for k in pair))
+    capital = swept and [bases[k] for k in pair] == ["X", "Y"]
+    return pair if capital or any(proportional(size, table.columns[k]) for k in bases if k not in pair) else []
 
 
 def _is_count(values: np.ndarray) -> bool:

@@ -12,8 +12,8 @@ _PROPORTIONAL = 2e-4
 _COMPUTED = 1e-9
 _SMALL = 0.01  # range of a column over its size, below which it is held at a value far from zero
 _SWING = 0.02  # of the range of an input, below which it swings as noise does
-# Third differences of numbers that are cut off are below that many units of their last digit; two numbers are the same that differ by less
-# than that part of the range, and two steps by that part of a power of ten.
+# Third differences of numbers that are cut off are at most that many units of their last digit, or steps of their converter; two numbers
+# are the same that differ by less than that part of the range, and steps by that part of the smallest.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
 # Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
 # which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
@@ -132,15 +132,18 @@ def repeats(u: np.ndarray, y: np.ndarray) -> bool:
 
 
 def roughness(values: np.ndarray) -> float:
-    """Median third difference over the range: the noise of a column that is sampled often; 0 where it is no more than decimals cut off."""
+    """Median third difference over the range: the noise of a column that is sampled often.
+
+    0 where it is no more than decimals cut off, or steps of a converter, of which most steps are a whole number.
+    """
     values = values[np.isfinite(values)]
     if values.size <= 3 or not np.ptp(values) > 0:
         return 0.0
     third = float(np.median(np.abs(np.diff(values, 3))))
     steps = np.diff(np.unique(values))
-    decimals = np.log10(steps[steps > _SAME * np.ptp(values)].min())
-    cut_off = abs(decimals - round(decimals)) < _SAME_DIGIT and third < _CUT_OFF * 10**decimals
-    return 0.0 if cut_off else third / float(np.ptp(values))
+    digits = steps / (least := float(steps[steps > _SAME * np.ptp(values)].min()))
+    whole = float(np.median(np.abs(digits - np.round(digits)))) < _SAME_DIGIT
+    return 0.0 if whole and third <= _CUT_OFF * least * (1 + _SAME_DIGIT) else third / float(np.ptp(values))
 
 
 def smoothness(values: np.ndarray) -> float:

@@ -104,14 +104,14 @@ def _alike(tables: dict[int, Table]) -> list[int]:
 
 
 def _line_kinds(text: TextFile) -> np.ndarray:
-    """What each line begins with after blanks and quotes: nothing, a number, or words; shape (lines,)."""
+    """What each line begins with after blanks, quotes and empty cells: nothing, a number, or words; shape (lines,)."""
     raw = np.frombuffer(text.content.encode("utf-8", "surrogatepass") + b"\n\n", np.uint8)
     starts = np.append(0, np.flatnonzero(raw == ord("\n")) + 1)[: len(text.lines)]
-    skipped = np.isin(np.arange(256), [ord(c) for c in " \t\"'"])
+    skipped = np.isin(np.arange(256), [ord(c) for c in " \t\"',;|"])
     while (blank := skipped[raw[starts]]).any():
         starts = starts + blank
     kinds = np.full(256, _WORDS)
-    kinds[[ord(c) for c in "0123456789+-.,;|"]] = _NUMBERS
+    kinds[[ord(c) for c in "0123456789+-."]] = _NUMBERS
     kinds[0xE2] = _NUMBERS  # first byte of the minus sign U+2212
     kinds[ord("\n")] = _BLANK
     ruled = (raw[starts] == ord("-")) & (raw[starts + 1] == ord("-"))  # a rule below the names or the rows

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import re
 
-from hystfit.reading.header import unit_key
 from hystfit.reading.names_with_units import is_unit
 from hystfit.reading.raw_table import Table
+from hystfit.reading.stated_units import unit_key
 
 _UNIT = frozenset({"unit", "units", "einheit"})  # names of the column behind that of which it states the unit
 _COUPLING = re.compile(r" [AD]C$")  # "Volt DC"
