@@ -16,6 +16,7 @@ MODELS = {
     "linear creep": hf.LinearCreep(a=0.1, level=0.3),
     "relaxation": hf.Relaxation(),
     "lag": hf.Lag(tau=0.01, level=0.2),
+    "lag of order one": hf.Lag(tau=0.01, level=0.2, order=1),
     "resonance": hf.SecondOrder(omega=300.0, zeta=0.2),
     "delay": hf.Delay(lag=2.3),
     "delay of whole samples": hf.Delay(lag=3.0),

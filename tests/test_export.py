@@ -16,6 +16,7 @@ import pytest
 import hystfit as hf
 from hystfit.control import InverseStep, export_c
 from hystfit.errors import ModelError
+from hystfit.models.curve import Curve
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess
@@ -46,8 +47,10 @@ PLAYS = hf.Series(
     hf.Lag(tau=0.006, rest="first"),
     hf.Sum(hf.PrandtlIshlinskii.of(5, 3, envelopes=3), CREEP, hf.Viscous(c=1e-3), hf.SaturatingRate(F=0.02, v0=4.0)),
 )
+CURVE = Curve(rise=0.7, bend=(0.3, -2.0, 4.0, 1.0), knots=(0.0, 0.2, 0.7, 1.0), offset=0.1, low=-0.8, high=0.7)
 CASES = {
     "lag_preisach": (hf.Series(hf.Lag(tau=0.004, rest="first"), CELLS), -1.0, 1.0),
+    "lag_curve": (hf.Series(hf.Lag(tau=0.004, rest="first", order=1), CURVE), -1.0, 1.0),
     "preisach_creep": (hf.Sum(CELLS, CREEP), -1.0, 1.0),
     "bouc_wen": (hf.BoucWen(c=0.1542, mu=0.45, tau=0.01086, rho=0.88), -20.0, 120.0),
     "bouc_wen_exact": (PIEZO, -20.0, 120.0),

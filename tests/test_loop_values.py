@@ -272,3 +272,15 @@ def test_samples_near_other_crossings_do_not_count_in_the_middle_one():
     noise = np.random.default_rng(2).normal(0, 0.02, x.size)
     at, error = crossing(5 * x * (x - 0.6) * (x + 0.9) + noise, x, 0.02)
     assert abs(at) < 4 * error < 0.02
+
+
+def test_a_jump_between_two_samples_lies_anywhere_between_them():
+    """A comparator: the error of its threshold is that of a uniform distribution over one step of the input."""
+    missed, errors = [], []
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        x = 0.08 * (np.arange(25) + rng.uniform())
+        at, error = crossing(np.where(x > 1.0, 2.5, -2.5) + rng.normal(0, 0.02, x.size), x, 0.02)
+        missed.append(at - 1.0)
+        errors.append(error)
+    np.testing.assert_allclose(np.mean(errors), np.sqrt(np.mean(np.square(missed))), rtol=0.2)

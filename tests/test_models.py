@@ -40,6 +40,7 @@ from hystfit.models import (
     simulate,
 )
 from hystfit.models.bracketed import Root
+from hystfit.models.curve import Curve
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess
@@ -142,6 +143,11 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     ),
     "delay": (Delay(lag=2.3), dict(counts_samples=True)),
     "lag": (Lag(tau=0.02, level=0.1), {}),
+    "lag of order one": (Lag(tau=0.02, level=0.1, order=1), {}),
+    "curve": (
+        Curve(rise=0.7, bend=(0.3, -2.0, 4.0, 1.0), knots=(0.0, 0.2, 0.7, 1.0), offset=0.1, low=-0.8, high=0.7),
+        {},
+    ),
     "second order": (SecondOrder(omega=60.0, zeta=0.2), {}),
     "viscous": (Viscous(c=0.1), {}),
     "saturating": (SaturatingRate(F=0.3, v0=2.0), {}),

@@ -127,10 +127,11 @@ def compare(
     What is held out follows the records (`hystfit.quality.held_out`): whole records, amplitude levels, cycles, or scattered samples of a
     single loop; beside scattered samples of loops of several sizes smaller loops, and the geometric mean of both errors ranks. The input
     drives the model through what is held out, but its output is not fitted; the offset of a whole record is. Test data are not used.
-    Among models within one standard error of the smallest error, those rank first whose fit converged, of which the data determine fewer
-    parameters, and that have an inverse; one that has not converged or describes the loops only roughly, or whose family has no inverse,
-    must err clearly less. A model that cannot be fitted is listed with the reason. Long records that are sampled far finer than their
-    signals count by the means of several samples, on which the winner is fitted too (`hystfit.fitting.thinning.coarse`).
+    Among models within one standard error of the smallest error, those rank first whose fit converged, that have no hysteresis, of which
+    the data determine fewer parameters, and that have an inverse; one that has not converged or describes the loops only roughly, or whose
+    family has no inverse, must err clearly less. A model that cannot be fitted is listed with the reason. Long records that are sampled
+    far finer than their signals count by the means of several samples, on which the winner is fitted too
+    (`hystfit.fitting.thinning.coarse`).
 
     Args:
         data: one record or several, or a data frame.
@@ -232,7 +233,12 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     kind = _rank(ranked[0], purpose)[:-1]
     most = max(equal * least, floor)
     alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and _error(row) <= most]
-    plain = lambda row: (row.effective or row.parameters or 0, not row.family_inverts, row.score_percent)
+    plain = lambda row: (
+        row.hysteretic,
+        row.effective or row.parameters or 0,
+        not row.family_inverts,
+        row.score_percent,
+    )
     # Rounding errors are no evidence.
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
     limit = min(bics, default=math.inf) + STRONG
@@ -251,7 +257,7 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
     return (
         row.in_sample_percent is None,
         row.status is Status.UNTESTED,
-        row.status is Status.NO_LOOP,
+        row.status is Status.NO_LOOP and row.hysteretic,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
         _error(row) or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),

@@ -61,6 +61,7 @@ class Row:
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
         family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
+        hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
         effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
         seconds: what fit and validation took.
         status: of the fit, or "failed".
@@ -82,6 +83,7 @@ class Row:
     obstacles: Mapping[str, str] | None = None
     family_inverts: bool = True
     effective: float | None = None
+    hysteretic: bool = True
 
     @property
     def fitted(self) -> bool:

@@ -268,6 +268,7 @@ class ComparisonRun:
             bic=criterion if np.isfinite(criterion) else None,
             obstacles=Obstacles(result),
             family_inverts=result.model.has_inverse,
+            hysteretic=result.model.hysteretic,
             effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
 

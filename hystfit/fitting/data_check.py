@@ -10,10 +10,13 @@ from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates, timeless
+from hystfit.fitting.fit_model import solve_model
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.fit_warnings import drift_note
+from hystfit.fitting.remains import residuals_of
 from hystfit.fitting.screening import Screened, best_screened, screen
-from hystfit.fitting.thinning import coarse
+from hystfit.fitting.thinning import coarse, thinned
 from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as, make_model
 from hystfit.models.starting import output_range
@@ -50,16 +53,16 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(short)
     shown = _traits(short, every) if every else ()
     screened = () if all(record.single_valued for record in report.records) else every
-    advice = _advice(short, screened) if screened else None
+    best = _best(short, screened) if screened else None
+    advice = None if best is None else _advice(short, screened, best)
     damaged = has(report.findings, Code.DEGRADING)
     if damaged and advice is not None and not make_model(advice.model).degrades:
         advice, screened = None, ()
     explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
     more = [_no_better(len(screened))] if screened and advice is None and not explained else []
-    searched = next((one.found for one in screened if one.found is not None), None)
     drift = None
-    if searched is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
-        drift = drift_note(searched.residuals(), short, output_range(short).width)
+    if best is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
+        drift = _drift(short, best)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(
@@ -96,14 +99,30 @@ def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]
         return ()
 
 
-def _advice(records: Dataset, screened: Sequence[Screened]) -> Advice | None:
+def _drift(records: Dataset, best: Screened) -> Note | None:
+    """A drift that the residuals of the best model show: those of another one may hide it."""
+    if best.found is not None:
+        return drift_note(best.found.residuals(), records, output_range(records).width)
+    short = thinned(records)
+    try:
+        rows = residuals_of(solve_model(best.name, short, FitOptions()).unjudged)
+    except HystfitError:
+        return None
+    return drift_note(rows, short, output_range(records).width)
+
+
+def _best(records: Dataset, screened: Sequence[Screened]) -> Screened | None:
     """The best of the models with a closed form; None where none of them describes a loop."""
     baselines = Baselines.of(records)
     samples = sum(int(record.used.sum()) for record in records)
     best = best_screened(screened, samples, baselines.span)
-    percent = 100 * best.error / baselines.span
-    if best.error * equal_errors(samples) >= baselines.curve:  # a single-valued curve describes them
-        return None
+    # A single-valued curve describes them.
+    return None if best.error * equal_errors(samples) >= baselines.curve else best
+
+
+def _advice(records: Dataset, screened: Sequence[Screened], best: Screened) -> Advice:
+    """What to try first."""
+    percent = 100 * best.error / Baselines.of(records).span
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
     if any(one.leaves_noise for one in screened):
         return Advice(best.name, reason)

@@ -30,6 +30,7 @@ _TURNS = 5  # reversals of three cycles, without which a drift cannot be told fr
 def warnings_of(fitted: Fitted) -> list[Note]:
     """Warnings of a fit that the status does not carry: another family or pair, an end of the record, samples left out, a delay."""
     found = (
+        _of_time_alone(fitted),
         better_family_warning(fitted.train, fitted.baselines),
         CONTROLLED if any(controls_output(r.u, r.y, clear_reversals(r.u)) for r in fitted.data) else None,
         _failed(fitted),
@@ -44,6 +45,14 @@ def warnings_of(fitted: Fitted) -> list[Note]:
     notes = [note for note in found if note is not None]
     drift = _drift(fitted)
     return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
+
+
+def _of_time_alone(fitted: Fitted) -> Note | None:
+    """That the model has no hysteresis, where its loop is that of a lag, a delay or a force of the rate."""
+    if fitted.model.hysteretic or fitted.model.memoryless:
+        return None
+    text = "the model has no hysteresis: a lag, a delay or a force of the rate alone opens the loop, and slow cycles close it"
+    return Note(Code.SPEED_DEPENDENT, text)
 
 
 def _drift(fitted: Fitted) -> Note | None:

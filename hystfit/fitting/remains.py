@@ -11,20 +11,20 @@ from hystfit.results.result import FitResult
 
 def correlation_of(fit: FitResult) -> int:
     """Samples over which the residuals of a fit are correlated."""
-    return max(map(correlation_length, _residuals_of(fit)))
+    return max(map(correlation_length, residuals_of(fit)))
 
 
-def _residuals_of(fit: FitResult) -> list[np.ndarray]:
+def residuals_of(fit: FitResult) -> list[np.ndarray]:
     """Prediction less measurement at the samples of each record that count [y]."""
     return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
 
 
 def leaves_noise(fit: FitResult) -> bool:
     """Whether the residuals of a fit are white, and its loop stands out of them."""
-    return residuals_are_white(_residuals_of(fit), fit.baselines.curve, len(fit.free_names))
+    return residuals_are_white(residuals_of(fit), fit.baselines.curve, len(fit.free_names))
 
 
 def without_loop(fit: FitResult, parameters: int) -> bool:
     """Whether the residuals of a fit are white, and no loop that takes as many parameters or more stands out of them."""
-    rows = _residuals_of(fit)
+    rows = residuals_of(fit)
     return are_white(rows) and not stands_out(rows, fit.baselines.curve, parameters)

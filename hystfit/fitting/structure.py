@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
+from hystfit.models.curve import Curve
 from hystfit.models.dynamics import Delay, Lag
 from hystfit.models.linear import Linear
 from hystfit.models.negate import Negate
@@ -19,34 +21,43 @@ from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.series import Series
 from hystfit.models.sum import Sum
 
+Form = Operator | Literal["curve"]
+
 
 @dataclasses.dataclass(frozen=True)
 class Structure:
     """One candidate: which terms a model has.
 
     Attributes:
-        operator: plays or stops.
+        operator: plays, stops, or a single-valued curve in their place, whose knots count as plays.
         envelopes: 1 (symmetric) or 3.
         degree: of the single-valued part.
         rest: where the device rested before the record.
         falls: the input is negated first: the output falls as the input rises.
         line: a straight line of either sign beside plays, which alone only rise (stops have one).
         lag: mean delay of the input, in sampling intervals; 0 for none.
+        order: of the lag, 1 or 2.
         creep: logarithmic creep of the input.
         rate: 0, 1 (viscous) or 2 (and saturating).
         hardening: path, in input ranges, over which hardening fades; 0 for none.
     """
 
-    operator: Operator = "play"
+    operator: Form = "play"
     envelopes: int = 1
     degree: int = 1
     rest: Rest = "level"
     falls: bool = False
     line: bool = False
     lag: float = 0.0
+    order: int = 2
     creep: bool = False
     rate: int = 0
     hardening: int = 0
+
+    @property
+    def elements(self) -> str:
+        """Plural name of what is counted as plays."""
+        return "knots" if self.operator == "curve" else f"{self.operator}s"
 
     @property
     def timed(self) -> bool:
@@ -73,6 +84,7 @@ class Structure:
             "rest": f"rest at the {'first input' if self.rest == 'first' else 'input 0'} before the record",
             "line": f"{'adding' if self.line else 'leaving out'} a straight line",
             "lag": f"a lag of {self.lag:g} samples" if self.lag else "leaving out the lag",
+            "order": f"a lag of order {self.order}",
             "creep": f"{'adding' if self.creep else 'leaving out'} creep",
             "rate": rates[self.rate],
             "hardening": hardening,
@@ -91,15 +103,18 @@ def structure_of(model: AbstractHysteresis) -> tuple[Structure, bool]:
 
 def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis:
     """The model of a structure, started on the data."""
-    play = PrandtlIshlinskii.of(
-        plays,
-        structure.degree,
-        envelopes=structure.envelopes,
-        operator=structure.operator,
-        hardening=structure.hardening,
-        rest=structure.rest,
-    )
-    parts: list[AbstractHysteresis] = [play]
+    parts: list[AbstractHysteresis] = [
+        Curve.of(plays)
+        if structure.operator == "curve"
+        else PrandtlIshlinskii.of(
+            plays,
+            structure.degree,
+            envelopes=structure.envelopes,
+            operator=structure.operator,
+            hardening=structure.hardening,
+            rest=structure.rest,
+        )
+    ]
     if structure.creep:
         parts.append(LinearCreep(rest=structure.rest))
     parts += [Viscous(), SaturatingRate()][: structure.rate]
@@ -107,7 +122,7 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
         parts.append(Linear())
     before: list[AbstractHysteresis] = [Negate()] * structure.falls
     if structure.lag:
-        before.append(Lag(tau=structure.lag * interval_of(data), rest=structure.rest))
+        before.append(Lag(tau=structure.lag * interval_of(data), rest=structure.rest, order=structure.order))
     records = list(data)
     for part in before:
         records = [record.replace(u=output_of(part, record)) for record in records]

@@ -18,6 +18,7 @@ from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.structure import Structure, falls, interval_of, output_of
 from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
+from hystfit.models.curve import Curve
 from hystfit.models.dynamics import Lag
 from hystfit.models.play_columns import Envelope, element_columns, envelope, fading, rising_columns
 from hystfit.models.prandtl_ishlinskii import Operator, PrandtlIshlinskii
@@ -45,11 +46,12 @@ class _Drive(NamedTuple):
 
     rest: Rest
     lag: float
+    order: int
     falls: bool
 
     @classmethod
     def of(cls, structure: Structure) -> _Drive:
-        return cls(structure.rest, structure.lag, structure.falls)
+        return cls(structure.rest, structure.lag, structure.order, structure.falls)
 
 
 class _Term(NamedTuple):
@@ -79,10 +81,13 @@ class Terms:
         self._lagged, self._positions = functools.cache(self._lagged_data), functools.cache(self._positions_of)
         self._elements, self._single = functools.cache(self._element_columns), functools.cache(self._single_valued)
         self._beside, self._line = functools.cache(self._beside_plays), functools.cache(self._straight)
+        self._curve = functools.cache(self._single_valued_curve)
 
     def served(self, structure: Structure) -> bool:
-        """Whether there are two samples for each weight, and no line beside stops, which have one."""
-        if structure.line and structure.operator == "stop":
+        """Whether there are two samples for each weight, and no line beside stops or a curve, which have one."""
+        if structure.line and structure.operator != "play":
+            return False
+        if structure.order == 1 and not structure.lag:
             return False
         return 2 * structure.columns(self.plays, len(self.data)) <= self.samples
 
@@ -100,20 +105,22 @@ class Terms:
                 *np.arange(1.0, SHORT + 0.1, STEP_OF_LAGS).tolist(),
                 *(np.round(_ABOUT * lag, 1).tolist() if lag else ()),
             )
-            return {**options, "lag": lags, "creep": (False, True), "rate": (0, 1, 2)}
+            return {**options, "lag": lags, "order": (1, 2), "creep": (False, True), "rate": (0, 1, 2)}
         if self.held.scheme is Scheme.SCATTERED:  # tests no later cycle, in which a device that hardens would differ
             return options
         return {**options, "hardening": (0, 1, 3, 10)}
 
     def score(self, structure: Structure) -> float:
-        """Root mean square error on held-out samples, output units; infinite where plays have a force against the rate beside them.
+        """Root mean square error on held-out samples, output units; infinite where all but stops have a force against the rate beside them.
 
         Such a force describes a lag by an output that falls as the input jumps up, which has no inverse; `lag` describes it with one.
         """
         if structure not in self.scores:
             fitted = fit_ridge(self.system(structure), _COARSE)
             forces = fitted.weights[fitted.weights.size - structure.rate :]
-            against = structure.operator == "play" and bool((forces < 0).any())
+            # A curve takes the input as it is, plays negated where the output falls.
+            sign = -1 if structure.operator == "curve" and self.falls else 1
+            against = structure.operator != "stop" and bool((sign * forces < 0).any())
             self.scores[structure] = np.inf if against else float(fitted.score)
         return self.scores[structure]
 
@@ -139,8 +146,12 @@ class Terms:
     def system(self, s: Structure) -> LinearSystem:
         """The linear system of a structure, joined from the columns of its terms."""
         drive = _Drive.of(s)
-        terms = [_Term(self._elements(drive, s.operator, kind), False) for kind in _ALL[: s.envelopes]]
-        terms += [self._single(drive, s.operator, s.degree), self._offset]
+        if s.operator == "curve":
+            terms = [self._curve(drive)]
+        else:
+            terms = [_Term(self._elements(drive, s.operator, kind), False) for kind in _ALL[: s.envelopes]]
+            terms.append(self._single(drive, s.operator, s.degree))
+        terms.append(self._offset)
         terms += [self._line(drive)] * s.line
         if s.hardening:
             terms.append(self._hardening(drive, s.operator, s.hardening))
@@ -174,7 +185,7 @@ class Terms:
     def _lagged_data(self, drive: _Drive) -> Dataset:
         """The records with the input negated, where it is, and behind the lag."""
         data = self.data.map(lambda record: record.replace(u=-record.u)) if drive.falls else self.data
-        through = Lag(tau=drive.lag * interval_of(data), rest=drive.rest)
+        through = Lag(tau=drive.lag * interval_of(data), rest=drive.rest, order=drive.order)
         return data.map(lambda record: record.replace(u=output_of(through, record))) if drive.lag else data
 
     def _positions_of(self, drive: _Drive) -> list[tuple[np.ndarray, float]]:
@@ -202,6 +213,14 @@ class Terms:
         x = np.concatenate([x for x, _ in self._positions(drive)])
         columns = rising_columns(degree, x) if operator == "play" else legvander(2.0 * x - 1.0, degree)[:, 1:]
         return _Term(self._weighted(columns), free=operator == "stop")
+
+    def _single_valued_curve(self, drive: _Drive) -> _Term:
+        """A curve in place of plays."""
+        data = list(self._lagged(drive))
+        curve = Curve.of(self.plays).start(data)
+        rows = [curve.design_matrix(record.u) for record in data]
+        columns = [np.hstack([block.columns for block in one.blocks[:-1]]) for one in rows]
+        return _Term(self._weighted(np.concatenate(columns)), free=True)
 
     def _straight(self, drive: _Drive) -> _Term:
         """A straight line over the input."""

@@ -1,4 +1,4 @@
-"""Greedy search for the terms of a Prandtl-Ishlinskii model, judged on held-out samples.
+"""Greedy search for the terms of a Prandtl-Ishlinskii model, or of a curve without hysteresis, judged on held-out samples.
 
 Plays or stops, one envelope or three, the degree of the single-valued part, a lag, creep, forces of the input's rate, hardening.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -23,7 +23,7 @@ from hystfit.models.registry import model_name
 from hystfit.models.series import Series
 from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
-from hystfit.quality.held_out import GAIN, HeldOut, held_out
+from hystfit.quality.held_out import GAIN, HeldOut, equal_errors, held_out
 from hystfit.quality.summary import delay_of, slow_lag_of
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
@@ -31,6 +31,7 @@ _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before
 # function of amplitude and place, which static terms describe too: such a term leaves 0.88 to 0.98 of it in simulated static loops,
 # 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
 _AT_ONE_PACE = 0.8
+_BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
@@ -86,12 +87,21 @@ def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 
 
 
 def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
-    """Greedy search from plays or stops with one envelope: repeat the single change that lowers the held-out error most."""
-    most = max_plays(data)
-    terms = Terms(data, min(_PLAYS, most) if plays is None else plays, held)
+    """Greedy search from plays or stops, and from a single-valued curve, which wins where those predict held-out samples no better."""
+    terms = Terms(data, min(_PLAYS, max_plays(data)) if plays is None else plays, held)
     # Lags about one longer than those tried on all records.
     options = terms.options(max(slow_lag_of(record) or 0.0 for record in data) if terms.timed else 0.0)
-    structure = min((Structure(operator, falls=terms.falls) for operator in get_args(Operator)), key=terms.score)
+    loops = _greedy([Structure(operator, falls=terms.falls) for operator in get_args(Operator)], terms, options, plays)
+    beside = {field: values for field, values in options.items() if field in _BESIDE_CURVE}
+    curve = _greedy([Structure("curve")], terms, beside, plays)
+    chosen = curve if _enough(curve, loops, terms) else loops
+    return dataclasses.replace(chosen, tried=len(terms.scores) + loops.tried + curve.tried)
+
+
+def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[Any, ...]], plays: int | None) -> Found:
+    """Repeat the single change that lowers the held-out error most, from the best of some structures; `tried` counts other sizes."""
+    data, most = terms.data, max_plays(terms.data)
+    structure = min(starts, key=terms.score)
     score, trail = terms.score(structure), list[str]()
     # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on held-out cycles.
     rounding = rounding_error(data)
@@ -101,16 +111,18 @@ def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
             break
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
-    tried, chosen = len(terms.scores), terms
-    for other in _OTHER_PLAYS if plays is None and score > rounding else ():
-        resized = Terms(data, other, held)
+    tried, chosen = 0, terms
+    # A curve with few knots is taken where it predicts no worse: a line needs two.
+    few = (2,) if structure.operator == "curve" else ()
+    for other in (*few, *_OTHER_PLAYS) if plays is None and score > rounding else ():
+        resized = Terms(data, other, terms.held)
         if other > most or other == terms.plays or not resized.served(structure):
             continue
         tried += 1
-        if resized.score(structure) < GAIN * score:
+        if resized.score(structure) < (1.0 if other in few else GAIN) * score:
             trail.append(
                 _step(
-                    f"{other} instead of {chosen.plays} {structure.operator}s",
+                    f"{other} instead of {chosen.plays} {structure.elements}",
                     score,
                     resized.score(structure),
                     terms.span,
@@ -119,6 +131,13 @@ def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
             chosen, score = resized, resized.score(structure)
     model, residuals = build(structure, data, chosen.plays), functools.partial(chosen.residuals, structure)
     return Found(model, structure, chosen.plays, score, residuals, tried, tuple(trail))
+
+
+def _enough(curve: Found, loops: Found, terms: Terms) -> bool:
+    """Whether a single-valued curve, with what may come before and beside it, predicts held-out samples as well as plays or stops do."""
+    at_one_pace = curve.structure.timed and not (loops.structure.timed or terms.several_paces)
+    factor = _AT_ONE_PACE if at_one_pace else equal_errors(terms.samples)
+    return curve.score <= max(factor * loops.score, rounding_error(terms.data))
 
 
 def _next(structure: Structure, score: float, terms: Terms, options: dict[str, tuple[Any, ...]]) -> Structure:

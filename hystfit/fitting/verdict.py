@@ -15,15 +15,16 @@ from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.params.relative_size import ROUNDED
-from hystfit.quality.baselines import USABLE, Baselines, curve_scatter
+from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
-from hystfit.quality.faults import FEWEST_SAMPLES
+from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
+    NOISY,
     POOR,
     SHARE,
     VISIBLE,
@@ -122,12 +123,34 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return status, [*reasons, *([] if has(reasons, Code.MODEL_MISMATCH) else _damaged(fitted))]
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
+    if fitted.model.memoryless and (white or not exceeded_limits(train, _settled_rows(fitted), baselines)):
+        text = "a single-valued curve describes these data: there is no hysteresis, or none that they show"
+        return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]
+    if rough and not unexplained and train.rmse <= NOISY * (change := _change_by_input_noise(fitted)):
+        text = (
+            f"the error is {fitted.percent:.3g} % of the range, and another noise of the input, as large as that of these data, changes "
+            f"the output of the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
+        )
+        return Status.OK, [Note(Code.MEASUREMENT_NOISE, text), *_damaged(fitted)]
     status = Status.ROUGH if rough else Status.OK
     visible = percent > VISIBLE and fitted.may_change and not fitted.model.degrades
     return status, [*rough, *(_damaged(fitted) if rough or visible else [])]
+
+
+def _change_by_input_noise(fitted: Fitted) -> float:
+    """Rms change of the model's output by another noise of the input, as large as that of the records [y]; 0 where that is unknown."""
+    draws, changes = np.random.default_rng(0), []
+    for record in fitted.data:
+        noise, is_bound = noise_rms(record.u)
+        if noise is None or is_bound or not is_resolved(record):
+            return 0.0
+        other = record.u + noise * draws.standard_normal(record.u.size)
+        run = lambda u, dt=record.dt: fitted.model.free_run(u, dt)
+        changes.append((run(other) - run(record.u))[record.used])
+    return float(np.sqrt(np.mean(np.concatenate(changes) ** 2)))
 
 
 def _settled_rows(fitted: Fitted) -> list[np.ndarray]:

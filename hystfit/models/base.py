@@ -110,6 +110,16 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
+    def hysteretic(self) -> bool:
+        """Whether slow cycles leave its loop open; False for curves and linear filters."""
+        return True
+
+    @property
+    def memoryless(self) -> bool:
+        """Whether the output is a function of the present input alone."""
+        return not self.hysteretic and self.rate_independent and not self.delays
+
+    @property
     def creeps(self) -> bool:
         """Whether the output may go on changing for seconds after a step of the input; a lag, a resonance and a viscous term do not."""
         return not self.rate_independent

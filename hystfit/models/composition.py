@@ -57,6 +57,7 @@ class AbstractComposition(AbstractHysteresis):
         return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
 
     rate_independent = _of_all("rate_independent")
+    hysteretic = _of_any("hysteretic")
     allows_thinning = _of_all("allows_thinning")
     linear_in_input = _of_all("linear_in_input")
     causal = _of_all("causal")

@@ -40,6 +40,7 @@ class Delay(AbstractHysteresis):
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = False  # its delay is in samples
     linear_in_input: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
     delays: ClassVar[bool] = True
 
     lag: Scalar = param(1.0, bounds=(0.0, np.inf), unit="sample", doc="delay")
@@ -81,54 +82,66 @@ class Delay(AbstractHysteresis):
 
 
 class Lag(AbstractHysteresis):
-    """Two equal first-order lags of tau / 2 each: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
+    """Two equal first-order lags of tau / 2 each, or one of tau: an amplifier, a sensor, anti-alias filters. Exact for steps of the input.
 
     The input of a sample acts over the whole interval before it, on average half an interval early: a fitted tau includes that half, and
     is valid for the sampling rate of its records. `level` is the input at which the device rested before the record, so that a jump at
     the first sample is smoothed too.
+
+    Raises:
+        ModelError: `order` is neither 1 nor 2.
     """
 
     rate_independent: ClassVar[bool] = False
     creeps: ClassVar[bool] = False
     linear_in_input: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"rest": get_args(Rest)}
 
     tau: Scalar = param(0.01, bounds=(0.0, np.inf), unit="s", scale=0.01, doc="mean delay")
     level: Scalar = param(0.0, unit="u", fixed=True, doc="input at which the device rested before the record")
     rest: Rest = eqx.field(static=True, default="level")
+    order: int = eqx.field(static=True, default=2)
+
+    def __check_init__(self) -> None:
+        if self.order not in (1, 2):
+            raise ModelError(f"the order of a lag must be 1 or 2, got {self.order}")
 
     def init(self, u0: Scalar) -> State:
-        """State: the outputs of the two lags, in equilibrium at `level` or, where rest = "first", at the first input."""
-        return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (2,))
+        """State: the outputs of the lags, in equilibrium at `level` or, where rest = "first", at the first input."""
+        return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (self.order,))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample through both lags."""
-        first, second = _lagged((state[0], state[1]), u1, self._factors(dt))
-        return jnp.stack([first, second]), second
+        """One sample through the lags."""
+        new = _lagged(tuple(state), u1, self._factors(dt))
+        return jnp.stack(new), new[-1]
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
         """Without the exponential where the sampling is even."""
-        body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[1])
-        state, y = scan_in_time(body, (state[0], state[1]), u, self._factors, dt, unroll=2)
+        body = lambda state, u1, factors: (new := _lagged(state, u1, factors), new[-1])
+        start = tuple(state[k] for k in range(self.order))
+        state, y = scan_in_time(body, start, u, self._factors, dt, unroll=2)
         return jnp.stack(state), y
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """Two recursions on the host where the sampling is even."""
+        """A recursion for each lag on the host where the sampling is even."""
         u, dt = (np.asarray(v) for v in checked_drive(self, u, dt))
         if (clock := Clock.of(dt)) is None:
             return super().free_run(u, dt)
         rest = float(u[0] if self.rest == "first" else self.level)
         x = (clock.rows(rest, u) - rest)[:, None]
-        passed = 2.0 * clock.interval / float(self.tau)
+        passed = self.order * clock.interval / float(self.tau)
         decay = np.exp(-passed)
         first = recursion((1.0, -decay), (1.0 - decay) * x)
+        if self.order == 1:
+            return rest + clock.samples(first[:, 0])
         before = np.concatenate([x[:1], first[:-1]])
         second = recursion((1.0, -decay), (1.0 - decay) * x + decay * passed * (before - x))
         return rest + clock.samples(second[:, 0])
 
     def _factors(self, dt: Array) -> tuple[Array, ...]:
         """Parts of the outputs after the time dt: of each output in itself, of the first in the second, of the input in either."""
-        passed = 2.0 * dt / self.tau
+        passed = self.order * dt / self.tau
         kept, reached = jnp.exp(-passed), -jnp.expm1(-passed)
         return kept, kept * passed, reached, reached - kept * passed
 
@@ -141,15 +154,15 @@ class Lag(AbstractHysteresis):
         return LinearStep(self)
 
     def c_part(self) -> CPart:
-        """Two recursions."""
+        """A recursion for each lag."""
         return CPart.of(self, "lag", first=self.rest == "first")
 
 
-def _lagged(state: tuple[Array, Array], u: Array, factors: tuple[Array, ...]) -> tuple[Array, Array]:
-    """Outputs of two lags in a row after a step to u."""
+def _lagged(state: tuple[Array, ...], u: Array, factors: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Outputs of one lag, or of two in a row, after a step to u."""
     kept, passed, reached, through = factors
-    first, second = state
-    return kept * first + reached * u, kept * second + (passed * first + through * u)
+    first, *second = state
+    return kept * first + reached * u, *(kept * one + (passed * first + through * u) for one in second)
 
 
 class SecondOrder(AbstractHysteresis):
@@ -160,6 +173,7 @@ class SecondOrder(AbstractHysteresis):
     creeps: ClassVar[bool] = False
     c_template: ClassVar[str] = "second_order"
     linear_in_input: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
 
     omega: Scalar = param(100.0, bounds=(0.0, np.inf), unit="1/s", scale=10.0, doc="natural frequency [rad]")
     zeta: Scalar = param(0.1, bounds=(0.0, 1.0), doc="damping ratio")

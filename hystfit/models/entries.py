@@ -188,6 +188,9 @@ MODELS: dict[str, Entry] = {
         "weighted plays whose thresholds grow with the rate; exact inverse; convex solve; needs time and several rates",
         tried=("rate-dependent-plays",),
     ),
+    "curve": Entry(
+        "curve:Curve.of", "core", "single-valued curve, no hysteresis: alone, or behind a lag or a delay; convex solve",
+    ),
     "negate": Entry(
         "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises",
     ),
@@ -195,7 +198,7 @@ MODELS: dict[str, Entry] = {
         "dynamics:Delay", "before", "pure delay of the input, in samples",
     ),
     "lag": Entry(
-        "dynamics:Lag", "before", "two first-order lags of the input (amplifier, sensor); needs time",
+        "dynamics:Lag", "before", "one or two first-order lags of the input (amplifier, sensor); needs time",
     ),
     "rate-shift": Entry(
         "rate_shift:RateShift", "before",

@@ -23,6 +23,7 @@ class Linear(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
     c_template: ClassVar[str] = "linear"
     linear_in_input: ClassVar[bool] = True
 

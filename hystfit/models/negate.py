@@ -19,6 +19,7 @@ class Negate(AbstractHysteresis):
     """The input with the opposite sign:  x = -u.  Before a hysteresis, for outputs that fall as the input rises."""
 
     rate_independent: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
     c_template: ClassVar[str] = "negate"
     linear_in_input: ClassVar[bool] = True
 

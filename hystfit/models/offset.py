@@ -19,6 +19,7 @@ class Offset(AbstractHysteresis):
     """A separate constant for each record:  y = value."""
 
     rate_independent: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
     c_template: ClassVar[str] = "offset"
 
     value: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")

@@ -67,6 +67,8 @@ class _AbstractRate(AbstractHysteresis):
 class Viscous(_AbstractRate):
     """Linear damping:  y = c du/dt."""
 
+    hysteretic: ClassVar[bool] = False
+
     c: Scalar = param(0.0, unit="y*s/u", linear=True, doc="damping coefficient")
 
     def force(self, rate: Any) -> Any:

@@ -34,6 +34,7 @@ class Relaxation(AbstractHysteresis):
     one_scan: ClassVar[bool] = False
     allows_thinning: ClassVar[bool] = True
     linear_in_input: ClassVar[bool] = True
+    hysteretic: ClassVar[bool] = False
 
     a: Float[Array, " modes"] = param((0.05, 0.02), bounds=(-1.0, 1.0), scale=0.1, doc="parts that follow slowly")
     tau: Float[Array, " modes"] = param((0.1, 1.0), bounds=(0.0, np.inf), unit="s", scale=1.0, doc="time constants")

@@ -71,7 +71,7 @@ class Baselines:
             squares += _squares(misses, about_mean=refit_offset)
         line, curve, *plays = np.sqrt(squares / sum(y.size for y in outputs)).tolist()
         span = max(y.max(initial=-np.inf) for y in outputs) - min(y.min(initial=np.inf) for y in outputs)
-        noise = _noise(outputs) if all(map(_is_resolved, judged)) else None
+        noise = _noise(outputs) if all(map(is_resolved, judged)) else None
         return cls(float(span), noise, line, curve, *(plays or [None]))
 
 
@@ -232,7 +232,7 @@ class _Curve:
         return (y[inside] - line) / np.sqrt(1 + (1 - part) ** 2 / self.many[k] + part**2 / self.many[k + 1])
 
 
-def _is_resolved(record: Record) -> bool:
+def is_resolved(record: Record) -> bool:
     """Whether there are samples enough for each time that the input goes there and back over its range to tell noise from the output."""
     cycles = float(np.abs(np.diff(record.u)).sum()) / (2 * float(np.ptp(record.u)) or np.inf)
     return bool(np.count_nonzero(record.used) >= FEWEST_SAMPLES * cycles)

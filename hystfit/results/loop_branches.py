@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -184,7 +185,7 @@ def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_va
         per_level = abs(run / step)
         known = np.isfinite(of_values)
         curved = _beside_chord(level, values, k) if known else _beside_chord(values, level, k) * per_level
-        between = abs((level[k] / step) * (1 + level[k] / step) * curved)
+        between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), _of_jump(level, values, k))
         error = float(np.hypot(np.nansum([sigma * per_level, of_values]), between))
         rounding = np.finfo(float).eps * float(np.abs(values).max())
         return float(values[k] - level[k] * run / step), error if error > rounding else np.nan
@@ -197,6 +198,18 @@ def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_va
         float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
     )
     return float(at), float(sigma / abs(slope) * np.sqrt(spread))
+
+
+def _of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:
+    """Standard error of the place of a jump between two samples, of that part of it that the slopes beside it do not have.
+
+    It may lie anywhere between the two: a uniform distribution has 1 / sqrt(12) of its width.
+    """
+    slope = lambda at: abs(level[at + 1] - level[at]) / (abs(values[at + 1] - values[at]) or np.inf)
+    beside = [slope(at) for at in (k - 1, k + 1) if 0 <= at < level.size - 1]
+    own = slope(k)
+    part = max(0.0, 1.0 - max(beside, default=own) / own) if own > 0 else 0.0
+    return part * abs(values[k + 1] - values[k]) / math.sqrt(12)
 
 
 def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:

@@ -1,17 +1,24 @@
-/* Two equal first-order lags, exact for steps of the input. */
+/* One first-order lag, or two equal ones, exact for steps of the input. */
 static void @f@_init(double *s, double u0)
 {
-    s[0] = s[1] = @M@_FIRST ? u0 : @M@_LEVEL;
+    int k;
+    for (k = 0; k < @M@_ORDER; k++)
+        s[k] = @M@_FIRST ? u0 : @M@_LEVEL;
 }
 
 static double @f@_step(const double *s, double u0, double u1, double dt, double *next)
 {
-    const double passed = 2 * dt / @M@_TAU, decay = exp(-passed);
-    const double first = s[0] - u1, y = u1 + decay * (s[1] - u1 + passed * first);
+    const double passed = @M@_ORDER * dt / @M@_TAU, decay = exp(-passed), first = s[0] - u1;
+    const double reached = u1 + decay * first;
+#if @M@_ORDER == 2
+    const double y = u1 + decay * (s[1] - u1 + passed * first);
+#else
+    const double y = reached;
+#endif
     (void)u0;
     if (next) {
-        next[0] = u1 + decay * first;
-        next[1] = y;
+        next[0] = reached;
+        next[@M@_ORDER - 1] = y;
     }
     return y;
 }

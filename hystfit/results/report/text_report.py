@@ -24,6 +24,8 @@ _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such err
 _VERDICT = frozenset(
     {
         Code.ACCURACY,
+        Code.MEASUREMENT_NOISE,
+        Code.CLIPPED,
         Code.POOR_FIT,
         Code.ROUGH_FIT,
         Code.TEST_ERROR,
@@ -36,6 +38,7 @@ _VERDICT = frozenset(
         Code.MINOR_LOOPS,
         Code.EXTRAPOLATION,
         Code.SINGLE_VALUED,
+        Code.SPEED_DEPENDENT,
         Code.RECORDS_DIFFER,
         Code.NO_LOOP,
     }
