@@ -96,11 +96,11 @@ plt.show()
 
 # %% [markdown]
 # ## Draws from the posterior
-# The noise has parameters too: a slow and a white part. NUTS starts at the fit, in coordinates whitened by its curvature. Read the
+# The noise has parameters too: a slow and a white part. Sampling starts at the fit, in coordinates whitened by its curvature. Read the
 # status first, then R-hat (1.01 at most) and the number of effective draws (400 at least) of each parameter.
 
 # %%
-posterior = hf.sample(fit, "nuts", noise="ou", draws=100 if QUICK else 2000, chains=2 if QUICK else 4, seed=1)
+posterior = hf.sample(fit, noise="ou", draws=100 if QUICK else 2000, chains=2 if QUICK else 4, seed=1)
 print(posterior)
 
 # %%
