@@ -292,7 +292,7 @@ def test_refit_offset_takes_the_mean_error_out(folder, loop, fitted, capsys):
 @pytest.mark.parametrize(
     ("words", "package", "extra"),
     [
-        (["sample", "FIT"], "blackjax", "bayes"),
+        (["sample", "FIT", "--sampler", "nuts"], "blackjax", "bayes"),
         (["sample", "FIT", "--sampler", "nested"], "blackjax", "bayes"),
         (["sample", "FIT", "--sampler", "emcee", "--out", "NEW"], "h5netcdf", "bayes"),
         (["sample", "FIT", "--sampler", "emcee", "--out", "NEW"], "xarray", "bayes"),

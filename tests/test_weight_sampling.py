@@ -204,7 +204,7 @@ def test_what_the_sampler_cannot_do_is_named(plays: hf.FitResult, cells: hf.FitR
     assert (
         suited_sampler(plays, "student-t")
         == suited_sampler(plays, "iid", {"w[0,0]": priors.LogNormal(0.5, 0.3)})
-        == "nuts"
+        == "independence"
     )
     with pytest.raises(ParameterError, match="iid and ou"):
         hf.sample(plays, "weights", noise="student-t")

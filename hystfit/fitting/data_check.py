@@ -105,10 +105,10 @@ def _drift(records: Dataset, best: Screened) -> Note | None:
         return drift_note(best.found.residuals(), records, output_range(records).width)
     short = thinned(records)
     try:
-        rows = residuals_of(solve_model(best.name, short, FitOptions()).unjudged)
+        fit = solve_model(best.name, short, FitOptions()).unjudged
     except HystfitError:
         return None
-    return drift_note(rows, short, output_range(records).width)
+    return drift_note(residuals_of(fit), fit.problem.data, output_range(records).width)
 
 
 def _best(records: Dataset, screened: Sequence[Screened]) -> Screened | None:
@@ -117,7 +117,8 @@ def _best(records: Dataset, screened: Sequence[Screened]) -> Screened | None:
     samples = sum(int(record.used.sum()) for record in records)
     best = best_screened(screened, samples, baselines.span)
     # A single-valued curve describes them.
-    return None if best.error * equal_errors(samples) >= baselines.curve else best
+    as_well = best.error * equal_errors(samples) >= baselines.curve or make_model(best.name).memoryless
+    return None if as_well else best
 
 
 def _advice(records: Dataset, screened: Sequence[Screened], best: Screened) -> Advice:
