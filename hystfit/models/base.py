@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from hystfit.models.c_code import CPart
 from hystfit.models.default_start import hypercube_start
 from hystfit.models.description import format_model
 from hystfit.models.design import COLUMNS, Block, DesignMatrix
+from hystfit.models.reported import Derived, PlayWeights
 from hystfit.models.simulation import AbstractDynamics, checked_drive, run
 from hystfit.models.slopes import Slopes
 from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
@@ -350,15 +351,6 @@ class AbstractHysteresis(AbstractDynamics):
         raise ModelError(f"OpenSees has no uniaxialMaterial like {type(self).__name__}")
 
 
-class Derived(NamedTuple):
-    """A quantity that follows from the parameters of a model: name, unit expression in u, y and s, meaning, function of the model."""
-
-    name: str
-    unit: str
-    doc: str
-    value: Callable[[Any], Array]
-
-
 class OutputResonance(NamedTuple):
     """A resonance at the end of a model: the model before it (None where there is nothing), omega [rad/s] and zeta."""
 
@@ -397,19 +389,3 @@ def check_same_length(model: AbstractHysteresis, one: str, other: str, element: 
         return
     if first[-1:] != second[-1:]:
         raise ModelError(f"{one} and {other} must have one value for each {element}, got shapes {first}, {second}")
-
-
-class PlayWeights(NamedTuple):
-    """Weights of the plays or stops of one envelope.
-
-    Attributes:
-        label: of the envelope and operator.
-        threshold: half width of each, rising [u], shape (n,).
-        weight: of each [y], shape (n,).
-        names: of the parameters that are the weights.
-    """
-
-    label: str
-    threshold: np.ndarray
-    weight: np.ndarray
-    names: tuple[str, ...]

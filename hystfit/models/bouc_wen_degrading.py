@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
     SUBSTEPS,
     any_power,
@@ -23,6 +23,7 @@ from hystfit.models.bouc_wen_steps import (
     semi_implicit,
     substep_advice,
 )
+from hystfit.models.reported import Derived
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants

@@ -17,9 +17,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.c_code import CPart
+from hystfit.models.reported import Derived
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
 from hystfit.models.step_inverse import AbstractStepInverse

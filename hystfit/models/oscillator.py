@@ -14,10 +14,11 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.band_limited import REACH, upsample
-from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.c_code import CPart
 from hystfit.models.oscillator_start import oscillator_starts
+from hystfit.models.reported import Derived
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.step_inverse import COMES_LATER
 from hystfit.outcome import Code

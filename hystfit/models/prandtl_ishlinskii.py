@@ -15,12 +15,13 @@ from numpy.polynomial.legendre import legder, legval, legvander
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, PlayWeights, Rest
+from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.bracketed import Root
 from hystfit.models.c_code import CPart
 from hystfit.models.design import DesignMatrix
 from hystfit.models.play_columns import Envelope, element_columns, envelope, envelope_slope, fading, rising_columns
 from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
+from hystfit.models.reported import PlayWeights
 from hystfit.models.shapes import Scalar, Signal, State
 from hystfit.models.slopes import POINTS, Slopes
 from hystfit.models.starting import fitted_input_range, output_range

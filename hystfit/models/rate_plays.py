@@ -13,9 +13,10 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, PlayWeights, check_same_length
+from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.bracketed import Root
 from hystfit.models.design import DesignMatrix
+from hystfit.models.reported import PlayWeights
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.simulation import states_over
 from hystfit.models.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.reported import Derived
 from hystfit.models.shapes import Scalar, State
 from hystfit.models.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
 from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants

@@ -15,9 +15,10 @@ from jaxtyping import Array, Float
 from hystfit.data.covariates import covariate, covariate_unit
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.models.base import AbstractHysteresis, Derived
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.composition import AbstractComposition
 from hystfit.models.design import Block, DesignMatrix
+from hystfit.models.reported import Derived
 from hystfit.models.shapes import Scalar
 from hystfit.outcome import Code, Note
 from hystfit.params.host_arrays import to_device
