@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -103,9 +104,14 @@ class Independence(AbstractSampler):
         return drawn
 
     def _joined(self, chains: list[_Chain], draws: int, report: Progress) -> dict[str, np.ndarray]:
-        workers = Workers()
-        parts = workers.run([functools.partial(chain.draw, draws, workers.check) for chain in chains])
-        report(f"{self.chains * draws} draws", 1.0)
+        workers, begun, total = Workers(), itertools.count(), len(chains) * -(-draws // _CHUNK)
+
+        def tick() -> None:
+            workers.check()
+            share = next(begun) / total
+            report(f"{share * self.chains * draws:.0f} of {self.chains * draws} draws", share)
+
+        parts = workers.run([functools.partial(chain.draw, draws, tick) for chain in chains])
         return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
 
 
@@ -136,10 +142,10 @@ class _Chain:
     label: str
     chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
 
-    def draw(self, count: int, check: Callable[[], None]) -> dict[str, np.ndarray]:
-        """The first `count` draws; `check` ends the chain after an interrupt."""
+    def draw(self, count: int, tick: Callable[[], None]) -> dict[str, np.ndarray]:
+        """The first `count` draws; `tick` is called before each chunk, and ends the chain after an interrupt."""
         for number in range(-(-count // _CHUNK)):
-            check()
+            tick()
             if number == len(self.chunks):
                 make: Callable[[], dict[str, np.ndarray]] = functools.partial(self._chunk, number)
                 self.chunks.append(stored(self.folder, f"{self.label}-{number:05d}.npz", make))

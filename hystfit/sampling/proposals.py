@@ -66,9 +66,8 @@ class Mixture:
         found = []
         for part, pull in zip(parts, pulls, strict=True):
             share, center = part.sum(), pull @ batch.q / max(pull.sum(), np.finfo(float).tiny)
-            if (
-                share**2 >= 3 * batch.q.shape[1] * np.sum(part**2) > 0
-            ):  # as many effective places as its covariance needs
+            # As many effective places as its covariance needs.
+            if share**2 >= 3 * batch.q.shape[1] * np.sum(part**2) > 0:
                 away = batch.q - center
                 found.append((share, center, _WIDER * np.linalg.cholesky((pull * away.T) @ away / share)))
         if not found:
@@ -115,11 +114,9 @@ class Batch:
     @property
     def balanced(self) -> Batch:
         """The same places, weighted as far as they are effective: batches of several mixtures can be joined."""
-        return (
-            dataclasses.replace(self, score=self.score - logsumexp(self.score) + np.log(self.effective))
-            if self.effective
-            else self
-        )
+        if not self.effective:
+            return self
+        return dataclasses.replace(self, score=self.score - logsumexp(self.score) + np.log(self.effective))
 
     @functools.cached_property
     def weights(self) -> Float[np.ndarray, " n"]:

@@ -59,8 +59,8 @@ def sample(
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
         sampler: "auto" ("weights" for weights of cells or plays beside few other parameters, and "independence" for the others),
-            "independence" (independence chains where a t distribution covers the posterior, else NUTS), "nuts" (blackjax), "weights"
-            for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
+            "independence" (independence chains where a mixture of t distributions covers the posterior, else NUTS), "nuts" (blackjax),
+            "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
             posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
             my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
