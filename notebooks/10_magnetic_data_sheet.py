@@ -76,8 +76,8 @@ sheet = hf.quantities(magnet, sample=Sample(size_stderr=0.01e-3))
 sheet
 
 # %%
-raw = MagneticLoop.of(magnet, Sample(demagnetization=0.0), None)
-loop = MagneticLoop.of(magnet, Sample(), None)
+raw = MagneticLoop.of(magnet, Sample(demagnetization=0.0))
+loop = MagneticLoop.of(magnet, Sample())
 fig, ax = plt.subplots(figsize=(6, 4), layout="constrained")
 for one, label in ((raw, "applied field"), (loop, "field inside the sample")):
     ax.plot(1e-3 * one.h, one.j, lw=1, label=label)

@@ -75,12 +75,13 @@ class MagneticLoop:
     per_field: float
 
     @classmethod
-    def of(cls, record: Record, sample: Sample, noise: float, correct: Collection[str] = ()) -> MagneticLoop | None:
+    def of(cls, record: Record, sample: Sample, noise: float = np.nan, correct: Collection[str] = ()) -> MagneticLoop | None:
         """The loop of a record; None where its input is no magnetic field, or has no unit.
 
         Args:
             record: input a field in A/m, Oe or T (mu0 H); output a moment, a magnetization, a polarization or a flux density.
             sample: what is known of the sample, beside the header of the file.
+            noise: standard deviation of the white noise, in the unit of the output; NaN where it is unknown.
             correct: which of `ON_REQUEST` to apply.
         """
         if unknown := set(correct) - set(ON_REQUEST):
