@@ -103,6 +103,12 @@ class Record:
         return used
 
     @property
+    def reached(self) -> np.ndarray:
+        """Inputs from the first to the last sample that counts, shape (n,): those between that do not count drove the device too."""
+        at = np.flatnonzero(self.used)
+        return self.u[at[0] : at[-1] + 1] if at.size else self.u[:0]
+
+    @property
     def first(self) -> int:
         """The first sample that counts."""
         return int(np.argmax(self.used))

@@ -58,8 +58,8 @@ def input_range(records: Iterable[Record]) -> Range:
 
 
 def fitted_input_range(records: Iterable[Record]) -> Range:
-    """Range of the input over the samples that count."""
-    return Range.of(r.u[r.used] for r in records)
+    """Range of the input from the first to the last sample that counts."""
+    return Range.of(r.reached for r in records)
 
 
 def output_range(records: Iterable[Record]) -> Range:

@@ -197,6 +197,12 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         u: input, shape (T,).
         y: output, shape (T,).
     """
+    found = _at_a_limit(u, y)
+    return found if found.mean() < _MOST_CLIPPED else np.zeros_like(found)
+
+
+def _at_a_limit(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The same, however many they are."""
     y = np.asarray(y, dtype=float)
     found = np.zeros(y.size, dtype=bool)
     span = np.ptp(u)
@@ -210,7 +216,7 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
             onward = np.sign(u[start] - u[start - 1]) if start else np.sign(u[stop - 1] - u[0])
             if stop - start >= max(4, 2 * (usual + 1)) and np.max(onward * (u[start:stop] - u[start])) > 0.02 * span:
                 found[start:stop] = True
-    return found if found.mean() < _MOST_CLIPPED else np.zeros_like(found)
+    return found
 
 
 def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -222,7 +228,7 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         u: input, shape (T,).
         y: output, shape (T,).
     """
-    clipped = clipped_samples(u, y)
+    clipped = _at_a_limit(u, y)
     if not clipped.any():
         return clipped
     noise, is_bound = noise_rms(y[~clipped])

@@ -172,8 +172,8 @@ class FittedModel:
 
     @property
     def input_range(self) -> tuple[float, float]:
-        """Lowest and highest input of the samples fitted."""
-        return min(float(r.u[r.used].min()) for r in self.data), max(float(r.u[r.used].max()) for r in self.data)
+        """Lowest and highest input from the first to the last sample fitted."""
+        return min(float(r.reached.min()) for r in self.data), max(float(r.reached.max()) for r in self.data)
 
     def extrapolation(self, record: Record) -> Note | None:
         """A warning where a record leaves the fitted range of inputs; None where it does not."""

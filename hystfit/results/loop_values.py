@@ -17,7 +17,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
-from hystfit.quality.faults import noise_rms
+from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.results.instrument_values import convention_notes, with_stated
@@ -150,11 +150,18 @@ _NO_CYCLE = Note(
 _NO_AREA = Note(
     Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
 )
+_LIMITED = Note(
+    Code.CLIPPED,
+    "the sensor is saturated at the ends of the loop: ranges, stiffness and areas are at least these",
+    Severity.WARNING,
+)
+_CUT_OFF = ("stroke", "saturation", "Js", "secant_stiffness", "loop_area", "W")
 _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 
 def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Read:
     """Quantities, corrections and notes of a record."""
+    record, limited = _with_limited(record)
     kept = record.used
     u, y = record.u[kept], record.y[kept]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
@@ -186,7 +193,24 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
     closed = any(closes(*pair, y) for pair in pairs)
     rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
+    if limited:
+        rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
     return rows, corrections, (*of_zero, *notes)
+
+
+def _with_limited(record: Record) -> tuple[Record, bool]:
+    """The record with the samples of a saturated sensor, which a fit leaves out, and whether it has any."""
+    limited = saturated_samples(record.u, record.y) & (np.cumsum(record.used) > 0) & (np.cumsum(record.used[::-1])[::-1] > 0)
+    return record.replace(weight=np.where(limited, 1.0, record.weight)), bool(limited.any())
+
+
+def _at_least(rows: Sequence[LoopValue]) -> Iterator[LoopValue]:
+    """The values of a loop whose ends are cut off: ranges and areas are the least that they can be, a ratio of both is left out."""
+    for row in rows:
+        if row.name in _CUT_OFF:
+            yield dataclasses.replace(row, label=f"{row.label}, at least", stderr=None)
+        elif row.name != "equivalent_damping_percent":
+            yield row
 
 
 def _with_data_sheet(

@@ -148,13 +148,12 @@ class Excitation:
 
     @classmethod
     def of(cls, data: Dataset, *, hardens: bool = False) -> Excitation:
-        """The excitation over the range of the samples that count.
+        """The excitation over the range of the inputs from the first to the last sample that counts.
 
         Args:
             hardens: whether the loop of the model changes with the path, so that the cycles run that of the longest record.
         """
-        low = min(float(r.u[r.used].min()) for r in data)
-        high = max(float(r.u[r.used].max()) for r in data)
+        low, high = min(float(r.reached.min()) for r in data), max(float(r.reached.max()) for r in data)
         interval, sine, points = _waveform(data)
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
         energy = loop_energy(data.units["u"], data.units["y"])[1]
