@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.data_check import check
 from hystfit.fitting.fit_warnings import drift_note
@@ -69,6 +70,45 @@ def test_smaller_loops_rank_in_check_as_in_a_comparison():
     searched = next(one for one in screen(data) if one.asked == SEARCH)
     row = next(row for row in hf.compare(data, [SEARCH]).rows)
     assert 100 * searched.error / float(np.ptp(record.y)) == pytest.approx(row.score_percent, rel=0.1)
+
+
+def test_a_model_without_an_inverse_goes_first_only_where_it_errs_clearly_less():
+    """Weights of either sign describe relays with weights >= 0 about as well, and end the comparison once they leave noise."""
+    plain = Candidate("preisach", first=First(0.49, 496))
+    signed = lambda error: Candidate("preisach-signed", first=First(error, 496, inverse=False))
+    assert leader([signed(0.45), plain]) is plain
+    assert leader([plain, better := signed(0.3)]) is better
+
+
+def sorption():
+    """Amount adsorbed in 32 steps of pressure, up to condensation and down to where the branches meet."""
+    p = np.array([2, 5, *range(10, 50, 10), *range(50, 100, 5), 98], dtype=float) / 100
+    p = np.append(p, p[-2:2:-1])
+    rises = np.arange(p.size) <= p.argmax()
+    return p, 60 + 40 * p + 150 / (1 + np.exp(-(p - np.where(rises, 0.78, 0.62)) / 0.04))
+
+
+def test_check_advises_what_a_fit_takes_where_both_try_the_same():
+    """A choice of cells that one bound ended early was the best of what remained, in check alone."""
+    p, amount = sorption()
+    record = hf.Record(p, amount + np.random.default_rng(28).normal(0, 0.6, p.size))
+    advice, winner = check(record).advice, hf.compare(record).rows[0].name
+    assert advice is not None
+    assert advice.model == winner
+
+
+def test_check_names_the_closed_forms_whose_other_parameters_a_fit_searches_for():
+    """A valve behind a lag of 30 ms, at two rates: cells behind a lag err by their starting values alone."""
+    t = np.arange(0, 12, 0.01)
+    u = 5 * np.sin(2 * np.pi * np.cumsum(np.where(t < 6, 0.25, 1.0)) * 0.01)
+    opening = u - stops(u, [0.3], [1.0])
+    flow = 8 * np.sign(opening) * np.maximum(np.abs(opening) - 0.4, 0)
+    for k in range(1, t.size):
+        flow[k] = flow[k - 1] + (1 - np.exp(-0.01 / 0.03)) * (flow[k] - flow[k - 1])
+    report = check(hf.Record(u, flow + np.random.default_rng(7).normal(0, 0.15, t.size), t))
+    assert report.advice is not None
+    assert "lag+preisach" in report.advice.searched
+    assert "predicts held-out samples best" in report.text()
 
 
 def static_and_viscous():

@@ -28,7 +28,6 @@ from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.ridge import LinearSystem
-from hystfit.fitting.screening import best_screened, looked_at_closely, screen
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import SmoothWeights, left_out_scores
 from hystfit.fitting.structure import Structure, build, structure_of
@@ -449,25 +448,6 @@ def test_weights_of_one_sign_are_bounded_by_those_of_either_on_the_same_cells(mo
     bounds = [search.first(make_model(name), 1e-9)[1] for name in ("preisach", "preisach-signed")]
     assert bounds[0] == bounds[1] > 1e-9
     assert set(solved) == {"Preisach"}
-
-
-def test_a_model_that_is_beaten_in_the_first_looks_errs_by_its_bound_or_more():
-    """Plays and an exponential creep, which the search finds and no static model describes."""
-    t = np.arange(0.0, 12.0, 0.02)
-    u = np.sin(2 * np.pi * 0.5 * t) * (0.5 + 0.5 * np.sin(2 * np.pi * t / 4) ** 2)
-    plays, slow, y = np.zeros(10), 0.0, []
-    for x in u:
-        plays = np.clip(plays, x - np.linspace(0.05, 0.8, 10), x + np.linspace(0.05, 0.8, 10))
-        slow += 0.02 * (x - slow) / 1.5
-        y.append(x + plays.mean() + 0.8 * slow)
-    data = hf.Dataset.of(hf.Record(u, np.array(y) + np.random.default_rng(0).normal(0, 2e-3, t.size), t))
-    screened = list(screen(data))
-    beaten = [one for one in screened if one.beaten]
-    closely = looked_at_closely(beaten, data)
-    assert {one.asked for one in beaten} >= {"preisach", "preisach-signed"}
-    assert all(bound.error <= one.error and not one.beaten for bound, one in zip(beaten, closely, strict=True))
-    every = [one for one in screened if not one.beaten] + closely
-    assert best_screened(every, t.size, 1.0).name == best_screened(screened, t.size, 1.0).name
 
 
 def test_a_fit_of_the_size_that_was_chosen_goes_on_from_its_equations(monkeypatch):

@@ -630,3 +630,23 @@ def test_a_vague_value_of_the_model_stands_behind_that_of_the_measured_loops():
     assert not dataclasses.replace(vague, stderr=15.0).vaguer_than(11.0)  # 1.5 % of the value
     assert not dataclasses.replace(vague, measured=1000.0).vaguer_than(11.0)
     assert not vague.vaguer_than(None)
+
+
+def test_thresholds_of_relays_have_the_error_of_the_cell_in_which_they_lie() -> None:
+    """Six switches with thresholds anywhere in cells of 1 V: the half width was off by ten of its standard errors (rms)."""
+    t = np.arange(0, 20, 0.02)
+    u = 12 * np.sin(0.4 * np.pi * t) * np.where(t < 10, 1.0, 0.75)
+    off = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        up, down = rng.uniform(2, 6), -rng.uniform(2, 6)
+        on, y = -1.0, np.empty(t.size)
+        for k, x in enumerate(u):
+            on = 1.0 if x >= up else -1.0 if x <= down else on
+            y[k] = 2.5 * on
+        result = hf.fit("preisach", hf.Record(u, y + rng.normal(0, 0.05, t.size), u_unit="V", y_unit="N"))
+        one = next(q for q in result.quantities if q.name == "coercive_input")
+        assert one.value is not None
+        assert one.stderr is not None
+        off.append((one.value - (up - down) / 2) / one.stderr)
+    assert 0.3 < np.sqrt(np.mean(np.square(off))) < 2.0

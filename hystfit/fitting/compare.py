@@ -91,7 +91,7 @@ def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
     if run.held.scheme is not Scheme.SCATTERED:
         return 1
     firsts = [one.first for one in waiting if one.first is not None]
-    least, best = min(firsts, key=lambda first: first.error, default=None), run.best_row
+    least, best = min(firsts, key=lambda first: first.ranked, default=None), run.best_row
     if least is not None and least.model is not None:
         if best is None or least.error / run.span < score_of(best) / 100:
             return run.correlation_of_model(least.model)

@@ -177,12 +177,12 @@ class ComparisonRun:
         model = make_model(one.name)
         known = self._alike(model)
         if known is not None and known.left_out is not None:
-            one.first = First(known.left_out, len(known.free_names))
+            one.first = First(known.left_out, len(known.free_names), inverse=model.has_inverse)
             return
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known)
         if (found := one.sizes.first(model)) is not None:
-            one.first = First(found[1], weights_of(found[0]), found[0])
+            one.first = First(found[1], weights_of(found[0]), found[0], inverse=model.has_inverse)
         else:
             fitted = thinned(self.data) if model.allows_thinning else self.data
             problem, points = started_problem(model, fitted)
@@ -194,7 +194,8 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            one.first = First(rms if np.isfinite(rms) else np.inf, estimate.x.size, lowered=lowered)
+            error = rms if np.isfinite(rms) else np.inf
+            one.first = First(error, estimate.x.size, lowered=lowered, inverse=model.has_inverse)
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
         """The fit of another model with the same elements, whose bounds alone differ: one size serves both.

@@ -6,24 +6,31 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hystfit.fitting.comparison import MARGIN, Row
+from hystfit.fitting.comparison import MARGIN, Row, handicap
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Note
+from hystfit.outcome import Note, Status
 from hystfit.results.result import FitResult
 
 
 class First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
 
-    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it.
+    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it; `inverse` whether its
+    family has one.
     """
 
     error: float
     parameters: int
     model: AbstractHysteresis | None = None
     lowered: float = 1 / MARGIN
+    inverse: bool = True
+
+    @property
+    def ranked(self) -> float:
+        """The error by which it ranks, if its fit converges."""
+        return self.error * handicap(Status.OK, self.inverse)
 
 
 @dataclasses.dataclass
@@ -61,6 +68,6 @@ def leader(waiting: Sequence[Candidate], equal: float = 1.0) -> Candidate | None
         equal: ratio to the smallest error of a first fit up to which that with the fewest parameters goes first.
     """
     firsts = [(one, one.first) for one in waiting if one.first is not None]
-    most = equal * min((first.error for _, first in firsts), default=0.0)
-    alike = [(one, first) for one, first in firsts if first.error <= most]
-    return min(alike, key=lambda pair: (pair[1].parameters, pair[1].error), default=(None,))[0]
+    most = equal * min((first.ranked for _, first in firsts), default=0.0)
+    alike = [(one, first) for one, first in firsts if first.ranked <= most]
+    return min(alike, key=lambda pair: (pair[1].parameters, pair[1].ranked), default=(None,))[0]

@@ -127,6 +127,6 @@ def _advice(records: Dataset, screened: Sequence[Screened], best: Screened) -> A
     reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
     if any(one.leaves_noise for one in screened):
         return Advice(best.name, reason)
-    searched = candidates(records).iterated
+    searched = (*(one.asked for one in screened if one.searches and one is not best), *candidates(records).iterated)
     of_time = any(one.found is None or not one.found.model.rate_independent for one in screened[:1])
     return Advice(best.name, reason, searched if of_time else timeless(searched))

@@ -11,7 +11,10 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.comparison import handicap
+from hystfit.fitting.fit_model import solve_model
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import started_problem, without_faults
+from hystfit.fitting.remains import correlation_of
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.smooth_weights import left_out_scores
@@ -39,7 +42,7 @@ class Screened:
         asked: the name that it was tried by, without the settings chosen.
         found: what the search found, where it is its model.
         leaves_noise: whether it leaves nothing but noise, see `residuals_are_white`.
-        beaten: whether its error is at least this one, which is enough to tell that it is not the model to try first.
+        searches: whether it has parameters that a fit searches for; its error is that at their starting values.
         rough: whether its error is larger than that of a usable description.
     """
 
@@ -50,7 +53,7 @@ class Screened:
     asked: str = ""
     found: Found | None = None
     leaves_noise: bool = False
-    beaten: bool = False
+    searches: bool = False
     rough: bool = False
 
     @property
@@ -63,43 +66,46 @@ def screen(data: Dataset) -> list[Screened]:
     """Score the families with a closed form: on thinned records, with few of their choices, and other parameters where they start.
 
     The search comes first, and the only one where it leaves nothing but noise; the last candidates follow where the others describe the
-    loops roughly at best. Where it is the best on scattered samples, these are as far apart as its residuals are correlated. So does
-    `compare`.
+    loops roughly at best. Scattered samples are as far apart as the residuals of the best model are correlated. So does `compare`.
     """
     data = without_faults(data)
     screened = list(_screened(data))
     best = min(screened, key=lambda one: one.ranked, default=None)
-    if best is None or best.found is None or held_out(list(data)).scheme is not Scheme.SCATTERED:
+    if best is None or best.leaves_noise or held_out(list(data)).scheme is not Scheme.SCATTERED:
         return screened
-    spacing = max(map(correlation_length, best.found.residuals()))
+    spacing = _correlation(best, data)
     return list(_screened(data, spacing)) if spacing > 1 else screened
+
+
+def _correlation(best: Screened, data: Dataset) -> int:
+    """Samples over which the residuals of a model are correlated; one where it cannot be fitted."""
+    if best.found is not None:
+        return max(map(correlation_length, best.found.residuals()))
+    short = thinned(data)
+    try:
+        fit = solve_model(best.name, short, FitOptions()).unjudged
+    except (HystfitError, np.linalg.LinAlgError):
+        return 1
+    return round(correlation_of(fit) * sum(map(len, data)) / sum(map(len, short)))
 
 
 def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
     """The models in turn; arguments as of `held_out`."""
     chosen, baselines, look = candidates(data), Baselines.of(data), _Look(data, spacing)
-    equal, most = equal_errors(sum(int(record.used.sum()) for record in data)), float("inf")
     least, limit = float("inf"), Limits.of(baselines).error * baselines.span / 100
     waiting, last = list(chosen.closed), list(chosen.last)
     while waiting or (last and limit < least < baselines.curve):
         name = (waiting or last).pop(0)
-        one = _searched(data, baselines, spacing) if name == SEARCH else look.at(name, most)
+        one = _searched(data, baselines, spacing) if name == SEARCH else look.at(name)
         if one is None:
             continue
         one = dataclasses.replace(one, rough=one.error > limit)
         yield one
         if one.leaves_noise:
             return
-        least, most = min(least, one.error), min(most, equal * one.ranked)
+        least = min(least, one.error)
         if one.found is not None:
             waiting += chosen.beside(*structure_of(one.found.model)).closed
-
-
-def looked_at_closely(beaten: Iterable[Screened], data: Dataset) -> list[Screened]:
-    """Beaten models with their own errors."""
-    look = _Look(without_faults(data))
-    found = (look.at(one.asked, float("inf")) for one in beaten)
-    return [one for one in found if one is not None]
 
 
 def _searched(data: Dataset, baselines: Baselines, spacing: int) -> Screened:
@@ -129,16 +135,12 @@ class _Look:
         self._fewer = max(1, round(spacing * sum(map(len, self._short)) / sum(map(len, data))))
         self._sizes = SizeSearch(self._short, self._fewer)
 
-    def at(self, name: str, most: float) -> Screened | None:
-        """A model, and whether it is beaten because it is ranked at an error above `most`; None where these records cannot start it."""
+    def at(self, name: str) -> Screened | None:
+        """A model; None where these records cannot start it."""
         model = make_model(name)
-        most /= handicap(Status.OK, model.has_inverse)
-        if (first := self._sizes.first(model, most)) is not None:
-            model, error = first
-            if not (beaten := error > most):
-                problem, _ = started_problem(model, self._short, spacing=self._fewer)
-                error = _ranking_error(problem, error)
-            return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, beaten=beaten)
+        if (first := self._sizes.first(model)) is not None:
+            problem, _ = started_problem(first[0], self._short, spacing=self._fewer)
+            return _screened_of(name, problem, first[1])
         try:  # it has no sizes to choose
             short = model.allows_thinning
             problem, _ = started_problem(
@@ -147,8 +149,14 @@ class _Look:
             system = LinearSystem.of(problem, problem.space.vector(problem.model))
         except HystfitError:
             return None
-        model, error = problem.model, _ranking_error(problem, float(fit_ridge(system).score))
-        return Screened(model_name(model), error, weights_of(model), model.has_inverse, name)
+        return _screened_of(name, problem, float(fit_ridge(system).score))
+
+
+def _screened_of(name: str, problem: Problem, error: float) -> Screened:
+    """A model that was tried by this name, with its error on held-out samples [y]."""
+    model, searches = problem.model, not problem.space.linear.all()
+    error = _ranking_error(problem, error)
+    return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, searches=searches)
 
 
 def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:

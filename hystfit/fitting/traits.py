@@ -13,7 +13,7 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
-from hystfit.fitting.screening import Screened, looked_at_closely
+from hystfit.fitting.screening import Screened
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -49,7 +49,7 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
     if any(one.leaves_noise and _kind(make_model(one.name)) == "" for one in screened):
         return ()
     short = thinned(without_faults(data))
-    scores = _of([one for one in screened if not one.beaten])
+    scores = _of(screened)
     scores.append((baselines.curve, "a single-valued curve", ""))
     known = {name for one in screened for name in (one.name, one.asked)}
     for name in dict.fromkeys((*_STATIC, *candidates(data).closed)):
@@ -59,11 +59,6 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
     left_out = {None} if paces(data) > 1 else {None, *_OF_TIME}
     (error, name, kind), (other, rival, _) = _first_two(scores, left_out)
     equal = equal_errors(branches)
-    # A beaten model may be the best without the term, or the best of all with another.
-    most = lambda one: other if kind and error * equal < other else error if _kind(make_model(one.name)) else 0.0
-    if closely := [one for one in screened if one.beaten and one.error < most(one)]:
-        scores += _of(looked_at_closely(closely, data))
-        (error, name, kind), (other, rival, _) = _first_two(scores, left_out)
     if kind == "" or error * equal >= other:
         return ()
     percent = lambda value: float(100 * value / baselines.span)

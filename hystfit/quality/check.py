@@ -35,7 +35,8 @@ class Advice:
     Attributes:
         model: as an expression such as "lag+prandtl-ishlinskii+creep".
         reason: why, in words.
-        searched: models that a fit tries beside it, whose parameters it has to search for.
+        searched: models that a fit tries beside it, whose parameters it has to search for; it takes one that predicts held-out
+            samples better.
     """
 
     model: str
@@ -139,7 +140,8 @@ class QualityReport:
             lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
             if self.advice.searched:
                 lines.append(
-                    f"A fit without a model also tries {listed(self.advice.searched)}, whose parameters need a search"
+                    f"A fit without a model also searches for the parameters of {listed(self.advice.searched)}, and takes the model "
+                    "that predicts held-out samples best"
                 )
         return "\n".join(lines)
 

@@ -185,7 +185,7 @@ def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_va
         per_level = abs(run / step)
         known = np.isfinite(of_values)
         curved = _beside_chord(level, values, k) if known else _beside_chord(values, level, k) * per_level
-        between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), _of_jump(level, values, k))
+        between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), of_jump(level, values, k))
         error = float(np.hypot(np.nansum([sigma * per_level, of_values]), between))
         rounding = np.finfo(float).eps * float(np.abs(values).max())
         return float(values[k] - level[k] * run / step), error if error > rounding else np.nan
@@ -200,7 +200,7 @@ def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_va
     return float(at), float(sigma / abs(slope) * np.sqrt(spread))
 
 
-def _of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:
+def of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:
     """Standard error of the place of a jump between two samples, of that part of it that the slopes beside it do not have.
 
     It may lie anywhere between the two: a uniform distribution has 1 / sqrt(12) of its width.

@@ -200,7 +200,9 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
 
 def _with_limited(record: Record) -> tuple[Record, bool]:
     """The record with the samples of a saturated sensor, which a fit leaves out, and whether it has any."""
-    limited = saturated_samples(record.u, record.y) & (np.cumsum(record.used) > 0) & (np.cumsum(record.used[::-1])[::-1] > 0)
+    limited = (
+        saturated_samples(record.u, record.y) & (np.cumsum(record.used) > 0) & (np.cumsum(record.used[::-1])[::-1] > 0)
+    )
     return record.replace(weight=np.where(limited, 1.0, record.weight)), bool(limited.any())
 
 

@@ -17,11 +17,13 @@ from hystfit.data.record import Record
 from hystfit.data.steady_cycle import from_turning_point
 from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.negate import Negate
+from hystfit.models.preisach.model import Preisach
 from hystfit.outcome.table import or_none
 from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
-from hystfit.results.loop_branches import turns_of
+from hystfit.results.loop_branches import of_jump, turns_of
 from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.result import FitResult
 from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
@@ -61,7 +63,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
     if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
         part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
-    between, joint = _between_samples(result), result.joint
+    between, joint = (_between_samples(result), _between_levels(result, excitation)), result.joint
     known = None if joint is None else np.where(np.isfinite(joint), joint, 0.0)
     for name, y in values.items():
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
@@ -71,8 +73,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         one = _estimate(result, name, float(y[0]), change, size, natural, known)
         if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
             one = dataclasses.replace(one, reason=_MISSING[name])
-        if one.stderr is not None and name in between:
-            one = dataclasses.replace(one, stderr=float(np.hypot(one.stderr, between[name])))
+        if one.stderr is not None and (more := [of[name] for of in between if name in of]):
+            one = dataclasses.replace(one, stderr=float(np.linalg.norm([one.stderr, *more])))
         value = measured.get(name)
         error = None if value is None or name not in part else part[name] * abs(value)
         rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
@@ -98,6 +100,32 @@ def _between_samples(result: FitResult) -> dict[str, float]:
         return {}
     all_of, coarse = (measured_quantities(Dataset((of(y, step),))) for step in (1, _INSERTED))
     return {name: abs(value - coarse[name]) for name, value in all_of.items() if name in coarse}
+
+
+def _between_levels(result: FitResult, excitation: Excitation) -> dict[str, float]:
+    """Standard error of the coercive input by what a Preisach model leaves open: where within a cell its relays switch."""
+    levels = _levels(result.model)
+    if levels is None:
+        return {}
+    outputs = _simulated_outputs(lambda record: _run(result, record, result.model)[None], excitation.loop)
+    loops = excitation.loops(outputs)
+    at = np.concatenate(
+        [[excitation.low], levels[(levels > excitation.low) & (levels < excitation.high)], [excitation.high]]
+    )
+    branches = [np.interp(at, loops.inputs, branch[0]) for branch in (loops.rising, loops.falling)]
+    middle = 0.5 * (np.max(branches) + np.min(branches))
+    errors = []
+    for level in (branch - middle for branch in branches):
+        passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
+        errors.append(of_jump(level, at, int(passed[passed.size // 2])) if passed.size else 0.0)
+    return {"coercive_input": 0.5 * float(np.hypot(*errors))}
+
+
+def _levels(model: AbstractHysteresis) -> np.ndarray | None:
+    """Levels of the input between which the relays of a model switch, rising; None without relays."""
+    parts = getattr(model, "parts", (model,))
+    of = next((np.asarray(part.levels) for part in parts if isinstance(part, Preisach)), None)
+    return -of[::-1] if of is not None and any(isinstance(part, Negate) for part in parts) else of
 
 
 def _estimate(
