@@ -111,3 +111,21 @@ def test_a_free_initial_state_of_a_steady_record_is_where_it_starts():
     assert len(freed.data[0]) == len(record)
     at = lambda h0: freed.predict(freed.space.vector(hf.BoucWen(h0=h0)))[0]
     assert abs(at(0.9)[0] - at(-0.9)[0]) > 0.01  # the state matters at the first sample
+
+
+def test_cycles_cut_out_of_a_longer_test_begin_on_its_loop():
+    """A joint moved to and fro between its ends, from a turn on: at rest its stop would begin half the height of the loop away."""
+    angle = 30 - 30 * np.cos(np.linspace(0, 6 * np.pi, 600, endpoint=False))
+    slip, stop = 3.0, np.empty(angle.size)
+    at = angle[0] + slip  # of the slider: the movement before the record ended in the other direction
+    for k, a in enumerate(angle):
+        at = min(max(at, a - slip), a + slip)
+        stop[k] = 0.5 * (a - at)
+    noise = np.random.default_rng(44).normal(0, 0.08, angle.size)
+    record = hf.Record(angle, 0.12 * angle + stop + noise)
+    assert steady_period(record) == 200
+    assert hf.fit("prandtl-ishlinskii-stop", record).train.nrmse_percent < 1.2 * 100 * 0.08 / np.ptp(record.y)
+    rested = np.array(stop)
+    rested[:100] = np.minimum(0.5 * (angle[:100] - angle[0]), 1.5)
+    assert steady_period(record.replace(y=0.12 * angle + rested + noise)) is None
+    assert steady_period(hf.Record(angle[:200], record.y[:200])) is None

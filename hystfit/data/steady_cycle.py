@@ -16,10 +16,11 @@ _STANDS_OUT = 8.0  # times the noise: least local width
 
 
 def steady_period(record: Record) -> int | None:
-    """Number of samples of the first period, where it spans the record, begins between its turning points and closes; else None.
+    """Number of samples of the first period, where it spans the record and closes; else None.
 
     A device that rested before the first sample starts inside the loop, half its width away from the branch on which the period
-    ends. Where both outputs agree to a small part of the width, the motion was steady before.
+    ends. Where both outputs agree to a small part of the width, the motion was steady before. A period that begins at a turning point
+    must be followed by another one: that of a single loop tells of the state there as much as any model does.
     """
     period, steady = steady_rows(record.u, record.y[None])
     return period if steady[0] else None
@@ -28,17 +29,18 @@ def steady_period(record: Record) -> int | None:
 def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tuple[int, np.ndarray]:
     """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
     span, none = float(np.ptp(u)), np.zeros(len(y), bool)
-    middle = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
-    if u.size < FEWEST or not middle:
+    ends = min(u[0] - u.min(), u.max() - u[0]) / (span or 1.0)
+    if u.size < FEWEST or not (ends > _INSIDE or 0 <= ends <= GAP):
         return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     rising = 1.0 if u[away] > u[0] else -1.0
     v = rising * u
     first = _turn(v, span)
     second = first + _turn(-v[first:], span)
-    beyond = np.flatnonzero(v[second:] >= v[0])
+    beyond = np.flatnonzero(v[second:] >= v[0]) if ends > _INSIDE else np.zeros(1, int)
     last = second + int(beyond[0]) if beyond.size else u.size - 1
     covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
+    covers &= ends > _INSIDE or v[second:].max() > v.max() - GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none
     part = y[:, : last + 1]
@@ -46,7 +48,12 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     part = np.where(finite[:, None], part, 0.0)
     begin = part[:, 0]
     end = part[:, last] + (part[:, away] - begin) / (u[away] - u[0]) * (u[0] - u[last])
-    width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
+    if ends > _INSIDE:
+        width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
+    else:
+        middle = 0.5 * (v.max() + v.min())
+        falling = _between(-middle, -v[first : second + 1], part[:, first : second + 1])
+        width = np.abs(falling - _between(middle, v[: first + 1], part[:, : first + 1]))
     noise = np.std(np.diff(part, 2), axis=1) / np.sqrt(6.0)  # second differences have sqrt(6) times white noise
     closes = np.abs(end - begin) <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
     stands_out = width > np.maximum(OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)

@@ -33,6 +33,7 @@ _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before
 _AT_ONE_PACE = 0.8
 _BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
+_FINER = 2  # times as many plays, tried before a first term of time at one pace
 _FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
@@ -109,6 +110,13 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
         best = _next(structure, score, terms, options)
         if terms.score(best) >= GAIN * score:
             break
+        if plays is None and best.timed and not (structure.timed or terms.several_paces):
+            # Where time and path cannot be told apart, a knee between two thresholds looks like creep.
+            finer = Terms(data, _FINER * terms.plays, terms.held)
+            if finer.plays <= most and finer.served(structure) and finer.score(structure) < terms.score(best):
+                trail.append(_resized(finer, terms, structure, score))
+                terms, score = finer, finer.score(structure)
+                continue
         trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
         structure, score = best, terms.score(best)
     tried, chosen = 0, terms
@@ -120,17 +128,15 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
             continue
         tried += 1
         if resized.score(structure) < (1.0 if other in few else GAIN) * score:
-            trail.append(
-                _step(
-                    f"{other} instead of {chosen.plays} {structure.elements}",
-                    score,
-                    resized.score(structure),
-                    terms.span,
-                )
-            )
+            trail.append(_resized(resized, chosen, structure, score))
             chosen, score = resized, resized.score(structure)
     model, residuals = build(structure, data, chosen.plays), functools.partial(chosen.residuals, structure)
     return Found(model, structure, chosen.plays, score, residuals, tried, tuple(trail))
+
+
+def _resized(new: Terms, old: Terms, structure: Structure, score: float) -> str:
+    """The step to another number of plays, in words."""
+    return _step(f"{new.plays} instead of {old.plays} {structure.elements}", score, new.score(structure), new.span)
 
 
 def _enough(curve: Found, loops: Found, terms: Terms) -> bool:
