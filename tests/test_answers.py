@@ -82,8 +82,7 @@ def test_a_model_without_an_inverse_goes_first_only_where_it_errs_clearly_less()
 
 def sorption():
     """Amount adsorbed in 32 steps of pressure, up to condensation and down to where the branches meet."""
-    p = np.array([2, 5, *range(10, 50, 10), *range(50, 100, 5), 98], dtype=float) / 100
-    p = np.append(p, p[-2:2:-1])
+    p = np.array([2, 5, *range(10, 50, 10), *range(50, 100, 5), 98, *range(95, 35, -5), 30, 20, 10], dtype=float) / 100
     rises = np.arange(p.size) <= p.argmax()
     return p, 60 + 40 * p + 150 / (1 + np.exp(-(p - np.where(rises, 0.78, 0.62)) / 0.04))
 
@@ -91,14 +90,14 @@ def sorption():
 def test_check_advises_what_a_fit_takes_where_both_try_the_same():
     """A choice of cells that one bound ended early was the best of what remained, in check alone."""
     p, amount = sorption()
-    record = hf.Record(p, amount + np.random.default_rng(28).normal(0, 0.6, p.size))
-    advice, winner = check(record).advice, hf.compare(record).rows[0].name
+    record = hf.Record(p, amount + np.random.default_rng(91028).normal(0, 0.6, p.size))
+    advice, winner = check(record).advice, hf.compare(record).rows[0]
     assert advice is not None
-    assert advice.model == winner
+    assert advice.model.partition(":")[0] == winner.asked == "preisach"
 
 
 def test_check_names_the_closed_forms_whose_other_parameters_a_fit_searches_for():
-    """A valve behind a lag of 30 ms, at two rates: cells behind a lag err by their starting values alone."""
+    """A valve behind a lag of 30 ms, at two rates: plays whose width depends on the rate err by their starting values alone."""
     t = np.arange(0, 12, 0.01)
     u = 5 * np.sin(2 * np.pi * np.cumsum(np.where(t < 6, 0.25, 1.0)) * 0.01)
     opening = u - stops(u, [0.3], [1.0])
@@ -107,7 +106,7 @@ def test_check_names_the_closed_forms_whose_other_parameters_a_fit_searches_for(
         flow[k] = flow[k - 1] + (1 - np.exp(-0.01 / 0.03)) * (flow[k] - flow[k - 1])
     report = check(hf.Record(u, flow + np.random.default_rng(7).normal(0, 0.15, t.size), t))
     assert report.advice is not None
-    assert "lag+preisach" in report.advice.searched
+    assert "rate-dependent-plays" in report.advice.searched
     assert "predicts held-out samples best" in report.text()
 
 
