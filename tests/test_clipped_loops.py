@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.fitting.fit_setup import without_faults
+from hystfit.fitting.structure_search import search_structure
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.faults import saturated_samples
@@ -16,13 +18,14 @@ LOSS = 4 * FORCE * (AMPLITUDE - YIELD)  # J
 PEAK = SPRING * AMPLITUDE + FORCE
 
 
-def cut_off(limit: float) -> hf.Record:
+def cut_off(limit: float, seed: int = 3) -> hf.Record:
     """Four cycles of a spring beside a stop, with noise, by a load cell with this limit [kN]."""
-    x = AMPLITUDE * np.sin(np.linspace(0.0, 8 * np.pi, 1000, endpoint=False))
+    t = np.arange(0, 20, 0.02)
+    x = AMPLITUDE * np.sin(0.4 * np.pi * t)
     stop = x - play_positions(x, np.array([YIELD]))[:, 0]
-    noise = np.random.default_rng(3).normal(0.0, 0.03, x.size)
+    noise = np.random.default_rng(seed).normal(0.0, 0.03, x.size)
     force = SPRING * x + FORCE / YIELD * stop + noise
-    return hf.Record(x, np.clip(force, -limit, limit), u_unit="mm", y_unit="kN")
+    return hf.Record(x, np.clip(force, -limit, limit), t, u_unit="mm", y_unit="kN")
 
 
 @pytest.mark.parametrize("limit", [7.5, 5.5])  # 36 and 56 % of the samples are at a limit
@@ -49,3 +52,11 @@ def test_ranges_and_areas_of_a_loop_that_is_cut_off_are_lower_bounds() -> None:
         assert found[name].stderr is None
         assert "at least" in found[name].label
     assert "equivalent_damping_percent" not in found
+
+
+@pytest.mark.parametrize("seed", [14, 3])
+def test_a_knee_between_two_thresholds_is_no_creep(seed: int) -> None:
+    """At one pace twice as many thresholds describe the knee of the stop, and creep and lag a part of it."""
+    found = search_structure(without_faults(hf.Dataset.of(cut_off(7.5, seed))))
+    assert not found.structure.timed
+    assert found.plays > 20

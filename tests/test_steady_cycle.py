@@ -5,6 +5,8 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.steady_cycle import from_turning_point, steady_period
+from hystfit.fitting.structure import Structure
+from hystfit.fitting.structure_search import search_structure
 from hystfit.results.quantity_estimates import measured_quantities
 
 N = 200
@@ -124,7 +126,11 @@ def test_cycles_cut_out_of_a_longer_test_begin_on_its_loop():
     noise = np.random.default_rng(44).normal(0, 0.08, angle.size)
     record = hf.Record(angle, 0.12 * angle + stop + noise)
     assert steady_period(record) == 200
-    assert hf.fit("prandtl-ishlinskii-stop", record).train.nrmse_percent < 1.2 * 100 * 0.08 / np.ptp(record.y)
+    noisy = 1.2 * 100 * 0.08 / np.ptp(record.y)
+    assert hf.fit("prandtl-ishlinskii-stop", record).train.nrmse_percent < noisy
+    found = search_structure(hf.Dataset.of(record))
+    assert 100 * found.score / np.ptp(record.y) < noisy
+    assert found.structure == Structure("stop")
     rested = np.array(stop)
     rested[:100] = np.minimum(0.5 * (angle[:100] - angle[0]), 1.5)
     assert steady_period(record.replace(y=0.12 * angle + rested + noise)) is None

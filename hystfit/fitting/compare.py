@@ -27,11 +27,12 @@ from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
-from hystfit.quality.baselines import rounding_error
+from hystfit.quality.baselines import Baselines, rounding_error
 from hystfit.quality.equal_inputs import none_describes
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
+from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
 
 
@@ -42,7 +43,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
     they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out.
     """
-    first, *others = chosen.closed
+    first, *others = closed = chosen.closed
     run.run((first,))
     if none_describes(list(run.data)):
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
@@ -82,8 +83,15 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if run.best_row is not None and run.best_row.status in (Status.ROUGH, Status.POOR):
+    if chosen.last and not run.is_white() and _rough(run, closed):
         run.run(chosen.last)
+
+
+def _rough(run: ComparisonRun, closed: Sequence[str]) -> bool:
+    """Whether the models with a closed form describe the loops roughly at best, of which `check` knows too."""
+    baselines = Baselines.of(run.data)
+    least = min((score_of(row) for row in run.rows if row.asked in closed), default=math.inf)
+    return Limits.of(baselines).error < least < 100 * baselines.curve / run.span
 
 
 def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:

@@ -13,6 +13,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.data.steady_cycle import with_steady_start
 from hystfit.fitting.structure import Structure, build, output_of
 from hystfit.fitting.structure_columns import STEP_OF_LAGS, Terms
 from hystfit.inference.fittable import check_fittable
@@ -75,23 +76,29 @@ def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 
         spacing: samples over which errors are correlated, see `held_out`.
     """
     check_fittable(PrandtlIshlinskii.of(1), data)
-    held = held_out(list(data), spacing)
-    found = _search(data, held, plays)
+    begun = data.map(with_steady_start)  # as the model is fitted
+    held = held_out(list(data), spacing).after(map(len, begun))
+    lag = lambda records: max(slow_lag_of(record) or 0.0 for record in records)
+    found = _search(begun, held, plays, lag(data))
     if not any(delay_of(record) for record in data):
         return found
     delay = Delay().start(list(data))
-    later = _search(data.map(lambda record: record.replace(u=output_of(delay, record))), held, plays)
+    delayed = lambda record: record.replace(u=output_of(delay, record))
+    later = _search(begun.map(delayed), held, plays, lag(data.map(delayed)))
     if later.score >= GAIN * found.score:
         return found
     parts = later.model.parts if isinstance(later.model, Series) else (later.model,)
     return dataclasses.replace(later, model=Series(delay, *parts), tried=found.tried + later.tried)
 
 
-def _search(data: Dataset, held: HeldOut, plays: int | None) -> Found:
-    """Greedy search from plays or stops, and from a single-valued curve, which wins where those predict held-out samples no better."""
+def _search(data: Dataset, held: HeldOut, plays: int | None, lag: float) -> Found:
+    """Greedy search from plays or stops, and from a single-valued curve, which wins where those predict held-out samples no better.
+
+    A lag that the records show [samples] adds lags about it.
+    """
     terms = Terms(data, min(_PLAYS, max_plays(data)) if plays is None else plays, held)
     # Lags about one longer than those tried on all records.
-    options = terms.options(max(slow_lag_of(record) or 0.0 for record in data) if terms.timed else 0.0)
+    options = terms.options(lag if terms.timed else 0.0)
     loops = _greedy([Structure(operator, falls=terms.falls) for operator in get_args(Operator)], terms, options, plays)
     beside = {field: values for field, values in options.items() if field in _BESIDE_CURVE}
     curve = _greedy([Structure("curve")], terms, beside, plays)
