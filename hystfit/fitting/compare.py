@@ -40,7 +40,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
 
     Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
     would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
-    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out.
+    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out. At one
+    pace, at which a lag or a force of the rate may stand for a loop, models without time are tried too.
     """
     first, *others = chosen.closed
     run.run((first,))
@@ -54,6 +55,10 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         if not run.overfits():
             run.skip(chosen.iterated, WHITE)
             return
+    if still := run.is_white_at_one_pace():
+        kept = Candidates((first, *timeless(others)), timeless(chosen.iterated))
+        run.skip([name for name in chosen.names if name not in kept.names], WHITE)
+        chosen, others = kept, kept.closed[1:]
     waiting = run.looked_at(others)
     if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
         run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
@@ -62,7 +67,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
     rings, iterated = _rings(run), chosen.iterated
     found, reason = dataclasses.replace(found, falls=falls(run.data)), "the search found no term that depends on time"
-    if found.timed and run.beats_time():
+    beaten = run.one_pace and run.best_row is not None and not run.best_row.paced
+    if still or (beaten and found.timed):
         found, reason = dataclasses.replace(found, lag=0.0, creep=False, rate=0), BEATEN
     if not (white or rings or delay or found.timed):
         iterated = timeless(chosen.iterated)

@@ -73,7 +73,7 @@ class ComparisonRun:
         workers: Workers,
     ):
         self.data, self.left_out, self.purpose, self.options, self.named = data, left_out, purpose, options, named
-        self._one_pace = paces(data) < 2
+        self.one_pace = paces(data) < 2
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self._shown, self._workers = shown, workers
@@ -344,9 +344,10 @@ class ComparisonRun:
             return False
         return leaves_noise(self.fits[best.asked])
 
-    def beats_time(self) -> bool:
-        """Whether the records were taken at one pace, and the best model does not depend on time."""
-        return self._one_pace and self.best_row is not None and not self.best_row.paced
+    def is_white_at_one_pace(self) -> bool:
+        """Whether the residuals of the best model are white, and it depends on time at one pace."""
+        best = self.best_row
+        return best is not None and best.paced and leaves_noise(self.fits[best.asked])
 
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
@@ -386,7 +387,7 @@ class ComparisonRun:
 
     def _paced(self, model: AbstractHysteresis) -> bool:
         """See `Row.paced`."""
-        return self._one_pace and not model.rate_independent
+        return self.one_pace and not model.rate_independent
 
     @functools.cached_property
     def _all_held(self) -> bool:
