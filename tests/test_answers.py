@@ -75,7 +75,7 @@ def test_smaller_loops_rank_in_check_as_in_a_comparison():
 def test_a_model_without_an_inverse_goes_first_only_where_it_errs_clearly_less():
     """Weights of either sign describe relays with weights >= 0 about as well, and end the comparison once they leave noise."""
     plain = Candidate("preisach", first=First(0.49, 496))
-    signed = lambda error: Candidate("preisach-signed", first=First(error, 496, inverse=False))
+    signed = lambda error: Candidate("preisach-signed", first=First(error, 496, handicap=1.5))
     assert leader([signed(0.45), plain]) is plain
     assert leader([plain, better := signed(0.3)]) is better
 

@@ -39,7 +39,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     second = first + _turn(-v[first:], span)
     beyond = np.flatnonzero(v[second:] >= v[0]) if ends > _INSIDE else np.zeros(1, int)
     last = second + int(beyond[0]) if beyond.size else u.size - 1
-    last -= int(v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
+    last -= int(ends > _INSIDE and v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
     covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
     covers &= ends > _INSIDE or v[second:].max() > v.max() - GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:

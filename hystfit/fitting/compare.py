@@ -97,7 +97,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
 def _rough(run: ComparisonRun, closed: Sequence[str]) -> bool:
     """Whether the models with a closed form describe the loops roughly at best, of which `check` knows too."""
     baselines = Baselines.of(run.data)
-    least = min((score_of(row) for row in run.rows if row.asked in closed), default=math.inf)
+    least = min((row.score for row in run.rows if row.asked in closed), default=math.inf)
     return Limits.of(baselines).error < least < 100 * baselines.curve / run.span
 
 

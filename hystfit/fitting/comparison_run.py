@@ -176,12 +176,12 @@ class ComparisonRun:
         model = make_model(one.name)
         known = self._alike(model)
         if known is not None and known.left_out is not None:
-            one.first = First(known.left_out, len(known.free_names), inverse=model.has_inverse)
+            one.first = First(known.left_out, len(known.free_names), handicap=self._handicap(Status.OK, model))
             return
         progress("first fit")
         one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known)
         if (found := one.sizes.first(model)) is not None:
-            one.first = First(found[1], weights_of(found[0]), found[0], inverse=model.has_inverse)
+            one.first = First(found[1], weights_of(found[0]), found[0], handicap=self._handicap(Status.OK, model))
         else:
             fitted = thinned(self.data) if model.allows_thinning else self.data
             problem, points = started_problem(model, fitted)
@@ -193,8 +193,8 @@ class ComparisonRun:
             estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
             weight = np.asarray(problem.objective.batch.weight)
             rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            error = rms if np.isfinite(rms) else np.inf
-            one.first = First(error, estimate.x.size, lowered=lowered, inverse=model.has_inverse)
+            rms = rms if np.isfinite(rms) else np.inf
+            one.first = First(rms, estimate.x.size, lowered=lowered, handicap=self._handicap(Status.OK, model))
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:
         """The fit of another model with the same elements, whose bounds alone differ: one size serves both.
@@ -240,9 +240,8 @@ class ComparisonRun:
 
     def _most(self, status: Status, model: AbstractHysteresis) -> float:
         """The error on left-out data above which a model cannot win [percent of range]."""
-        if self.named or self.least is None:
-            return np.inf
-        return self.equal * self.least / handicap(status, model.has_inverse, self._paced(model))
+        known = None if self.named else self.least
+        return np.inf if known is None else self.equal * known / self._handicap(status, model)
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
@@ -385,6 +384,9 @@ class ComparisonRun:
     def held(self) -> HeldOut:
         """The groups that are held out in turn."""
         return held_out(list(self.data))
+
+    def _handicap(self, status: Status, model: AbstractHysteresis) -> float:
+        return handicap(status, model.has_inverse, self._paced(model))
 
     def _paced(self, model: AbstractHysteresis) -> bool:
         """See `Row.paced`."""

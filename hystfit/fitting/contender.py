@@ -6,31 +6,31 @@ import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hystfit.fitting.comparison import MARGIN, Row, handicap
+from hystfit.fitting.comparison import MARGIN, Row
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.models.base import AbstractHysteresis
-from hystfit.outcome import Note, Status
+from hystfit.outcome import Note
 from hystfit.results.result import FitResult
 
 
 class First(NamedTuple):
     """The first fit of a model: its rms error [y], on held-out data where it has elements to choose, and its number of parameters.
 
-    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it; `inverse` whether its
-    family has one.
+    `model` has the best of these elements; `lowered` is the least part of the error that a fit may leave of it; `handicap` the
+    factor by which its error counts for more, if its fit converges.
     """
 
     error: float
     parameters: int
     model: AbstractHysteresis | None = None
     lowered: float = 1 / MARGIN
-    inverse: bool = True
+    handicap: float = 1.0
 
     @property
     def ranked(self) -> float:
-        """The error by which it ranks, if its fit converges."""
-        return self.error * handicap(Status.OK, self.inverse)
+        """The error by which it ranks."""
+        return self.error * self.handicap
 
 
 @dataclasses.dataclass

@@ -23,10 +23,12 @@ from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
 from hystfit.inference.problem import Problem
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome import Status
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import Scheme, correlation_length, equal_errors, held_out
+from hystfit.quality.summary import paces
 from hystfit.results.accuracy import POOR, Limits
 
 
@@ -43,6 +45,7 @@ class Screened:
         found: what the search found, where it is its model.
         leaves_noise: whether it leaves nothing but noise, see `residuals_are_white`.
         searches: whether it has parameters that a fit searches for; its error is that at their starting values.
+        paced: see `hystfit.fitting.comparison.Row`.
         rough: whether its error is larger than that of a usable description.
     """
 
@@ -54,12 +57,13 @@ class Screened:
     found: Found | None = None
     leaves_noise: bool = False
     searches: bool = False
+    paced: bool = False
     rough: bool = False
 
     @property
     def ranked(self) -> float:
         """The error by which it ranks, as in a comparison; one on held-out samples alone does not count a rough fit twice."""
-        return self.error * handicap(Status.OK, self.inverse and not self.rough)
+        return self.error * handicap(Status.OK, self.inverse and not self.rough, self.paced)
 
 
 def screen(data: Dataset) -> list[Screened]:
@@ -113,7 +117,12 @@ def _searched(data: Dataset, baselines: Baselines, spacing: int) -> Screened:
     weights = weights_of(found.model)
     noise = residuals_are_white(found.residuals(), baselines.curve, weights)
     error = _ranking_error(Problem(found.model, data, spacing=spacing), found.score)
-    return Screened(model_name(found.model), error, weights, found.model.has_inverse, SEARCH, found, noise)
+    paced = _is_paced(found.model, data)
+    return Screened(model_name(found.model), error, weights, found.model.has_inverse, SEARCH, found, noise, paced=paced)
+
+
+def _is_paced(model: AbstractHysteresis, data: Dataset) -> bool:
+    return not model.rate_independent and paces(data) < 2
 
 
 def _ranking_error(problem: Problem, error: float) -> float:
@@ -156,7 +165,8 @@ def _screened_of(name: str, problem: Problem, error: float) -> Screened:
     """A model that was tried by this name, with its error on held-out samples [y]."""
     model, searches = problem.model, not problem.space.linear.all()
     error = _ranking_error(problem, error)
-    return Screened(model_name(model), error, weights_of(model), model.has_inverse, name, searches=searches)
+    paced, inverse = _is_paced(model, problem.data), model.has_inverse
+    return Screened(model_name(model), error, weights_of(model), inverse, name, searches=searches, paced=paced)
 
 
 def best_screened(models: Iterable[Screened], samples: int, span: float) -> Screened:

@@ -14,11 +14,8 @@ from typing import Any, get_args
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-<<<<<<< HEAD
 from hystfit.data.steady_cycle import with_steady_start
-=======
 from hystfit.fitting.comparison import AT_ONE_PACE
->>>>>>> main
 from hystfit.fitting.structure import Structure, build, output_of
 from hystfit.fitting.structure_columns import STEP_OF_LAGS, Terms
 from hystfit.inference.fittable import check_fittable
@@ -111,33 +108,26 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
     """Repeat the single change that lowers the held-out error most, from the best of some structures; `tried` counts other sizes."""
     data, most = terms.data, max_plays(terms.data)
     structure = min(starts, key=terms.score)
-    score, path = terms.score(structure), [structure]
+    score, path, trail = terms.score(structure), [structure], list[str]()
     # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on held-out cycles.
     rounding = rounding_error(data)
     while score > rounding:
         best = _next(structure, score, terms, options)
         if terms.score(best) >= GAIN * score:
             break
-<<<<<<< HEAD
         if plays is None and best.timed and not (structure.timed or terms.several_paces):
             # Where time and path cannot be told apart, a knee between two thresholds looks like creep.
             finer = Terms(data, _FINER * terms.plays, terms.held)
             if finer.plays <= most and finer.served(structure) and finer.score(structure) < terms.score(best):
-                trail.append(_resized(finer, terms, structure, score))
-                terms, score = finer, finer.score(structure)
+                trail += [*_steps(path, terms), _resized(finer, terms, structure, score)]
+                path, terms, score = [structure], finer, finer.score(structure)
                 continue
-        trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
-=======
         if len(path) > 1 and best.differs_in_lag(structure) and structure.differs_in_lag(path[-2]):
             path.pop()  # both are one step
         path.append(best)
->>>>>>> main
         structure, score = best, terms.score(best)
     tried, chosen = 0, terms
-    trail = [
-        _step(new.change_from(old), terms.score(old), terms.score(new), terms.span)
-        for old, new in itertools.pairwise(path)
-    ]
+    trail += _steps(path, terms)
     # A curve with few knots is taken where it predicts no worse: a line needs two.
     few = (2,) if structure.operator == "curve" else ()
     for other in (*few, *_OTHER_PLAYS) if plays is None and score > rounding else ():
@@ -150,6 +140,14 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
             chosen, score = resized, resized.score(structure)
     model, residuals = build(structure, data, chosen.plays), functools.partial(chosen.residuals, structure)
     return Found(model, structure, chosen.plays, score, residuals, tried, tuple(trail))
+
+
+def _steps(path: Sequence[Structure], terms: Terms) -> list[str]:
+    """Each change of one term, in words."""
+    return [
+        _step(new.change_from(old), terms.score(old), terms.score(new), terms.span)
+        for old, new in itertools.pairwise(path)
+    ]
 
 
 def _resized(new: Terms, old: Terms, structure: Structure, score: float) -> str:
