@@ -8,7 +8,7 @@ from jaxtyping import Float
 from hystfit.data.circulation import FEWEST, GAP, OPEN, SLACK
 from hystfit.data.record import Record
 
-_INSIDE = 0.1  # of the input's range: least distance of the first input from the turning points, where the state is known anyway
+_INSIDE = 0.1  # of the input's range: least distance from the turning points of a first input that is at none of them
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
 # Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
 _CLOSED, _LOOSE = 0.1, 0.25
@@ -29,19 +29,20 @@ def steady_period(record: Record) -> int | None:
 def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tuple[int, np.ndarray]:
     """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
     span, none = float(np.ptp(u)), np.zeros(len(y), bool)
-    ends = min(u[0] - u.min(), u.max() - u[0]) / (span or 1.0)
-    if u.size < FEWEST or not (ends > _INSIDE or 0 <= ends <= GAP):
+    inside = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
+    at_turn = min(u[0] - u.min(), u.max() - u[0]) <= GAP * span
+    if u.size < FEWEST or span == 0 or not (inside or at_turn):
         return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     rising = 1.0 if u[away] > u[0] else -1.0
     v = rising * u
     first = _turn(v, span)
     second = first + _turn(-v[first:], span)
-    beyond = np.flatnonzero(v[second:] >= v[0]) if ends > _INSIDE else np.zeros(1, int)
+    beyond = np.flatnonzero(v[second:] >= v[0]) if inside else np.zeros(1, int)
     last = second + int(beyond[0]) if beyond.size else u.size - 1
-    last -= int(ends > _INSIDE and v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
+    last -= int(inside and v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
     covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
-    covers &= ends > _INSIDE or v[second:].max() > v.max() - GAP * span
+    covers &= inside or v[second:].max() > v.max() - GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none
     part = y[:, : last + 1]
@@ -49,7 +50,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     part = np.where(finite[:, None], part, 0.0)
     begin = part[:, 0]
     end = part[:, last] + (part[:, away] - begin) / (u[away] - u[0]) * (u[0] - u[last])
-    if ends > _INSIDE:
+    if inside:
         width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
     else:
         middle = 0.5 * (v.max() + v.min())

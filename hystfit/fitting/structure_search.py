@@ -32,7 +32,9 @@ from hystfit.quality.summary import delay_of, slow_lag_of
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
-_FINER = 2  # times as many plays, tried before a first term of time at one pace
+# Times as many plays, tried before a first term of time at one pace: they lower the error of three clipped loops of a stop by 33 to 43 %,
+# and creep, which is not there, by 4 %.
+_FINER = 2
 _FEWEST = 3  # plays, however few the samples are
 _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
