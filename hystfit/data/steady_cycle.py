@@ -9,6 +9,7 @@ from hystfit.data.circulation import FEWEST, GAP, OPEN, SLACK
 from hystfit.data.record import Record
 
 _INSIDE = 0.1  # of the input's range: least distance from the turning points of a first input that is at none of them
+_PLACES = 10  # parts of the range between which two branches in the same direction are compared
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
 # Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
 _CLOSED, _LOOSE = 0.1, 0.25
@@ -45,19 +46,26 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     covers &= inside or v[second:].max() > v.max() - GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none
-    part = y[:, : last + 1]
-    finite = np.isfinite(part).all(axis=1)
-    part = np.where(finite[:, None], part, 0.0)
+    rows = y if at_turn else y[:, : last + 1]
+    finite = np.isfinite(rows).all(axis=1)
+    rows = np.where(finite[:, None], rows, 0.0)
+    part = rows[:, : last + 1]
     begin = part[:, 0]
     end = part[:, last] + (part[:, away] - begin) / (u[away] - u[0]) * (u[0] - u[last])
     if inside:
         width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
-    else:
-        middle = 0.5 * (v.max() + v.min())
-        falling = _between(-middle, -v[first : second + 1], part[:, first : second + 1])
-        width = np.abs(falling - _between(middle, v[: first + 1], part[:, : first + 1]))
+        off = np.abs(end - begin)
+    else:  # the next branch in the same direction must be the same too
+        third = second + _turn(v[second:], span)
+        at = v.min() + np.arange(1, _PLACES) / _PLACES * float(np.ptp(v))
+        one, other = (
+            np.stack([_between(x, v[a:b], rows[:, a:b]) for x in at]) for a, b in ((0, first + 1), (second, third + 1))
+        )
+        middle, half = at[at.size // 2], slice(first, second + 1)
+        width = np.abs(_between(-middle, -v[half], part[:, half]) - one[at.size // 2])
+        off = np.maximum(np.abs(end - begin), np.sqrt(np.mean((one - other) ** 2, axis=0)))
     noise = np.std(np.diff(part, 2), axis=1) / np.sqrt(6.0)  # second differences have sqrt(6) times white noise
-    closes = np.abs(end - begin) <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
+    closes = off <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
     stands_out = width > np.maximum(OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
     return last + (last == u.size - 1), finite & closes & stands_out
 
