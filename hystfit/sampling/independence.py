@@ -31,9 +31,9 @@ _CHUNK = 100  # draws of a chain between two writes to disk
 _LEAST = 0.1  # effective fraction of the draws of a mixture, below which no chains are drawn
 # The same of all offers of the chains: 0.45 to 0.75 for records. Of 48 funnels (Neal 2003) none from six dimensions on had as much.
 _COVERED = 0.4
-# Shape of the largest weights, above which averages over them are not reliable (Vehtari et al. 2024): 0.03 to 0.65 for three records after
-# one fit or two. Without it 8 of 16 funnels of four and five dimensions are taken, up to 2.4 % of the draws missing at the narrow end; with it
-# two, of which one lacks 1.0 % and one 1.8 %.
+# Shape of the largest weights, above which averages over them are not reliable (Vehtari et al. 2024): 0.03 to 0.65 for three records
+# after one fit or two. Without it 8 of 16 funnels of four and five dimensions are taken, up to 2.4 % of the draws missing at the
+# narrow end; with it two, of which one lacks 1.0 % and one 1.8 %.
 _TAIL = 0.7
 _ATTEMPTS = 5  # to draw, each by a mixture fitted to the offers of the one before
 _TRIES = 2.0  # effective draws of the mixture for each draw of a chain
