@@ -56,8 +56,11 @@ def member_of(raw: bytes, source: str, most: int, name: str = "") -> tuple[str, 
 def members_of(path: Path) -> list[str]:
     """Names of the files in an archive that may be measurements; none for other files and for archives that are one document."""
     try:
-        if not path.is_file() or not zipfile.is_zipfile(path):  # a pipe would wait for its writer
+        if not path.is_file():  # a pipe would wait for its writer
             return []
+        with path.open("rb") as stream:
+            if stream.read(2) != b"PK":  # sheets of old Excel may have an archive within
+                return []
         with zipfile.ZipFile(path) as archive:
             return [] if _is_document(archive, str(path)) else measurements(archive.namelist())
     except Exception:  # as above, and documents

@@ -256,6 +256,11 @@ def _records_of(
             )
         )
         table, data = table.take(np.arange(table.rows - 1)), {role: values[:-1] for role, values in data.items()}
+    steps = np.diff(data["time"]) if "time" in data else np.zeros(0)
+    neither = np.isnan(data["input"]) & np.isnan(data["output"])
+    if gaps == "error" and neither.any() and (not steps.size or np.ptp(steps) > np.median(steps)):  # not samples
+        notes.append(Note(Code.LEFT_OUT, f"left out: {neither.sum()} rows with neither input nor output"))
+        table, data = table.take(~neither), {role: values[~neither] for role, values in data.items()}
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import io
+import itertools
 import warnings
 import zipfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.array_files import check_members
 from hystfit.reading.branch_words import BRANCHES, words_of
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.limits import SAMPLE
@@ -61,7 +63,7 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
     """
     source, sheet = file.source, opening.sheet
     try:
-        pages = {page.title: page for page in sheets()}
+        pages = {title: rows for page in sheets() for title, rows in _side_by_side(page.title, _cells_of(page, source))}
     except DataError as error:
         raise DataError(f"{source}: {error}") from error
     except Exception as error:  # the libraries raise zipfile, KeyError and their own errors on damaged files
@@ -98,9 +100,10 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
 
 
 def _holds_pair(table: Table) -> bool:
-    """Whether at least two columns of numbers change."""
-    numbers = [column for k, column in enumerate(table.columns) if k not in table.labels]
-    return sum(np.unique(column[np.isfinite(column)]).size > 1 for column in numbers) > 1
+    """Whether at least two columns of numbers change that are no times or counters."""
+    kinds = [column_quantity(*told) for told in zip(table.names, table.units, strict=True)]
+    numbers = [k for k, kind in enumerate(kinds) if k not in table.labels and kind not in ("time", "index")]
+    return sum(np.unique(table.columns[k][np.isfinite(table.columns[k])]).size > 1 for k in numbers) > 1
 
 
 def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
@@ -110,9 +113,20 @@ def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
     return any(isinstance(cell, str) and cell.startswith("=") for page in book.worksheets for cell in cells_of(page))
 
 
-def _table(file: FileBytes, page: Any) -> Table | None:
+def _side_by_side(title: str, rows: list[list[str]]) -> Iterator[tuple[str, list[list[str]]]]:
+    """A sheet, or the parts of a report between columns of bars, by the title of the sheet and a number."""
+    width = max(map(len, rows), default=0)
+    columns = [{row[k] for row in rows if k < len(row)} for k in range(width)]
+    bars = [k for k, values in enumerate(columns) if "|" in values <= {"|", ""}]
+    if not bars:
+        yield title, rows
+        return
+    for number, (left, right) in enumerate(itertools.pairwise([-1, *bars, width]), 1):
+        yield f"{title} {number}", [row[left + 1 : right] for row in rows]
+
+
+def _table(file: FileBytes, rows: list[list[str]]) -> Table | None:
     """The columns of a sheet; None where it has no rows of numbers."""
-    rows = _cells_of(page, file.source)
     rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
     dialect = max((dialect_of(rows[:SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
