@@ -16,6 +16,7 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.wrapping import listed
+from hystfit.reading.branch_words import FALLING, RISING, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
@@ -71,7 +72,15 @@ def read_tables(text: TextFile) -> Table | None:
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     common = sample_properties(text.lines[: pieces[0].first], table.names)
     table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
-    return _one_test(table) or table
+    return _two_branches(table) or _one_test(table) or table
+
+
+def _two_branches(table: Table) -> Table | None:
+    """Two tables with titles of the branches of a loop (Adsorption data, Desorption data) as the curves of one record."""
+    words = [words_of(part.name) for part in table.parts] if table.part is not None else []
+    if len(words) != 2 or not any(one & RISING and other & FALLING for one, other in (words, words[::-1])):
+        return None
+    return dataclasses.replace(table, curve=table.part, part=None, parts=(Part(),))
 
 
 def _one_test(table: Table) -> Table | None:
@@ -189,6 +198,9 @@ def _table(text: TextFile, piece: _Piece) -> Table | None:
         table = plain_text(dataclasses.replace(text, content="\n".join(lines) + "\n"))
     except DataError:
         return None
+    last = [column[-1] for column in table.columns]
+    if any(table.take(np.arange(table.rows - 1)).counts(k) for k in range(len(last))) and not any(last):
+        table = table.take(np.arange(table.rows - 1))  # a row of zeros below the numbered ones is an end mark
     return dataclasses.replace(table, line=table.line + piece.above)
 
 
@@ -198,7 +210,8 @@ def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     titles = [
         line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
     ]
-    title = re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", titles[-1]) if titles else ""
+    titles = [title for line in titles if (title := re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line))]
+    title = titles[-1] if titles else ""
     title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
     return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
 
