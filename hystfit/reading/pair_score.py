@@ -116,7 +116,8 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal)) * (not self.facts.is_open(i))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         across = kinds[o] == "strain" and self.facts.is_partial[o]
-        points += _PARTIAL * (self.facts.is_partial[i] + across) + _HELD_INPUT * self.facts.is_held[i]
+        points += _PARTIAL * (self.facts.is_partial[i] + across + self.facts.is_share[o])
+        points += _HELD_INPUT * (self.facts.is_held[i] or self.facts.has_two_states[i])
         points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
