@@ -18,7 +18,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity, column_role
-from hystfit.reading.limits import MAJORITY, RARE
+from hystfit.reading.limits import FEWEST, RARE
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.quantities_by_others import tell_by_others
@@ -206,11 +206,11 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
 
 
 def _is_clock(table: Table, k: int) -> bool:
-    """Whether a column of times never decreases, or always, or has the name of a time and mostly rises: the time between rows does not."""
+    """Whether a column of times never decreases, or always, or has the name of a time and starts again after rows of a table at least."""
     ways = np.sign(np.diff(table.columns[k]))
     rises, falls = (ways > 0).sum(), (ways < 0).sum()
-    mostly = rises > MAJORITY * (rises + falls) and column_quantity(split_unit(table.names[k])[0]) == "time"
-    return bool(mostly or not (rises and falls))
+    named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
+    return bool((named and rises >= (FEWEST - 1) * falls) or not (rises and falls))
 
 
 def _guess_pair(

@@ -16,12 +16,11 @@ import numpy as np
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.wrapping import listed
-from hystfit.reading.branch_words import FALLING, RISING, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
 from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY, MOST_CURVES
-from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.raw_table import Part, Table, below_each_other, one_loop
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
@@ -64,23 +63,18 @@ def read_tables(text: TextFile) -> Table | None:
     notes += [
         note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
     ]
-    if len(chosen) > 1:
+    loop = one_loop([part.name for part in parts], [tables[k] for k in chosen])
+    if len(chosen) > 1 and loop is None:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
         lines = listed([f"line {piece.first + 1}" for piece in rest])
         notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns: {lines}"))
+    common = sample_properties(text.lines[: pieces[0].first], tables[chosen[0]].names)
+    if loop is not None:
+        return dataclasses.replace(loop, notes=tuple(notes), metadata=common | loop.metadata)
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
-    common = sample_properties(text.lines[: pieces[0].first], table.names)
     table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
-    return _two_branches(table) or _one_test(table) or table
-
-
-def _two_branches(table: Table) -> Table | None:
-    """Two tables with titles of the branches of a loop (Adsorption data, Desorption data) as the curves of one record."""
-    words = [words_of(part.name) for part in table.parts] if table.part is not None else []
-    if len(words) != 2 or not any(one & RISING and other & FALLING for one, other in (words, words[::-1])):
-        return None
-    return dataclasses.replace(table, curve=table.part, part=None, parts=(Part(),))
+    return _one_test(table) or table
 
 
 def _one_test(table: Table) -> Table | None:

@@ -19,14 +19,13 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.array_files import check_members
-from hystfit.reading.branch_words import BRANCHES, words_of
 from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.limits import SAMPLE
 from hystfit.reading.number_block import careful_block
 from hystfit.reading.older_sheets import MOST_CELLS, sheets_of
-from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.raw_table import Part, Table, below_each_other, one_loop
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
@@ -143,16 +142,11 @@ def _records(tables: Mapping[str, Table]) -> Table:
         dataclasses.replace(part, name=title, metadata=table.metadata)
         for part, (title, table) in zip(base, tables.items(), strict=True)
     ]
-    branches = all(words_of(title) & BRANCHES for title in tables)
-    ordered = [*tables.values()]
-    if branches and len(ordered) == 2 and ordered[0].runs(0) * ordered[1].runs(0) > 0:  # both listed upward
-        ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
-    below = below_each_other(ordered)
-    if branches:
+    if (loop := one_loop([*tables], [*tables.values()])) is not None:
         text = f"{len(tables)} sheets of the same columns, each a branch: {sheets} (--sheet reads one)"
-        return dataclasses.replace(below, curve=below.part, part=None, parts=()).noted(Note(Code.FILE_FORMAT, text))
+        return loop.noted(Note(Code.FILE_FORMAT, text))
     text = f"{len(tables)} sheets of the same columns, each a record: {sheets} (--sheet reads one)"
-    return dataclasses.replace(below, parts=tuple(parts)).noted(Note(Code.CURVES, text))
+    return dataclasses.replace(below_each_other([*tables.values()]), parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:

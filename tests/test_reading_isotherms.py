@@ -1,0 +1,138 @@
+"""Adsorption isotherms as analyzers write them, and what was found beside them: netCDF, relays, sums of loads, cycles in words."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+from scipy.io import netcdf_file
+
+from hystfit.reading import read
+from hystfit.reading.archive import members_of
+from tests.loop_files import N, U, Y, is_pair, one, rows, written
+
+P = np.r_[np.linspace(0.05, 0.95, 20), np.linspace(0.9, 0.1, 15)].round(4)  # relative pressure, up and down
+V = np.r_[200 * P[:20], 200 * P[20:] + 20].round(4)  # adsorbed, cm3/g
+T = np.round(0.1 * np.arange(N), 1)
+
+
+def test_an_archive_within_old_excel_is_not_that_of_several_files(tmp_path: Path) -> None:
+    """Excel of today keeps the theme of an .xls as a zip archive within it."""
+    inner = io.BytesIO()
+    with zipfile.ZipFile(inner, "w") as archive:
+        archive.writestr("theme/theme1.xml", "<a/>")
+        archive.writestr("[Content_Types].xml", "<a/>")
+    raw = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(504) + inner.getvalue()
+    assert members_of(written(tmp_path, raw, "report.xls")) == []
+    assert len(members_of(written(tmp_path, inner.getvalue(), "report.zip"))) == 2
+
+
+def test_reports_side_by_side_between_bars(tmp_path: Path) -> None:
+    """A sheet with a summary, the isotherm and a plot beside each other, and rows that have the saturation pressure alone."""
+    book = openpyxl.Workbook()
+    sheet = book.active
+    names = [
+        "Relative Pressure (P/Po)",
+        "Quantity Adsorbed (cm³/g STP)",
+        "Time Between Points (min)",
+        "Saturation (mmHg)",
+    ]
+    sheet.append(["Summary Report", "", "|", "Isotherm Tabular Report", "", "", "", "|", "BET Report"])
+    sheet.append(["Surface Area", "194 m²/g", "|", *names, "|", "Slope:"])
+    for k, (p, v) in enumerate(zip(P.tolist(), V.tolist(), strict=True)):
+        if k in (5, 9):
+            sheet.append(["", "", "|", None, None, None, 736.0 + k, "|"])
+        beside = [p, v * (1 - p)] if k < 6 else []
+        sheet.append(["", "", "|", p, v, f"{7 + (5 * k) % 11:04d}", 735.0 + 0.1 * k, "|", *beside])
+    book.save(tmp_path / "report.xlsx")
+    record = read(tmp_path / "report.xlsx")
+    is_pair(record, P, V)
+    assert record.t is None
+
+
+def test_the_sheet_of_two_quantities_and_not_the_longer_one_of_a_clock(tmp_path: Path) -> None:
+    book = openpyxl.Workbook()
+    book.active.title = "Isotherm"
+    book.active.append(["ID", "p/p0", "V (cm³/g STP)"])
+    for k, (p, v) in enumerate(zip(P.tolist(), V.tolist(), strict=True), 1):
+        book.active.append([k, p, v])
+    log = book.create_sheet("Pressure")
+    log.append(["Index", "Time(s)", "Pressure(kPa)"])
+    for k in range(40 * P.size):
+        log.append([k // 20, k % 20, 0.5 + 0.01 * k])
+    book.save(tmp_path / "log.xlsx")
+    is_pair(read(tmp_path / "log.xlsx"), P, V)
+
+
+def test_two_tables_with_titles_of_branches_and_an_end_mark_each(tmp_path: Path) -> None:
+    """Rows of zeros stand below the numbered ones, and rules around the titles."""
+    mark = "\n".join(["=" * 20, " {} data", "=" * 20, '"No."\t"Pe/kPa"\t"P0/kPa"\t"V/ml(STP) g-1"', ""])
+    table = lambda p, v: rows("\t", np.arange(1, p.size + 1), p, np.full(p.size, 20.0), v) + "0\t0\t0\t0\n"
+    text = mark.format("Adsorption") + table(P[:20], V[:20]) + mark.format("Desorption") + table(P[20:], V[20:])
+    is_pair(one(tmp_path, '"Sample weight/g:"\t0.0352\n' + text, "a.DAT"), P, V)
+
+
+@pytest.mark.parametrize("unit", ["Torr", "mmHg"])
+def test_names_and_units_apart_below_each_other(unit: str, tmp_path: Path) -> None:
+    """Blank lines around the units of some columns; a volume at standard conditions is an adsorbed amount."""
+    cells = lambda *texts: "".join(f"{text:>17}" for text in texts) + "\n"
+    text = "Analysis gas:  Nitrogen            CellType:      9mm w/o rod\n\n"
+    text += (
+        cells("Press ", "P0 ", "Volume @ STP", "Tol", "Equ") + "\n" + cells(f"{unit} ", f"{unit} ", "cc     ") + "\n"
+    )
+    for p, v in zip(P, V, strict=True):
+        text += cells(p, 767.12, v, 2, 3)
+    record = one(tmp_path, text, "raw.txt")
+    is_pair(record, P, V)
+    assert (record.u_name, record.u_unit, record.y_name, record.y_unit) == ("Press", unit, "Volume @ STP", "cc")
+
+
+def test_classic_netcdf(tmp_path: Path) -> None:
+    with netcdf_file(tmp_path / "run.nc", "w") as file:
+        file.createDimension("time", N)
+        for name, values, unit in (("time", T, "s"), ("voltage", U, "V"), ("displacement", Y, "um")):
+            variable = file.createVariable(name, "d", ("time",))
+            variable[:] = values
+            variable.units = unit
+    record = read(tmp_path / "run.nc")
+    is_pair(record)
+    assert (record.u_unit, record.y_unit) == ("V", "um")
+
+
+def test_a_relay_follows_the_temperature(tmp_path: Path) -> None:
+    warm, states = 20 + np.sin(np.arange(N) / 6).round(3), []
+    for value in warm:
+        states.append(1 if value < 19.6 else 0 if value > 20.4 or not states else states[-1])
+    is_pair(one(tmp_path, "Room Temp [°C],Heater Cmd\n" + rows(",", warm, np.array(states))), warm, np.array(states))
+
+
+def test_a_load_and_not_a_part_of_it(tmp_path: Path) -> None:
+    """The cells below a specimen add up to the last column; a commanded load is no part of its measurement."""
+    part = (0.4 * Y + 0.01 * np.sin(U)).round(6)
+    text = "Disp [mm],Cell N [kN],Cell S [kN],Total Load [kN]\n"
+    record = one(tmp_path, text.replace("Cell", "Load Cell") + rows(",", U, part, (Y - part).round(6), Y))
+    assert record.y_name == "Total Load [kN]"
+    relative = "x_table[mm],x_rel[mm],F_iso[kN]\n"
+    record = one(tmp_path, relative + rows(",", 1.1 * U + 0.1 * np.sin(Y), U, Y))
+    assert (record.u_name, record.y_name) == ("x_rel[mm]", "F_iso[kN]")
+
+
+def test_cycles_in_words_are_one_test(tmp_path: Path) -> None:
+    cycles = np.array([f"C{1 + 3 * k // N}" for k in range(N)])
+    steps = np.where(np.gradient(U) >= 0, "load", "unload")
+    is_pair(one(tmp_path, "Cycle,Phase,Strain [%],Stress [MPa]\n" + rows(",", cycles, steps, U, Y)))
+    assert len(np.unique(cycles)) == 3
+
+
+def test_the_gate_of_a_transistor_drives_its_drain(tmp_path: Path) -> None:
+    """A drain current with fewer harmonics than the sweep of the gate."""
+    gate = np.r_[np.linspace(1.1, -1.1, 65), np.linspace(-1.1, 1.1, 65)].round(4)
+    drain = 2e-9 * (
+        1.2 + np.cos(np.linspace(0, 2 * np.pi, gate.size)) + 0.1 * np.sin(np.linspace(0, 2 * np.pi, gate.size))
+    )
+    record = one(tmp_path, "V_G [V],I_D [A]\n" + rows(",", gate, drain))
+    assert (record.u_name, record.y_name) == ("V_G [V]", "I_D [A]")
