@@ -136,3 +136,32 @@ def test_the_gate_of_a_transistor_drives_its_drain(tmp_path: Path) -> None:
     )
     record = one(tmp_path, "V_G [V],I_D [A]\n" + rows(",", gate, drain))
     assert (record.u_name, record.y_name) == ("V_G [V]", "I_D [A]")
+
+
+def test_a_column_of_on_and_off_is_a_state(tmp_path: Path) -> None:
+    """Beside one column of numbers these are no two sensors that write in turn."""
+    warm, states = (4 + 1.5 * np.sin(np.arange(N) / 6)).round(2), []
+    for value in warm:
+        states.append("ON" if value > 5 else "OFF" if value < 3 or not states else states[-1])
+    stamps = 1_600_000_000 + 60 * np.arange(N)
+    record = one(tmp_path, "timestamp,temperature_C,compressor\n" + rows(",", stamps, warm, np.array(states)))
+    is_pair(record, warm, np.array(states) == "ON")
+
+
+def test_turkish_text(tmp_path: Path) -> None:
+    text = "Zaman (sn);Yerdeğiştirme (mm);Yatay Yük (kN)\n" + rows(";", T, U, Y)
+    assert one(tmp_path, text.encode("cp1254")).u_name == "Yerdeğiştirme (mm)"
+
+
+def test_remarks_right_of_the_names_in_a_sheet(tmp_path: Path) -> None:
+    """A summary two columns further right stands in the rows of the names and of their units."""
+    book = openpyxl.Workbook()
+    book.active.append(["Rig", "MTS 810"])
+    book.active.append(["Time", "Stroke", "Load", "", "Fmax", "12.3"])
+    book.active.append(["s", "mm", "kN", "", "Fmin", "-12.1"])
+    for k, row in enumerate(zip(T.tolist(), U.tolist(), Y.tolist(), strict=True)):
+        book.active.append([*row, "", f"cycle {k}", 3.3 * k] if k < 5 else row)
+    book.save(tmp_path / "rig.xlsx")
+    record = read(tmp_path / "rig.xlsx")
+    is_pair(record)
+    assert (record.u_name, record.y_unit) == ("Stroke", "kN")

@@ -49,6 +49,7 @@ _WORDS = {
     "cp1250": "siła napięcie prąd natężenie obciążenie odkształcenie naprężenie próbka próbki ciśnienie prędkość długość położenie "
     "čas napětí zatížení měření řízení vzorků průhyb idő erő hőmérséklet jegyzőkönyv",
     "cp1253": "χρόνος τάση ρεύμα μετατόπιση δύναμη θερμοκρασία πίεση συχνότητα ταχύτητα θέση είσοδος έξοδος",
+    "cp1254": "yük ağırlık basınç sıcaklık hız giriş çıkış ölçüm yerdeğiştirme değiştirme süre açı şekil değer birim uzama gerilme gerçek",
 }  # fmt: skip
 _SAME_WORDS = {"euc_jp": "cp932", "koi8_r": "cp1251", "iso8859_5": "cp1251"}
 # Characters that are common in text of one of the multi-byte encodings, by the first of their bytes there.

@@ -125,7 +125,18 @@ def _side_by_side(title: str, rows: list[list[str]]) -> Iterator[tuple[str, list
 
 
 def _table(file: FileBytes, rows: list[list[str]]) -> Table | None:
-    """The columns of a sheet; None where it has no rows of numbers."""
+    """The columns of a sheet, or of its part left of an empty column where remarks beside it hide the names; None without numbers."""
+    whole = _table_of(file, rows)
+    if whole is None or whole.named:
+        return whole
+    width = max(map(len, rows))
+    empty = (k for k in range(2, width) if not any(row[k] for row in rows if k < len(row)))
+    parts = (_table_of(file, [row[:k] for row in rows]) for k in empty)
+    return next((part for part in parts if part is not None and part.named), whole)
+
+
+def _table_of(file: FileBytes, rows: list[list[str]]) -> Table | None:
+    """The columns of a sheet or a part of it; None where it has no rows of numbers."""
     rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
     dialect = max((dialect_of(rows[:SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
