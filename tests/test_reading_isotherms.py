@@ -11,6 +11,7 @@ import openpyxl
 import pytest
 from scipy.io import netcdf_file
 
+from hystfit.errors import DataError
 from hystfit.reading import read
 from hystfit.reading.archive import members_of
 from tests.loop_files import N, U, Y, is_pair, one, rows, written
@@ -165,3 +166,30 @@ def test_remarks_right_of_the_names_in_a_sheet(tmp_path: Path) -> None:
     record = read(tmp_path / "rig.xlsx")
     is_pair(record)
     assert (record.u_name, record.y_unit) == ("Stroke", "kN")
+
+
+def test_a_channel_that_every_fifth_row_has(tmp_path: Path) -> None:
+    """A logger writes the force at each row and the displacement at every fifth."""
+    force = np.repeat(Y, 5) + np.tile(0.001 * np.arange(5), N)
+    cells = "".join(f"{0.02 * k:.2f},{f:.9g},{U[k // 5] if k % 5 == 0 else ''}\n" for k, f in enumerate(force))
+    is_pair(one(tmp_path, "t [s],F [N],x [mm]\n" + cells), U, [float(f"{f:.9g}") for f in force[::5]])
+
+
+def test_the_current_that_makes_the_torque(tmp_path: Path) -> None:
+    """That along the other axis of a motor is a small part of it."""
+    record = one(tmp_path, "id_A,iq_A,torque_Nm\n" + rows(",", 0.01 * U, U, Y))
+    assert (record.u_name, record.y_name) == ("iq_A", "torque_Nm")
+
+
+@pytest.mark.parametrize(
+    ("start", "remedy"), [(b"BIO-LOGIC MODULAR FILE\x1a", "mpt"), (b"NEWARE2020", "CSV"), (b"\x80\x05\x95", "npz")]
+)
+def test_raw_files_of_programs_are_refused_with_their_remedy(start: bytes, remedy: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=remedy):
+        read(written(tmp_path, start + bytes(range(256)) * 9, "run.dat"))
+
+
+def test_an_archive_of_another_ending(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "run.ndax", "w") as archive:
+        archive.writestr("data.csv", "V (V),x (um)\n" + rows(",", U, Y))
+    is_pair(read(tmp_path / "run.ndax" / "data.csv"))

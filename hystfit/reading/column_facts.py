@@ -42,7 +42,7 @@ _FOLLOWS = 0.1
 # component of a field across its direction; the component of a signal out of phase.
 _OF_LARGEST = 0.3
 _TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half of that along it
-_OF_PARTS = ("displacement", "strain", "field", "induction")
+_OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
