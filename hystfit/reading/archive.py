@@ -68,7 +68,7 @@ def members_of(path: Path) -> list[str]:
 
 
 def split_member(path: Path) -> tuple[Path, str]:
-    """The archive, whatever its ending, and the name of the member in a path such as tests.zip/run/a.csv; "" for a path to a file of its own."""
+    """The archive of any ending, and the name of the member in a path such as tests.zip/run/a.csv; "" for a path to a file of its own."""
     parent = next((parent for parent in path.parents if parent.is_file()), None)
     return (path, "") if parent is None else (parent, path.relative_to(parent).as_posix())
 

@@ -78,11 +78,15 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
         sheet = titles[sheet]
     if sheet is not None and sheet not in pages:
         raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
-    tables = {title: _table(file, pages[title]) for title in (titles if sheet is None else [sheet])}
-    there = {title: table for title, table in tables.items() if table is not None}
+    wanted = titles if sheet is None else [sheet]
+    there, failed = _tables(file, {title: pages[title] for title in wanted})
+    if longer := [
+        title for title in failed if len(pages[title]) > max((one.rows for one in there.values()), default=0)
+    ]:
+        raise failed[longer[0]]  # a shorter sheet is no measurement
     pairs = {title: table for title, table in there.items() if _holds_pair(table)}
     if not there:
-        raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, tables))}; name another sheet=")
+        raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, wanted))}; name another sheet=")
     if not pairs and formulas():
         raise DataError(
             f"{source} has formulas without their values, as programs write them; open it in Excel or LibreOffice and save it there"
@@ -96,6 +100,19 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
     if len(alike) > 1:
         return _records(alike)
     return table.noted(*file.notes, _sheet_note(title, titles, pairs, chosen=sheet is not None))
+
+
+def _tables(file: FileBytes, pages: Mapping[str, list[list[str]]]) -> tuple[dict[str, Table], dict[str, DataError]]:
+    """The columns of the sheets with rows of numbers, and the errors of those that cannot be read, by title."""
+    there: dict[str, Table] = {}
+    failed: dict[str, DataError] = {}
+    for title, rows in pages.items():
+        try:
+            if (table := _table(file, rows)) is not None:
+                there[title] = table
+        except DataError as error:
+            failed[title] = error
+    return there, failed
 
 
 def _holds_pair(table: Table) -> bool:
