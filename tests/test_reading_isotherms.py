@@ -193,3 +193,21 @@ def test_an_archive_of_another_ending(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "run.ndax", "w") as archive:
         archive.writestr("data.csv", "V (V),x (um)\n" + rows(",", U, Y))
     is_pair(read(tmp_path / "run.ndax" / "data.csv"))
+
+
+def test_a_short_sheet_that_cannot_be_read_beside_the_measurement(tmp_path: Path) -> None:
+    """The first sheet of a cycler has one row of numbers below names."""
+    book = openpyxl.Workbook()
+    book.active.append(["Channel", "Serial", "Version", "Aux"])
+    book.active.append([11, 206951, 7, 0])
+    sheet = book.create_sheet("Channel_11_1")
+    sheet.append(["Test_Time(s)", "Voltage(V)", "Displacement(um)"])
+    for row in zip(T.tolist(), U.tolist(), Y.tolist(), strict=True):
+        sheet.append(row)
+    book.save(tmp_path / "channel.xlsx")
+    is_pair(read(tmp_path / "channel.xlsx"))
+
+
+def test_a_second_time_is_no_output(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="found 1 column"):
+        one(tmp_path, "time/s,Voltage,I Range,Time\n" + rows(",", T, U, np.full(N, 14), T))
