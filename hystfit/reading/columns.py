@@ -210,7 +210,7 @@ def _is_clock(table: Table, k: int) -> bool:
     ways = np.sign(np.diff(table.columns[k]))
     rises, falls = (ways > 0).sum(), (ways < 0).sum()
     named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
-    return bool((named and rises >= (FEWEST - 1) * falls) or not (rises and falls))
+    return bool((named and rises >= (FEWEST - 1) * (falls - 1)) or not (rises and falls))
 
 
 def _guess_pair(
