@@ -35,7 +35,7 @@ def test_an_archive_within_old_excel_is_not_that_of_several_files(tmp_path: Path
 def test_reports_side_by_side_between_bars(tmp_path: Path) -> None:
     """A sheet with a summary, the isotherm and a plot beside each other, and rows that have the saturation pressure alone."""
     book = openpyxl.Workbook()
-    sheet = book.active
+    sheet = book.create_sheet("Report")
     names = [
         "Relative Pressure (P/Po)",
         "Quantity Adsorbed (cm³/g STP)",
@@ -57,10 +57,10 @@ def test_reports_side_by_side_between_bars(tmp_path: Path) -> None:
 
 def test_the_sheet_of_two_quantities_and_not_the_longer_one_of_a_clock(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
-    book.active.title = "Isotherm"
-    book.active.append(["ID", "p/p0", "V (cm³/g STP)"])
+    page = book.create_sheet("Isotherm")
+    page.append(["ID", "p/p0", "V (cm³/g STP)"])
     for k, (p, v) in enumerate(zip(P.tolist(), V.tolist(), strict=True), 1):
-        book.active.append([k, p, v])
+        page.append([k, p, v])
     log = book.create_sheet("Pressure")
     log.append(["Index", "Time(s)", "Pressure(kPa)"])
     for k in range(40 * P.size):
@@ -157,11 +157,12 @@ def test_turkish_text(tmp_path: Path) -> None:
 def test_remarks_right_of_the_names_in_a_sheet(tmp_path: Path) -> None:
     """A summary two columns further right stands in the rows of the names and of their units."""
     book = openpyxl.Workbook()
-    book.active.append(["Rig", "MTS 810"])
-    book.active.append(["Time", "Stroke", "Load", "", "Fmax", "12.3"])
-    book.active.append(["s", "mm", "kN", "", "Fmin", "-12.1"])
+    page = book.create_sheet("Rig")
+    page.append(["Rig", "MTS 810"])
+    page.append(["Time", "Stroke", "Load", "", "Fmax", "12.3"])
+    page.append(["s", "mm", "kN", "", "Fmin", "-12.1"])
     for k, row in enumerate(zip(T.tolist(), U.tolist(), Y.tolist(), strict=True)):
-        book.active.append([*row, "", f"cycle {k}", 3.3 * k] if k < 5 else row)
+        page.append([*row, "", f"cycle {k}", 3.3 * k] if k < 5 else row)
     book.save(tmp_path / "rig.xlsx")
     record = read(tmp_path / "rig.xlsx")
     is_pair(record)
@@ -198,8 +199,9 @@ def test_an_archive_of_another_ending(tmp_path: Path) -> None:
 def test_a_short_sheet_that_cannot_be_read_beside_the_measurement(tmp_path: Path) -> None:
     """The first sheet of a cycler has one row of numbers below names."""
     book = openpyxl.Workbook()
-    book.active.append(["Channel", "Serial", "Version", "Aux"])
-    book.active.append([11, 206951, 7, 0])
+    page = book.create_sheet("Rig")
+    page.append(["Channel", "Serial", "Version", "Aux"])
+    page.append([11, 206951, 7, 0])
     sheet = book.create_sheet("Channel_11_1")
     sheet.append(["Test_Time(s)", "Voltage(V)", "Displacement(um)"])
     for row in zip(T.tolist(), U.tolist(), Y.tolist(), strict=True):
