@@ -294,10 +294,7 @@ def _records_of(
 
 
 def _rows_of_others(data: dict[str, np.ndarray]) -> np.ndarray:
-    """Rows between those of the pair, shape (rows,), bool.
-
-    These have neither input nor output, where points are not sampled evenly, or stand between those of an input in every n-th row.
-    """
+    """Rows with neither input nor output where points are not sampled evenly, or between those of an input in every n-th row, bool."""
     missing = np.isnan(data["input"])
     at = np.flatnonzero(~missing)
     if at.size >= OF_RECORD and np.ptp(np.diff(at)) == 0:
