@@ -21,7 +21,8 @@ def steady_period(record: Record) -> int | None:
 
     A device that rested before the first sample starts inside the loop, half its width away from the branch on which the period
     ends. Where both outputs agree to a small part of the width, the motion was steady before. A period that begins at a turning point
-    must be followed by another one: that of a single loop tells of the state there as much as any model does.
+    must be followed by another one that repeats it, and lie nearer to zero input than half the range: on the way from rest at zero to a
+    turning point further out the device reaches the loop.
     """
     period, steady = steady_rows(record.u, record.y[None])
     return period if steady[0] else None
@@ -31,7 +32,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
     span, none = float(np.ptp(u)), np.zeros(len(y), bool)
     inside = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
-    at_turn = min(u[0] - u.min(), u.max() - u[0]) <= GAP * span
+    at_turn = min(u[0] - u.min(), u.max() - u[0]) <= GAP * span and abs(u[0]) < (0.5 - GAP) * span
     if u.size < FEWEST or span == 0 or not (inside or at_turn):
         return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
