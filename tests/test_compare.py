@@ -21,9 +21,9 @@ import hystfit as hf
 from hystfit.errors import ModelError
 from hystfit.fitting import comparison_run, sizes, smooth_weights
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.compare import _ranked
+from hystfit.fitting.compare import NO_LOOP, _ranked
 from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.comparison_run import NO_LOOP, ComparisonRun
+from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit import _choice
 from hystfit.fitting.fit_model import solve_model

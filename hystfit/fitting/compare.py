@@ -12,7 +12,7 @@ from hystfit.config import verb
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates, timeless
 from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row
-from hystfit.fitting.comparison_run import BEATEN, NO_LOOP, WHITE, ComparisonRun
+from hystfit.fitting.comparison_run import WHITE, ComparisonRun
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
@@ -34,6 +34,9 @@ from hystfit.quality.summary import dynamics_of
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
+
+BEATEN = "at one pace, a model that does not depend on time describes the records as well"
+NO_LOOP = f"{WHITE}, out of which no loop stands"
 
 
 def search(run: ComparisonRun, chosen: Candidates) -> None:

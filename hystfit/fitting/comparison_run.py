@@ -41,8 +41,6 @@ from hystfit.runs.threads import Workers
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
 WHITE = "the residuals of the best model are noise"
-BEATEN = "at one pace, a model that does not depend on time describes the records as well"
-NO_LOOP = f"{WHITE}, out of which no loop stands"
 _FIRST_STARTS = 2  # starting points of a first fit
 # Error of a fit that descends over that of its first fit, at least: 0.983 to 1.007 in 35 fits of six measured files.
 _LOWERED = 0.95
@@ -192,8 +190,7 @@ class ComparisonRun:
             lowered = _LOWERED if alike and isinstance(method, LeastSquares) else 1 / MARGIN
             estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
             weight = np.asarray(problem.objective.batch.weight)
-            rms = problem.scales.y * float(np.sqrt(2 * estimate.cost / weight.sum()))
-            rms = rms if np.isfinite(rms) else np.inf
+            rms = problem.scales.y * float(np.nan_to_num(np.sqrt(2 * estimate.cost / weight.sum()), nan=np.inf))
             one.first = First(rms, estimate.x.size, lowered=lowered, handicap=self._handicap(Status.OK, model))
 
     def _alike(self, model: AbstractHysteresis) -> FitResult | None:

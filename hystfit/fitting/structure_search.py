@@ -28,6 +28,7 @@ from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
 from hystfit.quality.held_out import GAIN, HeldOut, equal_errors, held_out
 from hystfit.quality.summary import delay_of, slow_lag_of
+from hystfit.results.accuracy import POOR
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
@@ -158,7 +159,12 @@ def _resized(new: Terms, old: Terms, structure: Structure, score: float) -> str:
 
 
 def _enough(curve: Found, loops: Found, terms: Terms) -> bool:
-    """Whether a single-valued curve, with what may come before and beside it, predicts held-out samples as well as plays or stops do."""
+    """Whether a single-valued curve, with what may come before and beside it, predicts held-out samples as well as plays or stops do.
+
+    A lag or a force of the rate that leaves most of a loop is no evidence that there is none.
+    """
+    if curve.structure.timed and 100 * curve.score > POOR * terms.span:
+        return False
     at_one_pace = curve.structure.timed and not (loops.structure.timed or terms.several_paces)
     factor = AT_ONE_PACE if at_one_pace else equal_errors(terms.samples)
     return curve.score <= max(factor * loops.score, rounding_error(terms.data))
