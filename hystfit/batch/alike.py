@@ -26,10 +26,11 @@ from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.thinning import LEAST, kept_samples
 from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
+from hystfit.params.host_arrays import zeros
 from hystfit.params.units import Scales
 
 CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
-_FIRST = 3  # loops from whose starting values all others begin
+_FIRST = 2  # loops from whose starting values all others begin: with 1, 2 and 3 the same loops of 1024 were left to further starts
 _LOOKED_AT = 512  # loops among which these are chosen
 # Steps of each start that is read off a loop, before the best one goes on: a loop that is not described from it is solved again, from all
 # starts.
@@ -105,23 +106,34 @@ class Loops:
     def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
         """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
 
+        One row of dt and weight where all groups have the same.
+
         Args:
             kept: numbers of the samples of each group; None for all.
             length: to which they are padded.
         """
-        u, dt, weight = (np.zeros((len(self.groups), 1, length)) for _ in range(3))
-        outputs = np.zeros((len(self), 1, length))
+        same = kept is None and self._same_times
+        u, y = zeros(len(self.groups), 1, length), zeros(len(self), 1, length)
+        dt, weight = (zeros(1 if same else len(self.groups), 1, length) for _ in range(2))
         start = 0
         for k, group in enumerate(self.groups):
-            record, y = group.record, group.y
-            at = slice(None) if kept is None else kept[k]
-            elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
-            u[k, 0, elapsed.size :], of_record = record.u[-1], slice(elapsed.size)
-            u[k, 0, of_record], dt[k, 0, of_record] = record.u[at], elapsed
-            weight[k, 0, of_record] = (record.weight * record.used)[at]
-            outputs[start : start + len(y), 0, of_record] = y[:, at]
-            start += len(y)
-        return u, dt, weight, outputs
+            record, at = group.record, slice(None) if kept is None else kept[k]
+            inputs = record.u[at]
+            of_record = slice(inputs.size)
+            u[k, 0, of_record], u[k, 0, inputs.size :] = inputs, record.u[-1]
+            y[start : start + len(group.y), 0, of_record] = group.y[:, at]
+            start += len(group.y)
+            if k < len(dt):
+                dt[k, 0, of_record] = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
+                weight[k, 0, of_record] = (record.weight * record.used)[at]
+        return u, dt, weight, y
+
+    @property
+    def _same_times(self) -> bool:
+        """Whether all inputs have the times and weights of the first one."""
+        columns = lambda group: (group.record.t, group.record.weight, group.record.used)
+        first = columns(self.groups[0])
+        return all(all(map(np.array_equal, columns(group), first)) for group in self.groups[1:])
 
 
 class Common(NamedTuple):

@@ -30,6 +30,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
 from hystfit.outcome.table import or_none
 from hystfit.results.provenance import Stopwatch
+from hystfit.results.quantities import applicable
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
 
@@ -215,21 +216,22 @@ def _quantities(
     model, timed = common.setup.problem.model, common.setup.problem.model.creeps
     datasets = [Dataset.of(group.record) for group in loops.groups]
     excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
-    counts = [len(group.y) for group in loops.groups]
-    drives = {"loop": [one.loop for one in excitations]} | (
-        {"step": [one.step for one in excitations]} if timed else {}
-    )
-    outputs = {name: outputs_of(records) for name, records in drives.items()}
-    found, stop = list[dict[str, np.ndarray]](), 0
-    for data, excitation, count in zip(datasets, excitations, counts, strict=True):
-        start, stop = stop, stop + count
-        of = lambda record, a=start, b=stop, one=excitation: outputs["loop" if record is one.loop else "step"][
-            a:b, : len(record)
-        ]
-        found.append(values_of_outputs(data, excitation, of, timed=timed))
-    names = dict.fromkeys(name for values in found for name in values)
-    pairs = list(zip(found, counts, strict=True))
-    return {name: np.concatenate([v.get(name, np.full(n, np.nan)) for v, n in pairs]) for name in names}
+    of_loop = outputs_of([one.loop for one in excitations])
+    of_step = outputs_of([one.step for one in excitations]) if timed else np.zeros((len(loops), 0))
+    group_of = np.repeat(np.arange(len(datasets)), [len(group.y) for group in loops.groups])
+    kinds = dict[tuple[tuple[str, ...], Excitation], list[int]]()  # groups whose excitations differ in their ranges alone
+    for k, (data, one) in enumerate(zip(datasets, excitations, strict=True)):
+        names = applicable(data, timed=timed)
+        kinds.setdefault((names, dataclasses.replace(one, low=0.0, high=0.0, interval=0.0)), []).append(k)
+    found = dict[str, np.ndarray]()
+    for (names, _), numbers in kinds.items():
+        rows, first = np.flatnonzero(np.isin(group_of, numbers)), excitations[numbers[0]]
+        low, high = np.array([(excitations[k].low, excitations[k].high) for k in group_of[rows]]).T[:, :, None]
+        one = first if len(numbers) == 1 else dataclasses.replace(first, low=low, high=high)
+        outputs = of_loop[rows, : len(first.loop)]
+        for name, values in values_of_outputs(names, one, outputs, lambda rows=rows: of_step[rows]).items():
+            found.setdefault(name, np.full(len(loops), np.nan))[rows] = values
+    return found
 
 
 def _outputs(
