@@ -32,8 +32,7 @@ from hystfit.params.units import Scales
 CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
 _FIRST = 2  # loops from whose starting values all others begin: with 1, 2 and 3 the same loops of 1024 were left to further starts
 _LOOKED_AT = 512  # loops among which these are chosen
-# Steps of each start that is read off a loop, before the best one goes on: a loop that is not described from it is solved again, from all
-# starts.
+# Steps of each start that is read off a loop, before the best one goes on: a loop that is not described from it is solved from all starts.
 _GLANCE = 3
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
@@ -142,16 +141,16 @@ class Common(NamedTuple):
     Attributes:
         setup: the fit of one of them.
         starts: shape (S, p), relative to the sizes of each loop; none for weights, which need none.
-        read: how many of them, the first ones, are read off loops; the others surround them.
         levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
         powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
+        read: how many of the starts, the first ones, are read off loops; the others surround them.
     """
 
     setup: FitSetup
     starts: np.ndarray
-    read: int
     levels: np.ndarray
     powers: np.ndarray
+    read: int = 0
 
     @property
     def of_weights(self) -> bool:
@@ -180,6 +179,13 @@ class Common(NamedTuple):
         on_host = eqx.tree_at(inputs, on_host, tuple(columns))
         on_host = eqx.tree_at(places, on_host, (y, self.scale(loops), sizes))
         return Stack(on_host, tuple(jax.tree_util.tree_leaves(own)))
+
+    def starts_of(self, loops: Loops) -> Float[np.ndarray, "N S p"]:
+        """Starts of each loop, about the middle of its output."""
+        starts = np.repeat(self.starts[None], len(loops), axis=0)
+        higher = loops.each(lambda group: group.levels)[:, None] - self.levels
+        starts[:, :, self.setup.problem.space.offsets] += higher[..., None]
+        return starts
 
 
 def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, held: bool) -> Common | None:
@@ -211,13 +217,13 @@ def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, h
         return None
     if not of_weights and first.method != "lm":
         return None
-    none = np.zeros((0, len(first.problem.space))), 0, np.zeros(0)
-    starts, read, levels = none if of_weights else _starts(setups, options)
+    none = np.zeros((0, len(first.problem.space))), np.zeros(0), 0
+    starts, levels, read = none if of_weights else _starts(setups, options)
     unit = Scales(1.0, 1.0, 1.0)
     doubled = [dataclasses.replace(unit, **{symbol: 2.0}) for symbol in "uys"]
     units = [info.unit for info in first.problem.space.infos]
     powers = np.log2([[sizes.size(one) / unit.size(one) for one in units] for sizes in doubled])
-    return Common(first, starts, read, levels, np.round(powers, 9))
+    return Common(first, starts, levels, np.round(powers, 9), read)
 
 
 def _different(loops: Loops) -> list[Record]:
@@ -241,8 +247,8 @@ def _different(loops: Loops) -> list[Record]:
     return [group.record.replace(y=group.y[0]) for group in single]
 
 
-def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, int, np.ndarray]:
-    """Starts from all setups, and a hypercube about the first; how many are from setups; the level of the output that each belongs to."""
+def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np.ndarray, int]:
+    """Starts from all setups, and a hypercube about the first; the level of the output that each belongs to; how many are from setups."""
     rows, levels = [], []
     for setup in setups:
         space, record = setup.problem.space, setup.problem.data[0]
@@ -251,24 +257,17 @@ def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, in
             rows.append(space.unconstrained(space.clip(space.vector(model))))
             levels.append(level)
     spread = spread_starts(setups[0].problem, rows[0], options.starts - len(rows) + 1, options.seed)[1:]
-    return np.stack([*rows, *spread]), len(rows), np.array([*levels, *[levels[0]] * len(spread)])
+    return np.stack([*rows, *spread]), np.array([*levels, *[levels[0]] * len(spread)]), len(rows)
 
 
-def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[Ends, Stack, np.ndarray]:
-    """Where the best start of each loop ended, their problems, and the costs of all starts, shape (N, S).
+def solve_alike(common: Common, loops: Loops) -> tuple[Ends, Stack]:
+    """Where the best start that is read off a loop ended, for each of them, and their problems.
 
     Args:
         loops: outputs without faults, finite.
-        steps: of every start, before the best one goes on; of few, only starts that are read off loops.
     """
-    some = slice(common.read if steps == _GLANCE else None)
-    problem, full = common.setup.problem, common.stack(loops)
-    short = None
-    if problem.model.allows_thinning:
+    full, short = common.stack(loops), None
+    if common.setup.problem.model.allows_thinning:
         found = kept_samples([group.record for group in loops.groups], loops.length, LEAST)
         short = None if found is None else common.stack(loops, *found)
-    starts = np.repeat(common.starts[None, some], len(loops), axis=0)
-    levels = loops.each(lambda group: group.levels)
-    starts[:, :, problem.space.offsets] += (levels[:, None] - common.levels[some])[..., None]
-    ends, costs, _ = solve_stack(full, short, starts, steps)
-    return ends, full, costs
+    return solve_stack(full, short, common.starts_of(loops)[:, : common.read], _GLANCE)[0], full

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
+from hystfit.batch.bucketed import Task
 from hystfit.batch.many_fits import ERRORS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
@@ -23,8 +24,6 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
-from hystfit.fitting.least_squares import ROUND
-from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
@@ -49,7 +48,8 @@ class PlainFits(NamedTuple):
         samples: of each loop that count, shape (N,).
         example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
         common: what the loops have in common.
-        estimates: of loops that are solved, but not plain, by their number.
+        starts: of each loop, unconstrained, shape (N, S, p); none for weights.
+        estimate: the estimate of a loop, from its number.
     """
 
     names: tuple[str, ...]
@@ -59,7 +59,15 @@ class PlainFits(NamedTuple):
     samples: np.ndarray
     example: Row | None
     common: Common
-    estimates: Mapping[int, Estimate]
+    starts: np.ndarray
+    estimate: Callable[[int], Estimate]
+
+    def posed(self, k: int, record: Record, options: FitOptions) -> tuple[FitSetup, Task | None, Estimate | None]:
+        """The fit of a close loop that is not plain, and its estimate, or what it takes to solve it beside others from every start."""
+        setup = setup_of(self.common, record, options)
+        if self.common.of_weights:
+            return setup, None, self.estimate(k)
+        return setup, Task.of(setup.problem, self.starts[k]), None
 
     def columns(self) -> dict[str, np.ndarray]:
         """The numbers of all loops, shape (N,), by the names of `Row.numbers`."""
@@ -127,13 +135,8 @@ def fit_plain(
     example = examples[0] if examples else None
     quantities = _quantities(common, loops, outputs)
     samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
-    rest = np.flatnonzero(judged.close & ~judged.plain)
-    if common.of_weights:
-        estimates = {k: estimate(k) for k in rest.tolist()}
-    else:
-        estimates = _estimates(common, loops, rest)
-    names = common.setup.problem.space.names
-    fits = PlainFits(names, judged, quantities, notes, samples, example, common, estimates)
+    names, starts = common.setup.problem.space.names, common.starts_of(loops)
+    fits = PlainFits(names, judged, quantities, notes, samples, example, common, starts, estimate)
     return _spread(fits, sound, len(every))
 
 
@@ -155,7 +158,7 @@ class _Solved(NamedTuple):
 
 def _solved_lanes(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
     """By Levenberg-Marquardt."""
-    ends, stack, _ = solve_alike(common, loops)
+    ends, stack = solve_alike(common, loops)
     judged, cost, model = judge_plain(common, loops, ends, stack, noise), ends.normal.cost, common.setup.problem.model
     estimate = lambda k: Estimate(judged.x[k], float(cost[k]), True, "converged", 1, np.array([cost[k]]))
     counts, timed = [len(group.y) for group in loops.groups], not model.rate_independent
@@ -192,23 +195,6 @@ def _examples(
     return rows
 
 
-def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Estimate]:
-    """Estimates of loops that are not plain, but close, by their numbers: from every start to its end, which is on no bound."""
-    if not rest.size:
-        return {}
-    ends, stack, costs = solve_alike(common, loops.take(rest), ROUND)
-    coordinates, space = stack.objective.coordinates, common.setup.problem.space
-    x = coordinates.physical(ends.normal.z, np)
-    on_bound = np.logical_or(*space.reached(x, ON_BOUND, np.asarray(coordinates.scale))).any(axis=1)
-    good = ends.converged & np.isfinite(x).all(axis=1) & ~on_bound
-    ended = zip(rest.tolist(), x, ends.normal.cost, good, costs, strict=True)
-    return {
-        k: Estimate(x, float(cost), True, "converged", 1, costs * (float(cost) / costs.min()))
-        for k, x, cost, good, costs in ended
-        if good
-    }
-
-
 def _quantities(
     common: Common, loops: Loops, outputs_of: Callable[[Sequence[Record]], np.ndarray]
 ) -> dict[str, np.ndarray]:
@@ -219,7 +205,9 @@ def _quantities(
     of_loop = outputs_of([one.loop for one in excitations])
     of_step = outputs_of([one.step for one in excitations]) if timed else np.zeros((len(loops), 0))
     group_of = np.repeat(np.arange(len(datasets)), [len(group.y) for group in loops.groups])
-    kinds = dict[tuple[tuple[str, ...], Excitation], list[int]]()  # groups whose excitations differ in their ranges alone
+    kinds = dict[
+        tuple[tuple[str, ...], Excitation], list[int]
+    ]()  # groups whose excitations differ in their ranges alone
     for k, (data, one) in enumerate(zip(datasets, excitations, strict=True)):
         names = applicable(data, timed=timed)
         kinds.setdefault((names, dataclasses.replace(one, low=0.0, high=0.0, interval=0.0)), []).append(k)
@@ -268,5 +256,6 @@ def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
         quantities={name: among(values) for name, values in fits.quantities.items()},
         notes=fits.notes.among(at, count),
         samples=among(fits.samples),
-        estimates={int(at[k]): estimate for k, estimate in fits.estimates.items()},
+        starts=among(fits.starts),
+        estimate=lambda k: fits.estimate(int(np.searchsorted(at, k))),
     )

@@ -12,7 +12,7 @@ import numpy as np
 
 from hystfit.batch.alike import CONVEX, Group
 from hystfit.batch.bucketed import Task, solve_together
-from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
+from hystfit.batch.plain_fits import FEWEST, fit_plain
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
 from hystfit.config import enable_x64, one_blas_thread
@@ -165,16 +165,14 @@ def _rows_of(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]
 
 
 def fit_alone_rows(
-    work: Work, records: Sequence[tuple[str, Record]], solved: Mapping[int, tuple[FitSetup, Estimate]] | None = None
+    work: Work,
+    records: Sequence[tuple[str, Record]],
+    posed: Mapping[int, tuple[FitSetup, Task | None, Estimate | None]],
 ) -> list[Row]:
-    """Rows of named records, none of which is plain.
-
-    Args:
-        solved: fits of some of them, by their number, that need judgment alone.
-    """
+    """Rows of named records, none of which is plain; `posed` has the fits of some of them by their number, see `PlainFits.posed`."""
     loops = [_Loop(Source(name, "", record), name, record) for name, record in records]
-    for k, (setup, estimate) in (solved or {}).items():
-        loops[k].fit_setup, loops[k].estimate = setup, estimate
+    for k, one in posed.items():
+        loops[k].fit_setup, loops[k].task, loops[k].estimate = one
     _fit(work, loops, plain=False)
     return [cast(Row, loop.row) for loop in loops]
 
@@ -256,8 +254,8 @@ def _fit_groups(work: Work, inputs: Sequence[Sequence[_Loop]]) -> bool:
         record = cast(Record, loop.record)
         if fits.judged.plain[k]:
             loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
-        elif k in fits.estimates:
-            loop.fit_setup, loop.estimate = setup_of(fits.common, record, work.options), fits.estimates[k]
+        elif fits.judged.close[k]:
+            loop.fit_setup, loop.task, loop.estimate = fits.posed(k, record, work.options)
     return True
 
 
@@ -284,7 +282,7 @@ def _equal_inputs(a: Record, b: Record) -> bool:
 
 
 def _pose(work: Work, loop: _Loop) -> None:
-    if loop.estimate is not None:
+    if loop.fit_setup is not None:
         return
     data = Dataset.of(cast(Record, loop.record))
     loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=work.held)

@@ -112,7 +112,9 @@ class SteadyLoops:
         return self.width / self.travel if self.force_driven else self.travel / self.width
 
 
-def _crossings(branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, "... P"]) -> Float[np.ndarray, " count"]:
+def _crossings(
+    branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, "... P"]
+) -> Float[np.ndarray, " count"]:
     """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it ends on its first side."""
     passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
     half = (passed.sum(axis=1, keepdims=True) + 1) // 2
