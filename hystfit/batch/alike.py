@@ -37,6 +37,12 @@ _GLANCE = 3
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
 
+def same_columns(a: Record, b: Record, *names: str) -> bool:
+    """Whether two records have equal columns of these names."""
+    pairs = ((getattr(a, name), getattr(b, name)) for name in names)
+    return all(one is other or np.array_equal(one, other) for one, other in pairs)
+
+
 @dataclasses.dataclass(frozen=True)
 class Group:
     """Loops over one input: a record with its numbers and labels, and their outputs, shape (N, T)."""
@@ -111,7 +117,8 @@ class Loops:
             kept: numbers of the samples of each group; None for all.
             length: to which they are padded.
         """
-        same = kept is None and self._same_times
+        first = self.groups[0].record
+        same = kept is None and all(same_columns(group.record, first, "t", "weight", "used") for group in self.groups)
         u, y = zeros(len(self.groups), 1, length), zeros(len(self), 1, length)
         dt, weight = (zeros(1 if same else len(self.groups), 1, length) for _ in range(2))
         start = 0
@@ -126,13 +133,6 @@ class Loops:
                 dt[k, 0, of_record] = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
                 weight[k, 0, of_record] = (record.weight * record.used)[at]
         return u, dt, weight, y
-
-    @property
-    def _same_times(self) -> bool:
-        """Whether all inputs have the times and weights of the first one."""
-        columns = lambda group: (group.record.t, group.record.weight, group.record.used)
-        first = columns(self.groups[0])
-        return all(all(map(np.array_equal, columns(group), first)) for group in self.groups[1:])
 
 
 class Common(NamedTuple):

@@ -45,7 +45,6 @@ class PlainFits(NamedTuple):
         judged: numbers of each loop.
         quantities: of the fitted loops by name, shape (N,), NaN where unknown.
         notes: on plain loops.
-        samples: of each loop that count, shape (N,).
         example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
         common: what the loops have in common.
         starts: of each loop, unconstrained, shape (N, S, p); none for weights.
@@ -56,7 +55,6 @@ class PlainFits(NamedTuple):
     judged: Judged
     quantities: dict[str, np.ndarray]
     notes: RowNotes
-    samples: np.ndarray
     example: Row | None
     common: Common
     starts: np.ndarray
@@ -77,18 +75,18 @@ class PlainFits(NamedTuple):
         columns |= dict(zip(ERRORS, (one.rmse, one.percent, one.largest_percent), strict=True))
         return columns | {f"quantity {name}": values for name, values in self.quantities.items()}
 
-    def row(self, k: int, name: str, file: str, sha256: str | None) -> Row:
-        """The row of a plain loop."""
+    def row(self, k: int, name: str, file: str, record: Record) -> Row:
+        """The row of a plain loop and its record."""
         one, example = self.judged, cast(Row, self.example)
         return Row(
             name=name,
             file=file,
-            sha256=sha256,
+            sha256=record.sha256 or record.digest(),
             status=Status.OK,
             reason=self.notes.reason(k),
             codes=self.notes.codes(k),
             model=example.model,
-            samples=int(self.samples[k]),
+            samples=int(np.count_nonzero(record.used)),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
             stderr=dict(zip(self.names, map(or_none, one.stderr[k].tolist()), strict=True)),
             rmse=float(one.rmse[k]),
@@ -134,9 +132,8 @@ def fit_plain(
         judged = judged._replace(plain=np.zeros(len(loops), bool))
     example = examples[0] if examples else None
     quantities = _quantities(common, loops, outputs)
-    samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
     names, starts = common.setup.problem.space.names, common.starts_of(loops)
-    fits = PlainFits(names, judged, quantities, notes, samples, example, common, starts, estimate)
+    fits = PlainFits(names, judged, quantities, notes, example, common, starts, estimate)
     return _spread(fits, sound, len(every))
 
 
@@ -205,9 +202,7 @@ def _quantities(
     of_loop = outputs_of([one.loop for one in excitations])
     of_step = outputs_of([one.step for one in excitations]) if timed else np.zeros((len(loops), 0))
     group_of = np.repeat(np.arange(len(datasets)), [len(group.y) for group in loops.groups])
-    kinds = dict[
-        tuple[tuple[str, ...], Excitation], list[int]
-    ]()  # groups whose excitations differ in their ranges alone
+    kinds = dict[tuple[tuple[str, ...], Excitation], list[int]]()  # groups by their names and all but the range
     for k, (data, one) in enumerate(zip(datasets, excitations, strict=True)):
         names = applicable(data, timed=timed)
         kinds.setdefault((names, dataclasses.replace(one, low=0.0, high=0.0, interval=0.0)), []).append(k)
@@ -255,7 +250,6 @@ def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
         judged=Judged(*map(among, fits.judged)),
         quantities={name: among(values) for name, values in fits.quantities.items()},
         notes=fits.notes.among(at, count),
-        samples=among(fits.samples),
         starts=among(fits.starts),
         estimate=lambda k: fits.estimate(int(np.searchsorted(at, k))),
     )

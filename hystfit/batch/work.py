@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from hystfit.batch.alike import CONVEX, Group
+from hystfit.batch.alike import CONVEX, Group, same_columns
 from hystfit.batch.bucketed import Task, solve_together
 from hystfit.batch.plain_fits import FEWEST, fit_plain
 from hystfit.batch.row import Row, row_of
@@ -253,7 +253,7 @@ def _fit_groups(work: Work, inputs: Sequence[Sequence[_Loop]]) -> bool:
     for k, loop in enumerate(ordered):
         record = cast(Record, loop.record)
         if fits.judged.plain[k]:
-            loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
+            loop.row = fits.row(k, loop.name, loop.source.file, record)
         elif fits.judged.close[k]:
             loop.fit_setup, loop.task, loop.estimate = fits.posed(k, record, work.options)
     return True
@@ -271,14 +271,9 @@ def _by_input(loops: Sequence[_Loop]) -> list[list[_Loop]]:
     for loop in loops:
         record = cast(Record, loop.record)
         near = found[record.u[:: max(1, len(record) // _LOOKED_AT)].tobytes()]
-        same = next((one for one in near if _equal_inputs(cast(Record, one[0].record), record)), None)
+        same = next((one for one in near if same_columns(record, one[0].record, "u", "weight", "t")), None)
         near.append([loop]) if same is None else same.append(loop)
     return [same for near in found.values() for same in near]
-
-
-def _equal_inputs(a: Record, b: Record) -> bool:
-    columns = (a.u, b.u), (a.weight, b.weight), (a.t, b.t)
-    return all(one is other or np.array_equal(one, other) for one, other in columns)
 
 
 def _pose(work: Work, loop: _Loop) -> None:
