@@ -129,6 +129,19 @@ def test_a_lag_between_half_samples_is_found(samples):
     assert found.score < 1.15e-3 * np.ptp(record.y)
 
 
+def test_a_lag_far_from_those_tried_is_found_in_one_step_of_the_trail():
+    """The search steps by half a sample from one of the lags that it tries: 24 steps, and as many notes, for one lag of 17 samples."""
+    t = 0.5 * np.arange(600)
+    u = 50 - 30 * np.cos(2 * np.pi * t / 150) - 12 * (1 - np.cos(2 * np.pi * t / 27))
+    late = np.asarray(hf.simulate(hf.Lag(tau=8.5), u, np.full(t.size, 0.5))[0])
+    y = np.tanh((late - 40) / 9)
+    record = hf.Record(u=u, y=y + 1e-3 * np.ptp(y) * np.random.default_rng(0).normal(size=t.size), t=t)
+    found = search_structure(hf.Dataset.of(record))
+    assert found.structure.operator == "curve"
+    assert found.structure.lag == pytest.approx(17, abs=0.2)
+    assert sum(step.startswith("a lag of ") and "order" not in step for step in found.trail) == 1
+
+
 @pytest.mark.parametrize("samples", [2.3, 3.7])
 def test_a_strong_ridge_at_the_start_does_not_hold_a_lag_at_a_wrong_value(samples):
     record = lagging_plays(samples)

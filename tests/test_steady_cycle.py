@@ -42,6 +42,24 @@ def test_of_several_periods_the_first_is_driven_through_again():
     assert DEVICE.prepared(prepared) is prepared
 
 
+def test_a_period_ends_at_the_sample_nearest_to_its_begin():
+    """The sine of a multiple of 2 pi is a rounding error on either side of 0, and the next sample would be one too many."""
+    u = np.sin(2 * np.pi * 0.005 * np.arange(1000))
+    u[200] = -1e-15
+    assert steady_period(hf.Record(u, u + 0.2 * np.cos(2 * np.pi * 0.005 * np.arange(1000)))) == 200
+
+
+@pytest.mark.parametrize("rate", [200.0, 190.7])
+@pytest.mark.parametrize("model", ["linear+viscous", "damper"])
+def test_forces_of_the_rate_are_fitted_from_the_second_sample_of_a_record_that_begins_in_motion(model, rate):
+    """The period before it ends a part of a sample from its begin, so that the rate at the first sample is not that of the motion."""
+    t = np.arange(1000) / rate
+    x, v = 5 * np.sin(2 * np.pi * t), 10 * np.pi * np.cos(2 * np.pi * (t - 0.5 / rate))
+    noise = np.random.default_rng(0).normal(0, 0.5, t.size)
+    fit = hf.fit(model, hf.Record(x, 20 * x + 0.8 * v + noise, t, u_unit="mm", y_unit="N"))
+    assert fit.train.rmse < 1.02 * np.std(noise)
+
+
 def virgin():
     u = period(0.0)
     return hf.Record(u, np.asarray(hf.simulate(DEVICE, u)[0]))

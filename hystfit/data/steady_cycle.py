@@ -38,6 +38,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     second = first + _turn(-v[first:], span)
     beyond = np.flatnonzero(v[second:] >= v[0])
     last = second + int(beyond[0]) if beyond.size else u.size - 1
+    last -= int(v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
     covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none

@@ -9,16 +9,16 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.config import verb
-from hystfit.errors import ModelError, ParameterError
+from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.candidates import Candidates, candidates, timeless
-from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row, handicap
-from hystfit.fitting.comparison_run import NO_LOOP, WHITE, ComparisonRun, score_of
+from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row
+from hystfit.fitting.comparison_run import BEATEN, NO_LOOP, WHITE, ComparisonRun
 from hystfit.fitting.contender import Candidate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
 from hystfit.fitting.remains import correlation_of
-from hystfit.fitting.structure import Structure, structure_of
+from hystfit.fitting.structure import Structure, falls, structure_of
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
@@ -40,7 +40,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
 
     Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
     would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
-    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out.
+    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out. At one
+    pace, at which a lag or a force of the rate may stand for a loop, models without time are tried too.
     """
     first, *others = chosen.closed
     run.run((first,))
@@ -54,6 +55,10 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         if not run.overfits():
             run.skip(chosen.iterated, WHITE)
             return
+    if still := run.is_white_at_one_pace():
+        kept = Candidates((first, *timeless(others)), timeless(chosen.iterated))
+        run.skip([name for name in chosen.names if name not in kept.names], WHITE)
+        chosen, others = kept, kept.closed[1:]
     waiting = run.looked_at(others)
     if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
         run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
@@ -61,11 +66,13 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     waiting = run.after_next(waiting)
     found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
     rings, iterated = _rings(run), chosen.iterated
+    found, reason = dataclasses.replace(found, falls=falls(run.data)), "the search found no term that depends on time"
+    beaten = run.one_pace and run.best_row is not None and not run.best_row.paced
+    if still or (beaten and found.timed):
+        found, reason = dataclasses.replace(found, lag=0.0, creep=False, rate=0), BEATEN
     if not (white or rings or delay or found.timed):
         iterated = timeless(chosen.iterated)
-        run.skip(
-            [name for name in chosen.iterated if name not in iterated], "the search found no term that depends on time"
-        )
+        run.skip([name for name in chosen.iterated if name not in iterated], reason)
     if not white and run.shows_no_loop(iterated):
         run.skip(iterated, NO_LOOP)
         iterated = ()
@@ -93,7 +100,7 @@ def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
     firsts = [one.first for one in waiting if one.first is not None]
     least, best = min(firsts, key=lambda first: first.error, default=None), run.best_row
     if least is not None and least.model is not None:
-        if best is None or least.error / run.span < score_of(best) / 100:
+        if best is None or least.error / run.span < best.score / 100:
             return run.correlation_of_model(least.model)
     return 1 if best is None else correlation_of(run.fits[best.asked])
 
@@ -106,7 +113,7 @@ def _rings(run: ComparisonRun) -> bool:
 
 def _resonance_needed(run: ComparisonRun) -> bool:
     """Whether the search, which has no resonance, errs far more than the best model."""
-    own = next((score_of(row) for row in run.rows if row.asked == SEARCH), 0.0)
+    own = next((row.score for row in run.rows if row.asked == SEARCH), 0.0)
     return run.best is not None and own > MARGIN * run.best
 
 
@@ -178,7 +185,7 @@ def compare(
             search(run, chosen)
     rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
     if not run.fits:
-        raise run.refusal(rows)
+        raise _refusal(run.errors, rows)
     best = rows[0]
     if purpose != "prediction" and not best.serves(purpose):
         reasons = "; ".join(
@@ -187,6 +194,13 @@ def compare(
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
     fits = Fits(run.fits, run.judged)
     return Comparison(tuple(rows), fits[best.asked], fits, run.scheme, purpose)
+
+
+def _refusal(errors: Sequence[Exception], rows: Sequence[Row]) -> HystfitError:
+    """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
+    if isinstance(errors[0], DataError) and len(set(map(str, errors))) == 1:
+        return errors[0]
+    return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
@@ -260,5 +274,5 @@ def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
         row.status is Status.NO_LOOP and row.hysteretic,
         purpose != "prediction" and not row.serves(purpose),
         row.score_percent is None,
-        _error(row) or (row.in_sample_percent or 0.0) * handicap(row.status, row.family_inverts),
+        _error(row) or (row.in_sample_percent or 0.0) * row.handicap,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.errors import DataError, HystfitError, ModelError
-from hystfit.fitting.comparison import MARGIN, Obstacles, Purpose, Row, handicap
+from hystfit.errors import HystfitError
+from hystfit.fitting.comparison import AT_ONE_PACE, MARGIN, Obstacles, Purpose, Row, handicap
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
@@ -32,6 +33,7 @@ from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.quality.held_out import HeldOut, Scheme, equal_errors, held_out, inner_loops
+from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
 from hystfit.runs.threads import Workers
 
@@ -39,17 +41,13 @@ from hystfit.runs.threads import Workers
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
 WHITE = "the residuals of the best model are noise"
+BEATEN = "at one pace, a model that does not depend on time describes the records as well"
 NO_LOOP = f"{WHITE}, out of which no loop stands"
 _FIRST_STARTS = 2  # starting points of a first fit
 # Error of a fit that descends over that of its first fit, at least: 0.983 to 1.007 in 35 fits of six measured files.
 _LOWERED = 0.95
 
 _Work = Callable[[Candidate, Callable[[str], object]], None]
-
-
-def score_of(row: Row) -> float:
-    """Error on held-out data [percent of range]; infinite where it is not known."""
-    return np.inf if row.score_percent is None else row.score_percent
 
 
 class ComparisonRun:
@@ -75,12 +73,13 @@ class ComparisonRun:
         workers: Workers,
     ):
         self.data, self.left_out, self.purpose, self.options, self.named = data, left_out, purpose, options, named
+        self.one_pace = paces(data) < 2
         self.rows: list[Row] = []
         self.fits: dict[str, FitResult] = {}
         self._shown, self._workers = shown, workers
         self._solved: dict[str, Solved] = {}
         self._correlated: dict[str, int] = {}  # samples over which the residuals of a fit are correlated
-        self._errors: list[Exception] = []
+        self.errors: list[Exception] = []
         self._early: dict[str, Solved] = {}  # fits that the choice of a spacing needed
         # Of the last fit, which the next one takes where its bounds alone differ.
         self._equations: tuple[Problem, Split] | None = None
@@ -96,7 +95,7 @@ class ComparisonRun:
 
     def run_again(self, names: Sequence[str], options: FitOptions) -> None:
         """Forget what was found, and run candidates with other options."""
-        self.options, self.rows, self.fits, self._errors, self._early = options, [], {}, [], {}
+        self.options, self.rows, self.fits, self.errors, self._early = options, [], {}, [], {}
         self.run(names)
 
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
@@ -156,7 +155,7 @@ class ComparisonRun:
                 continue
             self.rows.append(dataclasses.replace(one.row, seconds=one.seconds))
             if one.failure is not None:
-                self._errors.append(one.failure)
+                self.errors.append(one.failure)
             if one.result is not None and one.solved is not None:
                 self.fits[one.name], self._solved[one.name] = one.result, one.solved
                 self._correlated[one.name] = correlation_of(one.result)
@@ -236,20 +235,20 @@ class ComparisonRun:
 
     def _worth(self, lowered: float, model: AbstractHysteresis) -> float:
         """The rms error [y] of a descent, of which a finished fit leaves this part at least, above which it would be beaten."""
-        return self._most(Status.OK, inverts=model.has_inverse) * self.span / 100 / lowered
+        return self._most(Status.OK, model) * self.span / 100 / lowered
 
-    def _most(self, status: Status, *, inverts: bool) -> float:
+    def _most(self, status: Status, model: AbstractHysteresis) -> float:
         """The error on left-out data above which a model cannot win [percent of range]."""
         if self.named or self.least is None:
             return np.inf
-        return self.equal * self.least / handicap(status, inverts)
+        return self.equal * self.least / handicap(status, model.has_inverse, self._paced(model))
 
     def _validate(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Measure the error of a fit on left-out data."""
         assert one.solved is not None
         name, result = one.name, one.solved.unjudged
         progress("cross-validation")
-        most = self._most(result.status, inverts=result.model.has_inverse)
+        most = self._most(result.status, result.model)
         score, criterion = left_out_error(result, self.left_out, most * self.span / 100), bic(result)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
@@ -269,6 +268,7 @@ class ComparisonRun:
             obstacles=Obstacles(result),
             family_inverts=result.model.has_inverse,
             hysteretic=result.model.hysteretic,
+            paced=self._paced(result.model),
             effective=one.solved.estimate.effective or float(len(result.free_names)),
         )
 
@@ -277,7 +277,7 @@ class ComparisonRun:
         first, name = one.first, one.name
         if first is None:
             return None
-        most = self._most(Status.OK, inverts=make_model(name).has_inverse)
+        most = self._most(Status.OK, make_model(name))
         error = 100 * first.error / self.span
         # Sizes and other choices lower the error of a model with elements by about as much as that of another.
         lowered = first.lowered if first.model is None else min(self._lowered, default=first.lowered)
@@ -294,7 +294,7 @@ class ComparisonRun:
         if one.solved is None:
             return None
         result = one.solved.unjudged
-        most = self._most(result.status, inverts=result.model.has_inverse)
+        most = self._most(result.status, result.model)
         error = 100 * result.problem.error_where_held_out(result.problem.misfit(result.x)) / self.span
         if error <= most:
             return None
@@ -327,8 +327,9 @@ class ComparisonRun:
 
     @property
     def best_row(self) -> Row | None:
-        """The row of the fit with the smallest error on left-out data so far."""
-        return min((row for row in self.rows if row.asked in self.fits), key=score_of, default=None)
+        """The row of the fit with the smallest error on left-out data so far, which a `paced` one must have by far."""
+        error = lambda row: row.score / (AT_ONE_PACE if row.paced else 1.0)
+        return min((row for row in self.rows if row.asked in self.fits), key=error, default=None)
 
     @property
     def equal(self) -> float:
@@ -337,11 +338,16 @@ class ComparisonRun:
         return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
 
     def is_white(self) -> bool:
-        """Whether the residuals of the best model are white, and its loop stands out of them."""
+        """Whether the residuals of the best model are white, its loop stands out of them, and no model without time describes it alike."""
         best = self.best_row
-        if best is None or best.score_percent is None:
+        if best is None or math.isinf(best.score) or best.paced:
             return False
         return leaves_noise(self.fits[best.asked])
+
+    def is_white_at_one_pace(self) -> bool:
+        """Whether the residuals of the best model are white, and it depends on time at one pace."""
+        best = self.best_row
+        return best is not None and best.paced and leaves_noise(self.fits[best.asked])
 
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
@@ -353,11 +359,8 @@ class ComparisonRun:
     def overfits(self) -> bool:
         """Whether the best model errs more on held-out samples than on those that it was fitted to."""
         best = self.best_row
-        return (
-            best is not None
-            and best.in_sample_percent is not None
-            and score_of(best) > self.equal * best.in_sample_percent
-        )
+        fitted = None if best is None else best.in_sample_percent
+        return best is not None and fitted is not None and best.score > self.equal * fitted
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
@@ -368,13 +371,6 @@ class ComparisonRun:
         return result.with_notes(
             *(note for note in known.notes if note.code is Code.CHOICE and note not in result.notes)
         )
-
-    def refusal(self, rows: Sequence[Row]) -> HystfitError:
-        """The error where no candidate could be fitted: what is wrong with the data, where all found the same."""
-        first = self._errors[0]
-        if isinstance(first, DataError) and all(str(error) == str(first) for error in self._errors):
-            return first
-        return ModelError("no model could be fitted: " + "; ".join(f"{row.name}: {row.note}" for row in rows))
 
     @property
     def scheme(self) -> Scheme:
@@ -388,6 +384,10 @@ class ComparisonRun:
     def held(self) -> HeldOut:
         """The groups that are held out in turn."""
         return held_out(list(self.data))
+
+    def _paced(self, model: AbstractHysteresis) -> bool:
+        """See `Row.paced`."""
+        return self.one_pace and not model.rate_independent
 
     @functools.cached_property
     def _all_held(self) -> bool:

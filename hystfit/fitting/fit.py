@@ -11,7 +11,7 @@ from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
-from hystfit.fitting.comparison import Purpose
+from hystfit.fitting.comparison import Comparison, Purpose
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
@@ -128,23 +128,32 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
         purpose: see `compare`.
     """
     comparison = compare(data, purpose=purpose, seed=options.seed, starts=options.starts)
-    best, count = comparison.rows[0], sum(row.fitted for row in comparison.rows)
-    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
-    scores = [row.score_percent for row in comparison.rows if row.score_percent is not None]
-    reason = "is the only candidate for these data"
-    if len(comparison.rows) > 1:
-        reason = "leaves nothing but noise" if leaves_noise(comparison.winner) else "is the only model that was fitted"
-    if count > 1:
-        reason = f"is the best of {count} models by cross-validation"
-    if min(scores, default=None) != best.score_percent:
-        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
-    choice = Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
     failed = [row for row in comparison.rows if row.status is Status.FAILED]
     left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]
     winner = comparison.winner
     if options.noise != "auto":
         winner = _under_noise(winner, data, options)
-    return winner.with_notes(choice, *left_out, first=True)
+    return winner.with_notes(_choice(comparison), *left_out, first=True)
+
+
+def _choice(comparison: Comparison) -> Note:
+    """Why the winner was chosen."""
+    best, count = comparison.rows[0], sum(row.fitted for row in comparison.rows)
+    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+    first = min(comparison.rows, key=lambda row: row.score)
+    reason = "is the only candidate for these data"
+    if len(comparison.rows) > 1:
+        reason = "leaves nothing but noise" if leaves_noise(comparison.winner) else "is the only model that was fitted"
+    if count > 1:
+        reason = f"is the best of {count} models by cross-validation"
+    if first.score != best.score:
+        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
+        if first.paced and not best.paced:
+            reason = (
+                f"is taken before {first.name} ({first.score_percent:.3g} %), which depends on time: at one pace it could stand for "
+                "the hysteresis, and a record at another pace tells them apart"
+            )
+    return Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
 
 
 def _under_noise(winner: FitResult, data: Dataset, options: FitOptions) -> FitResult:

@@ -71,7 +71,7 @@ class Structure:
         )
 
     def change_from(self, other: Structure) -> str:
-        """The one term in which it differs from another structure, in words."""
+        """The first term in which it differs from another structure, in words."""
         envelopes = (
             "one envelope for symmetric loops" if self.envelopes == 1 else "three envelopes for asymmetric loops"
         )
@@ -90,6 +90,10 @@ class Structure:
             "hardening": hardening,
         }
         return next(text for field, text in words.items() if getattr(self, field) != getattr(other, field))
+
+    def differs_in_lag(self, other: Structure) -> bool:
+        """Whether both are equal but for their lags."""
+        return self != other and dataclasses.replace(self, lag=other.lag) == other
 
 
 def structure_of(model: AbstractHysteresis) -> tuple[Structure, bool]:

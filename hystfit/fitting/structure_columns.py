@@ -131,17 +131,23 @@ class Terms:
         return tuple(np.split(rows, np.cumsum([int(record.used.sum()) for record in self.data])[:-1]))
 
     def lag_between(self, structure: Structure) -> float:
-        """The lag at which a parabola through the squared errors at this lag and half a sample to either side is least [samples].
+        """The lag near that of a structure at which the error is least [samples]: where a parabola through three squared errors is.
 
-        Half a sample off, the error is several times that of the right lag, and terms of a higher degree would seem to be needed.
+        The three are half a sample apart; where the error falls to one side, they move there in doubled steps. Half a sample off, the error
+        is several times that of the right lag, and terms of a higher degree would seem to be needed.
         """
-        sides = [
-            dataclasses.replace(structure, lag=structure.lag + step) for step in (-STEP_OF_LAGS, 0.0, STEP_OF_LAGS)
-        ]
-        low, middle, high = (self.score(side) ** 2 for side in sides)
-        bend = low - 2 * middle + high
-        shift = 0.5 * STEP_OF_LAGS * (low - high) / bend if np.isfinite(bend) and bend > 0 else 0.0
-        return float(np.round(structure.lag + np.clip(shift, -STEP_OF_LAGS, STEP_OF_LAGS), 2))
+        square = lambda lag: self.score(dataclasses.replace(structure, lag=max(lag, 0.0))) ** 2
+        before, lag, step = structure.lag - STEP_OF_LAGS, structure.lag, STEP_OF_LAGS
+        if square(before) < square(lag + step):
+            before, step = lag + step, -step
+        while square(lag + step) < square(lag):
+            before, lag, step = lag, lag + step, 2 * step
+        slopes = (square(lag) - square(before)) / (lag - before), (square(lag + step) - square(lag)) / step
+        bend = (slopes[1] - slopes[0]) / (lag + step - before)
+        if not np.isfinite(bend) or bend <= 0:
+            return lag
+        least = 0.5 * (before + lag) - 0.5 * slopes[0] / bend
+        return float(np.round(np.clip(least, *sorted((before, lag + step))), 2))
 
     def system(self, s: Structure) -> LinearSystem:
         """The linear system of a structure, joined from the columns of its terms."""

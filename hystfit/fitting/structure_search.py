@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
 import numpy as np
 
 from hystfit.data.dataset import Dataset
+from hystfit.fitting.comparison import AT_ONE_PACE
 from hystfit.fitting.structure import Structure, build, output_of
 from hystfit.fitting.structure_columns import STEP_OF_LAGS, Terms
 from hystfit.inference.fittable import check_fittable
@@ -27,10 +29,6 @@ from hystfit.quality.held_out import GAIN, HeldOut, equal_errors, held_out
 from hystfit.quality.summary import delay_of, slow_lag_of
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
-# Of the error, below which a first force of the rate or a lag is taken where all branches have one duration, so that the speed is a
-# function of amplitude and place, which static terms describe too: such a term leaves 0.88 to 0.98 of it in simulated static loops,
-# 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
-_AT_ONE_PACE = 0.8
 _BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
 _FEWEST = 3  # plays, however few the samples are
@@ -102,16 +100,22 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
     """Repeat the single change that lowers the held-out error most, from the best of some structures; `tried` counts other sizes."""
     data, most = terms.data, max_plays(terms.data)
     structure = min(starts, key=terms.score)
-    score, trail = terms.score(structure), list[str]()
+    score, path = terms.score(structure), [structure]
     # Rounding errors recur where the cycles repeat: terms that describe them would also lower the error on held-out cycles.
     rounding = rounding_error(data)
     while score > rounding:
         best = _next(structure, score, terms, options)
         if terms.score(best) >= GAIN * score:
             break
-        trail.append(_step(best.change_from(structure), score, terms.score(best), terms.span))
+        if len(path) > 1 and best.differs_in_lag(structure) and structure.differs_in_lag(path[-2]):
+            path.pop()  # both are one step
+        path.append(best)
         structure, score = best, terms.score(best)
     tried, chosen = 0, terms
+    trail = [
+        _step(new.change_from(old), terms.score(old), terms.score(new), terms.span)
+        for old, new in itertools.pairwise(path)
+    ]
     # A curve with few knots is taken where it predicts no worse: a line needs two.
     few = (2,) if structure.operator == "curve" else ()
     for other in (*few, *_OTHER_PLAYS) if plays is None and score > rounding else ():
@@ -136,7 +140,7 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
 def _enough(curve: Found, loops: Found, terms: Terms) -> bool:
     """Whether a single-valued curve, with what may come before and beside it, predicts held-out samples as well as plays or stops do."""
     at_one_pace = curve.structure.timed and not (loops.structure.timed or terms.several_paces)
-    factor = _AT_ONE_PACE if at_one_pace else equal_errors(terms.samples)
+    factor = AT_ONE_PACE if at_one_pace else equal_errors(terms.samples)
     return curve.score <= max(factor * loops.score, rounding_error(terms.data))
 
 
@@ -160,7 +164,7 @@ def _next(structure: Structure, score: float, terms: Terms, options: dict[str, t
 def _is_sure(changed: Structure, structure: Structure, terms: Terms) -> bool:
     """Whether a change adds no first force of the rate or lag, or one that the records tell from the place in the loop."""
     first = (changed.lag or changed.rate) and not (structure.lag or structure.rate)
-    return not first or terms.several_paces or terms.score(changed) < _AT_ONE_PACE * terms.score(structure)
+    return not first or terms.several_paces or terms.score(changed) < AT_ONE_PACE * terms.score(structure)
 
 
 def max_plays(data: Dataset) -> int:

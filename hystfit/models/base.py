@@ -162,16 +162,15 @@ class AbstractHysteresis(AbstractDynamics):
 
         By default a record that starts with a steady period is preceded by one more copy of that period, without weight, because
         its first sample lies on a branch. For a device that rested before the record, use `Record.resting_on`. Where the input moves
-        at once and the output takes its rate, the first sample does not count: its rate is that of a movement before the record.
+        at once and the output takes its rate, the first sample does not count: its rate is that of a movement before the record, which a
+        period before it has but for a part of a sample.
 
         Raises:
             ModelError: a record that cannot drive the model.
         """
-        ready = with_steady_start(record)
-        known = ready.rate_known
-        return (
-            ready.replace(weight=np.where(known, ready.weight, 0.0)) if self.takes_rate and not known.all() else ready
-        )
+        if self.takes_rate and not record.rate_known.all():
+            record = record.replace(weight=np.where(record.rate_known, record.weight, 0.0))
+        return with_steady_start(record)
 
     def starting_points(self, records: Sequence[Record]) -> tuple[AbstractHysteresis, ...]:
         """Models with starting values estimated from measured records, the best first: by default that of `start` alone."""

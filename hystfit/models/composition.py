@@ -57,6 +57,7 @@ class AbstractComposition(AbstractHysteresis):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(repr(part) for part in self.parts)})"
 
+    takes_rate = _of_any("takes_rate")
     rate_independent = _of_all("rate_independent")
     hysteretic = _of_any("hysteretic")
     allows_thinning = _of_all("allows_thinning")
@@ -72,8 +73,9 @@ class AbstractComposition(AbstractHysteresis):
     from_saturation = _of_any("from_saturation")
 
     def prepared(self, record: Record) -> Record:
-        """As all parts need it."""
-        return functools.reduce(lambda prepared, part: part.prepared(prepared), self.parts, record)
+        """As all parts need it: those that take the rate see its first sample before another one puts a period before it."""
+        parts = sorted(self.parts, key=lambda part: not part.takes_rate)
+        return functools.reduce(lambda prepared, part: part.prepared(prepared), parts, record)
 
     def derived(self) -> tuple[Derived, ...]:
         """Those of all parts."""

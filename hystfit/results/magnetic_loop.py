@@ -75,7 +75,9 @@ class MagneticLoop:
     per_field: float
 
     @classmethod
-    def of(cls, record: Record, sample: Sample, noise: float = np.nan, correct: Collection[str] = ()) -> MagneticLoop | None:
+    def of(
+        cls, record: Record, sample: Sample, noise: float = np.nan, correct: Collection[str] = ()
+    ) -> MagneticLoop | None:
         """The loop of a record; None where its input is no magnetic field, or has no unit.
 
         Args:
