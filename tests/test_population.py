@@ -99,6 +99,26 @@ def test_mean_scatter_and_devices_are_those_of_the_simulation(population):
     assert not fit.outlying
 
 
+def test_draws_of_a_device_have_the_posterior_of_a_grid(population):
+    """Sums over a grid of both parameters; the noise is integrated out."""
+    fit, _ = population
+    device, sd = fit.devices[1], np.array([0.1, 0.2])
+    center = device.mean - [0.05, 0.3]
+    pool = device.pool(center, sd, fit.common, seed=0)
+    width = np.sqrt(np.diag(np.linalg.inv(device.precision)))
+    steps = np.linspace(-5, 5, 41)
+    grid = device.mean + np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2) * width
+    y = device.result.data[0].y
+    rss = np.array([np.sum((y - device.problem.predict(x)[0]) ** 2) for x in fit.common.x_of(grid)])
+    log_p = -0.5 * y.size * np.log(rss) - 0.5 * np.sum(((grid - center) / (3 * sd)) ** 2, axis=1)
+    p = np.exp(log_p - log_p.max())
+    p /= p.sum()
+    mean = p @ grid
+    spread = np.sqrt(p @ (grid - mean) ** 2)
+    np.testing.assert_allclose(pool.z.mean(axis=0), mean, atol=0.15 * spread.min(), rtol=0)
+    np.testing.assert_allclose(pool.z.std(axis=0), spread, rtol=0.1)
+
+
 def test_the_next_device_and_its_band(population):
     fit, _ = population
     further = fit.next_devices(4000)

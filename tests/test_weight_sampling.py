@@ -259,6 +259,24 @@ def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitRe
     )
 
 
+def test_a_lag_before_many_cells_converges() -> None:
+    """Weights at their bound have means inside it: derivatives about the estimate are not those that the draws need."""
+    rng, t = np.random.default_rng(0), 0.01 * np.arange(960.0)
+    u = np.linspace(1, 0.15, t.size) * np.cos(2 * np.pi * np.cumsum(np.where(t < 4.8, 1.0, 2.0)) / 120)
+    relays = Preisach.of(40, spacing="uniform", reversible=False).start([hf.Record(u=u, y=u, t=t)])
+    center = 0.5 * (relays.levels[1:] + relays.levels[:-1])
+    i, j = np.tril_indices(center.size)
+    half, middle = 0.5 * (center[i] - center[j]), 0.5 * (center[i] + center[j])
+    w = np.exp(-0.5 * (np.log(np.maximum(half, 1e-3) / 0.2) / 0.6) ** 2 - 0.5 * (middle / 0.2) ** 2)[: relays.w.size]
+    truth = hf.Series(hf.Lag(tau=0.05), eqx.tree_at(lambda m: m.w, relays, jnp.asarray(w / w.sum())))
+    y = np.asarray(hf.simulate(truth, u, np.full(u.size, 0.01))[0])
+    y = y + 0.01 * np.ptp(y) * rng.normal(size=u.size)
+    posterior = hf.sample(hf.fit("lag+preisach:n=10", hf.Record(u=u, y=y, t=t)), seed=1)
+    assert posterior.sampler == "weights"
+    assert posterior.status is not Status.NOT_CONVERGED  # 10 effective draws about the estimate
+    assert abs(np.median(posterior["tau"]) - 0.05) < 4 * np.std(posterior["tau"])
+
+
 @pytest.mark.parametrize("noise", ["iid", "ou"])
 def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
     lagging: hf.FitResult, noise: str

@@ -223,8 +223,8 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
 
 
 def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
-    """From best to worst; among errors that do not differ, fits that converged and describe the loop, those without strong evidence
-    against them by BIC, fewer determined parameters and an inverse come first.
+    """From best to worst; among errors that do not differ, fits that converged and describe the loop, at one pace those without time, those
+    without strong evidence against them by BIC, fewer determined parameters and an inverse come first.
 
     A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better. A fit that has
     not converged is not first beside one that can be used.
@@ -257,7 +257,7 @@ def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal:
     bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
     limit = min(bics, default=math.inf) + STRONG
     unlikely = lambda row: row.bic is not None and row.bic > limit
-    simple = sorted(alike, key=lambda row: (row.status in UNFIT, unlikely(row), *plain(row)))
+    simple = sorted(alike, key=lambda row: (row.status in UNFIT, row.paced, unlikely(row), *plain(row)))
     return simple + ranked[len(alike) :]
 
 

@@ -45,8 +45,6 @@ class AbstractHysteresis(AbstractDynamics):
     """Why no model of its kind has an inverse, with {name} for that of the class; "" where one has."""
     either_way: ClassVar[bool] = False
     """Whether it describes loops of both directions, whatever its family needs."""
-    takes_rate: ClassVar[bool] = False
-    """Whether the output takes the rate of the input over the interval before a sample, which is unknown at the first sample."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
@@ -108,6 +106,11 @@ class AbstractHysteresis(AbstractDynamics):
     @property
     def delays(self) -> bool:
         """Whether the model has a pure delay."""
+        return False
+
+    @property
+    def takes_rate(self) -> bool:
+        """Whether the output takes the rate of the input over the interval before a sample, which is unknown at the first sample."""
         return False
 
     @property

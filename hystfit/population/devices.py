@@ -140,9 +140,9 @@ class Device:
         return float(weights.sum() ** 2 / np.sum(weights**2) / len(tried))
 
     def pool(self, mean: np.ndarray, sd: np.ndarray, common: Common, seed: int) -> Pool:
-        """Draws from its own posterior by NUTS, with a prior a few times wider than the population."""
+        """Draws from its own posterior, with a prior a few times wider than the population."""
         priors = common.priors(mean, _WIDER * sd)
-        posterior = sample(self.result, "nuts", noise=self.noise, priors=priors, seed=seed)
+        posterior = sample(self.result, "independence", noise=self.noise, priors=priors, seed=seed)
         flat = posterior.draws.reshape(-1, len(posterior.names))[:, common.at]
         flat = flat[np.linspace(0, len(flat) - 1, min(DRAWS, len(flat))).astype(int)]
         z = common.z_of(flat)

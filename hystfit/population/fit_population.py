@@ -54,7 +54,7 @@ def fit_population(
 
     The parameters of a device, in unconstrained coordinates, are normal about the mean device. Each device is fitted, and the errors of
     the fits are taken out of the scatter; they would add to it. Standard deviations have half-t priors, correlations uniform ones
-    (Huang and Wand 2013). A device whose likelihood is not normal is sampled by NUTS.
+    (Huang and Wand 2013). A device whose likelihood is not normal is sampled.
 
     Args:
         model: a model, its class or its name.
@@ -246,7 +246,7 @@ def _notes(left_out: dict[str, str], sampled: list[str]) -> list[Note]:
     if left_out:
         notes.append(warn(Code.LEFT_OUT, f"devices without a usable fit are left out: {_reasons(left_out)}"))
     if sampled:
-        notes.append(Note(Code.CHOICE, f"the likelihood is not normal for {listed(sampled)}: sampled by NUTS"))
+        notes.append(Note(Code.CHOICE, f"the likelihood is not normal for {listed(sampled)}: sampled"))
     return notes
 
 

@@ -44,7 +44,7 @@ class PopulationFit(WithStatus):
         design: covariates of the devices, shape (D, q): a column of ones, then deviations from the means.
         covariates: names and means of the covariates.
         effective: fraction of the draws of each device that counts under its full likelihood, shape (D,).
-        sampled: numbers of the devices that were sampled by NUTS, because that fraction is small.
+        sampled: numbers of the devices whose own posterior was sampled, because that fraction is small.
         status: `Status.PARTIAL` where devices were left out.
         notes: which, and why.
         seed, seconds, provenance: of the run.

@@ -56,8 +56,11 @@ def member_of(raw: bytes, source: str, most: int, name: str = "") -> tuple[str, 
 def members_of(path: Path) -> list[str]:
     """Names of the files in an archive that may be measurements; none for other files and for archives that are one document."""
     try:
-        if not path.is_file() or not zipfile.is_zipfile(path):  # a pipe would wait for its writer
+        if not path.is_file():  # a pipe would wait for its writer
             return []
+        with path.open("rb") as stream:
+            if stream.read(2) != b"PK":  # sheets of old Excel may have an archive within
+                return []
         with zipfile.ZipFile(path) as archive:
             return [] if _is_document(archive, str(path)) else measurements(archive.namelist())
     except Exception:  # as above, and documents
@@ -65,8 +68,8 @@ def members_of(path: Path) -> list[str]:
 
 
 def split_member(path: Path) -> tuple[Path, str]:
-    """The archive and the name of the member in a path such as tests.zip/run/a.csv; "" for a path to a file of its own."""
-    parent = next((parent for parent in path.parents if parent.suffix.lower() == ".zip" and parent.is_file()), None)
+    """The archive of any ending, and the name of the member in a path such as tests.zip/run/a.csv; "" for a path to a file of its own."""
+    parent = next((parent for parent in path.parents if parent.is_file()), None)
     return (path, "") if parent is None else (parent, path.relative_to(parent).as_posix())
 
 

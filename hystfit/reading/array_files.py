@@ -102,6 +102,15 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
     return arrays
 
 
+def netcdf_arrays(raw: bytes) -> dict[str, np.ndarray]:
+    """Variables of a netCDF file of the classic format, with their units."""
+    from scipy.io import netcdf_file
+
+    with netcdf_file(io.BytesIO(raw), mmap=False) as file:
+        variables = {name: (one.data, _unit_of(one.__dict__)) for name, one in file.variables.items()}
+        return {f"{name} [{unit}]" if unit else name: np.array(data) for name, (data, unit) in variables.items()}
+
+
 def _unit_of(attributes: Mapping[str, Any]) -> str:
     """The unit that the attributes of a data set state, "" where they state none."""
     stated = next((attributes[key] for key in attributes if key.lower() in ("unit", "units")), "")

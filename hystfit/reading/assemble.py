@@ -24,7 +24,7 @@ from hystfit.reading.columns import Choice, choose, find
 from hystfit.reading.conditions import changed_conditions, without_turns
 from hystfit.reading.copies import without_copies
 from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
-from hystfit.reading.limits import FEW, MAJORITY, RARE
+from hystfit.reading.limits import FEW, MAJORITY, OF_RECORD, RARE
 from hystfit.reading.raw_table import Part, Table
 from hystfit.reading.registry import arranged
 from hystfit.reading.stated_interval import unit_of_interval
@@ -256,6 +256,9 @@ def _records_of(
             )
         )
         table, data = table.take(np.arange(table.rows - 1)), {role: values[:-1] for role, values in data.items()}
+    if gaps == "error" and (others := _rows_of_others(data)).any():
+        notes.append(Note(Code.LEFT_OUT, f"left out: {others.sum()} rows of other columns"))
+        table, data = table.take(~others), {role: values[~others] for role, values in data.items()}
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
@@ -288,6 +291,17 @@ def _records_of(
             record = weighted(record, table.columns[sigma][start:stop], table.units[sigma])
         records.append(treatment.of(record, table.interval))
     return records
+
+
+def _rows_of_others(data: dict[str, np.ndarray]) -> np.ndarray:
+    """Rows with neither input nor output where points are not sampled evenly, or between those of an input in every n-th row, bool."""
+    missing = np.isnan(data["input"])
+    at = np.flatnonzero(~missing)
+    if at.size >= OF_RECORD and np.ptp(np.diff(at)) == 0:
+        return missing
+    steps = np.diff(data["time"]) if "time" in data else np.zeros(0)
+    sampled = steps.size > 0 and np.ptp(steps) <= np.median(steps)
+    return np.zeros_like(missing) if sampled else missing & np.isnan(data["output"])
 
 
 def _spans(good: np.ndarray, table: Table, title: str, gaps: str, notes: list[Note]) -> list[tuple[int, int]]:

@@ -23,7 +23,7 @@ _MISSING_WORDS = frozenset(
     overflow underflow overload overrange overrun ovf +ovf -ovf ovl ovld ovrflw ovr sat saturated err error bad invalid
     nodata n.d. nd n.v. unavailable unknown""".split()
 ) | {""}
-_SWITCH = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0}  # states among numbers
+SWITCH = {"on": 1.0, "off": 0.0, "true": 1.0, "false": 0.0}  # states among numbers
 _BLANKED = re.compile(r"[-.*#?]+")  # ---.-- and #####
 _INFINITE = {"inf": np.inf, "infinity": np.inf, "∞": np.inf, "1.#inf": np.inf}
 
@@ -191,7 +191,7 @@ def _parse_unusual(cell: str, decimal: str) -> tuple[float, str]:
     """Number (NaN where there is none) and kind of a cell that is not a plain number; the same words occur again and again."""
     cell = clean(cell)
     value = number(cell, decimal)
-    value = _SWITCH.get(cell.lower()) if value is None else value
+    value = SWITCH.get(cell.lower()) if value is None else value
     if value is not None:
         return value, NUMBER
     return np.nan, MISSING if is_missing(cell) else TEXT

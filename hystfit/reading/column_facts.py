@@ -29,7 +29,9 @@ from hystfit.reading.signal_evidence import (
     is_held,
     overtones,
     proportional,
+    repeats,
     roughness,
+    sample,
     smoothness,
 )
 
@@ -40,7 +42,7 @@ _FOLLOWS = 0.1
 # component of a field across its direction; the component of a signal out of phase.
 _OF_LARGEST = 0.3
 _TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half of that along it
-_OF_PARTS = ("displacement", "strain", "field", "induction")
+_OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
@@ -126,6 +128,27 @@ class ColumnFacts:
     def is_held(self) -> ByColumn:
         """Whether a column is a condition that is held, by column; never of the only two."""
         return ByColumn(lambda k: not self.alone and is_held(self.table.columns[k]))
+
+    @functools.cached_property
+    def has_two_states(self) -> ByColumn:
+        """Whether a column is on or off, as the relay of a thermostat, which follows a quantity that goes up and down, by column."""
+        return ByColumn(lambda k: self.kinds[k] == "" and np.unique(sample(self.table.columns[k])).size == 2)
+
+    @functools.cached_property
+    def is_share(self) -> ByColumn:
+        """Whether a column is one of several of one quantity and unit that add up to another, as loads of two cells, by column."""
+        group = lambda k: (self.kinds[k], self.table.units[k])
+
+        def whole(j: int, others: list[int]) -> bool:
+            columns = self.table.columns
+            alone = any(repeats(columns[one], columns[j]) for one in others)  # a commanded load and its measurement
+            return not alone and repeats(np.sum([columns[one] for one in others], axis=0), columns[j])
+
+        def share(k: int) -> bool:
+            alike = [j for j in self.ranks if group(j) == group(k)]
+            return len(alike) > 2 and any(whole(j, [one for one in alike if one != j]) for j in alike if j != k)
+
+        return ByColumn(share)
 
     @functools.cached_property
     def _bases(self) -> list[str]:

@@ -18,7 +18,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.branch_words import words_of
 from hystfit.reading.column_names import column_quantity, column_role
-from hystfit.reading.limits import RARE
+from hystfit.reading.limits import FEWEST, RARE
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import TIE, Reading, readings
 from hystfit.reading.quantities_by_others import tell_by_others
@@ -206,9 +206,11 @@ def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int
 
 
 def _is_clock(table: Table, k: int) -> bool:
-    """Whether a column of times has the name of a time, or never decreases, or always."""
+    """Whether a column of times never decreases, or always, or has the name of a time and starts again after rows of a table at least."""
     ways = np.sign(np.diff(table.columns[k]))
-    return column_quantity(split_unit(table.names[k])[0]) == "time" or not {1.0, -1.0} <= {*ways.tolist()}
+    rises, falls = (ways > 0).sum(), (ways < 0).sum()
+    named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
+    return bool((named and rises >= (FEWEST - 1) * (falls - 1)) or not (rises and falls))
 
 
 def _guess_pair(
@@ -229,6 +231,8 @@ def _guess_pair(
     alike = _one_quantity(table, free, kinds, best) if not given else set()
     if kinds[best.input] == "index" and not given:  # a number of each result, and no input
         raise _too_few(table, [best.output], given, clock)
+    if clock is not None and kinds[best.output] == "time" and not given:  # one more time
+        raise _too_few(table, [best.input], given, clock)
     open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
     near = [
         reading

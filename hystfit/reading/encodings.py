@@ -31,6 +31,10 @@ _MAGIC = {
     b"MDF  ": "an MDF file of CANape, INCA or others (export it as CSV)",
     b"SQLite format 3": "an SQLite database (export the table as CSV)",
     b"\x80\x04\x95": "a pickle of Python, which could run any program (save the arrays as .npz or CSV)",
+    b"\x80\x05\x95": "a pickle of Python, which could run any program (save the arrays as .npz or CSV)",
+    b"BIO-LOGIC": "a raw file of EC-Lab (export it as text, .mpt)",
+    b"NEWARE": "a raw file of a Neware cycler (export it as CSV or Excel)",
+    b"\x00\x01\x00\x00Standard Jet": "a database of Access, as Arbin cyclers write it (export the table as CSV)",
     b"ARROW1": "a Feather file (save it as Parquet or CSV)",
 }
 
@@ -49,6 +53,7 @@ _WORDS = {
     "cp1250": "siła napięcie prąd natężenie obciążenie odkształcenie naprężenie próbka próbki ciśnienie prędkość długość położenie "
     "čas napětí zatížení měření řízení vzorků průhyb idő erő hőmérséklet jegyzőkönyv",
     "cp1253": "χρόνος τάση ρεύμα μετατόπιση δύναμη θερμοκρασία πίεση συχνότητα ταχύτητα θέση είσοδος έξοδος",
+    "cp1254": "yük ağırlık basınç sıcaklık hız giriş çıkış ölçüm yerdeğiştirme değiştirme süre açı şekil değer birim uzama gerilme gerçek",
 }  # fmt: skip
 _SAME_WORDS = {"euc_jp": "cp932", "koi8_r": "cp1251", "iso8859_5": "cp1251"}
 # Characters that are common in text of one of the multi-byte encodings, by the first of their bytes there.

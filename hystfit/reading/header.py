@@ -286,7 +286,7 @@ def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tup
 
 
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
-    """Names over columns of fixed width that go on below, with units in brackets below some; None where every line has all columns."""
+    """Names over columns of fixed width that go on below, with units below some; None where every line has all columns."""
     rows: list[list[re.Match[str]]] = []
     lines, top = [*above], []
     while lines and (len(top) < width or _are_units(_bare(top), top)) and len(rows) <= FEW:
@@ -294,21 +294,26 @@ def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], in
         if line.strip(" -="):
             rows.insert(0, [*re.finditer(r"\S+(?: \S+)*", line)])
             top = [cell[0] for cell in rows[0]]
-        elif rows:
+        elif rows and not _are_units(_bare(top), top):
             return None
     units = [cell[0] for cell in rows[-1]] if len(rows) > 1 else []
-    bracketed = [a != b or RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
-    if not units or not all(bracketed) or len(top) != width:
+    bare = [a == b and not RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
+    without = len(units) < width and all(map(is_unit, units))  # brackets, below fewer columns
+    if not units or (any(bare) and not without) or len(top) != width:
         return None
-    names = [[name] for name in top]
+    names, told = [[name] for name in top], [""] * width
     for row in rows[1:]:
         under = [[k for k, top in enumerate(rows[0]) if _overlap(cell, top)] for cell in row]
         if any(len(places) != 1 for places in under) or len({places[0] for places in under}) < len(row):
             return None
         for cell, (place,) in zip(row, under, strict=True):
-            names[place].append(cell[0])
+            if without and row is rows[-1]:
+                told[place] = cell[0]
+            else:
+                names[place].append(cell[0])
     whole = [" ".join(words) for words in names]
-    return whole, [split_unit(name, whole)[1] for name in whole], len(above) - len(lines)
+    units = [unit or split_unit(name, whole)[1] for unit, name in zip(told, whole, strict=True)]
+    return whole, units, len(above) - len(lines)
 
 
 def _overlap(one: re.Match[str], other: re.Match[str]) -> bool:

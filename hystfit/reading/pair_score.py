@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.reading.column_facts import ByColumn, ColumnFacts, is_raw_signal
-from hystfit.reading.column_names import is_bare_role
+from hystfit.reading.column_names import has_terminals, is_bare_role
 from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, rises_evenly, sample
@@ -116,7 +116,8 @@ class _Evidence:
         points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal)) * (not self.facts.is_open(i))
         points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
         across = kinds[o] == "strain" and self.facts.is_partial[o]
-        points += _PARTIAL * (self.facts.is_partial[i] + across) + _HELD_INPUT * self.facts.is_held[i]
+        points += _PARTIAL * (self.facts.is_partial[i] + across + self.facts.is_share[o])
+        points += _HELD_INPUT * (self.facts.is_held[i] or self.facts.has_two_states[i])
         points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
@@ -125,7 +126,8 @@ class _Evidence:
         points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
         if not self.facts.alone and kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED:
             points += _COLD
-        told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o]
+        names = self.facts.table.names
+        told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o] or has_terminals(names)
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             wave = self.facts.overtones
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]

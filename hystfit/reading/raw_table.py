@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.stated import Stated
 from hystfit.outcome import Note
+from hystfit.reading.branch_words import BRANCHES, FALLING, words_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,6 +174,19 @@ def plain_table(
     zeros = np.zeros(rows, dtype=int)
     line = np.arange(1, rows + 1)
     return Table(tuple(names), tuple(units), tuple(columns), labels, zeros, zeros, line, source, sha256, notes=notes)
+
+
+def one_loop(titles: Sequence[str], tables: Sequence[Table]) -> Table | None:
+    """Tables with titles of the branches of a loop as one record, the second of two that rise turned; None for other titles."""
+    words = [words_of(title) for title in titles]
+    if len(tables) < 2 or not all(word & BRANCHES for word in words) or not any(word & FALLING for word in words):
+        return None
+    ordered = [*tables]
+    numbered = int(tables[0].counts(0))
+    if len(ordered) == 2 and ordered[0].runs(numbered) * ordered[1].runs(numbered) > 0:  # both listed upward
+        ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
+    below = below_each_other(ordered)
+    return dataclasses.replace(below, curve=np.zeros(below.rows, int), part=None, parts=(Part(),))
 
 
 def below_each_other(tables: Sequence[Table]) -> Table:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 from hystfit.errors import DataError
 from hystfit.reading.adjusted import with_adjusted
-from hystfit.reading.array_files import hdf5_arrays, numpy_arrays
+from hystfit.reading.array_files import hdf5_arrays, netcdf_arrays, numpy_arrays
 from hystfit.reading.array_table import read_arrays
 from hystfit.reading.assigned_arrays import read_assigned_arrays
 from hystfit.reading.bracket_rows import read_bracketed
@@ -117,6 +117,12 @@ FORMATS = (
         'HDF5 and netCDF-4 data sets in all groups, and the fields of compound ones; needs the extra "files"',
         lambda file: file.raw.startswith(_HDF),
         functools.partial(read_arrays, hdf5_arrays),
+    ),
+    Format(
+        (".nc", ".cdf"),
+        "variables of netCDF files of the classic format, with their units",
+        lambda file: file.raw.startswith((b"CDF\x01", b"CDF\x02")),
+        functools.partial(read_arrays, netcdf_arrays),
     ),
     Format(
         (".parquet",),

@@ -19,6 +19,7 @@ from hystfit.reading.signal_evidence import extent
 # Words in the names of columns that tell records apart, the best one first.
 _OBJECTS = "specimen sample coupon device pixel pix material test experiment table file filename probe versuch échantillon essai".split()
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
+_CYCLES = {"cycle"}  # of which the numbers go on, as those of one experiment, where nothing jumps
 _PASSES = "run curve loop cycle series batch group label condition name id".split()
 _STEPS = re.compile(r"step|state|status|mode|phase|type|event|comment|note|flag|branch|direction|range", re.IGNORECASE)
 _MOST_OF = 0.5  # of the range of the column that drives, which it passes at every temperature or frequency
@@ -130,7 +131,8 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
     values = dict.fromkeys(table.labels[position].tolist())
     if any(words_of(value) & BRANCHES for value in values) or _clock_goes_on(table, changes):
         return False
-    return rank < len(_OBJECTS) + len(_PASSES) or (not _STEPS.search(name) and _jumps(table, changes))
+    told = rank < len(_OBJECTS) + len(_PASSES) and not words_of(name) & _CYCLES
+    return told or (not _STEPS.search(name) and _jumps(table, changes))
 
 
 def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:

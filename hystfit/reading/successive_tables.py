@@ -20,7 +20,7 @@ from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
 from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY, MOST_CURVES
-from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.raw_table import Part, Table, below_each_other, one_loop
 from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
@@ -63,13 +63,16 @@ def read_tables(text: TextFile) -> Table | None:
     notes += [
         note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
     ]
-    if len(chosen) > 1:
+    loop = one_loop([part.name for part in parts], [tables[k] for k in chosen])
+    if len(chosen) > 1 and loop is None:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
         lines = listed([f"line {piece.first + 1}" for piece in rest])
         notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns: {lines}"))
+    common = sample_properties(text.lines[: pieces[0].first], tables[chosen[0]].names)
+    if loop is not None:
+        return dataclasses.replace(loop, notes=tuple(notes), metadata=common | loop.metadata)
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
-    common = sample_properties(text.lines[: pieces[0].first], table.names)
     table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
     return _one_test(table) or table
 
@@ -189,6 +192,9 @@ def _table(text: TextFile, piece: _Piece) -> Table | None:
         table = plain_text(dataclasses.replace(text, content="\n".join(lines) + "\n"))
     except DataError:
         return None
+    last = [column[-1] for column in table.columns]
+    if any(table.take(np.arange(table.rows - 1)).counts(k) for k in range(len(last))) and not any(last):
+        table = table.take(np.arange(table.rows - 1))  # a row of zeros below the numbered ones is an end mark
     return dataclasses.replace(table, line=table.line + piece.above)
 
 
@@ -198,7 +204,8 @@ def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     titles = [
         line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
     ]
-    title = re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", titles[-1]) if titles else ""
+    titles = [title for line in titles if (title := re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line))]
+    title = titles[-1] if titles else ""
     title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
     return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import io
+import itertools
 import warnings
 import zipfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,13 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.wrapping import listed
 from hystfit.reading import cells
 from hystfit.reading.array_files import check_members
-from hystfit.reading.branch_words import BRANCHES, words_of
+from hystfit.reading.column_names import column_quantity
 from hystfit.reading.dialect import Text, dialect_of
 from hystfit.reading.file_bytes import FileBytes
 from hystfit.reading.limits import SAMPLE
 from hystfit.reading.number_block import careful_block
 from hystfit.reading.older_sheets import MOST_CELLS, sheets_of
-from hystfit.reading.raw_table import Part, Table, below_each_other
+from hystfit.reading.raw_table import Part, Table, below_each_other, one_loop
 from hystfit.reading.text import table_of_block
 from hystfit.reading.text_file import Opening
 from hystfit.reading.transposed import turned
@@ -61,7 +62,7 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
     """
     source, sheet = file.source, opening.sheet
     try:
-        pages = {page.title: page for page in sheets()}
+        pages = {title: rows for page in sheets() for title, rows in _side_by_side(page.title, _cells_of(page, source))}
     except DataError as error:
         raise DataError(f"{source}: {error}") from error
     except Exception as error:  # the libraries raise zipfile, KeyError and their own errors on damaged files
@@ -77,11 +78,15 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
         sheet = titles[sheet]
     if sheet is not None and sheet not in pages:
         raise DataError(f"{source}: there is no sheet {sheet!r}; there are {', '.join(titles)}")
-    tables = {title: _table(file, pages[title]) for title in (titles if sheet is None else [sheet])}
-    there = {title: table for title, table in tables.items() if table is not None}
+    wanted = titles if sheet is None else [sheet]
+    there, failed = _tables(file, {title: pages[title] for title in wanted})
+    if longer := [
+        title for title in failed if len(pages[title]) > max((one.rows for one in there.values()), default=0)
+    ]:
+        raise failed[longer[0]]  # a shorter sheet is no measurement
     pairs = {title: table for title, table in there.items() if _holds_pair(table)}
     if not there:
-        raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, tables))}; name another sheet=")
+        raise DataError(f"{source}: no rows of numbers in {', '.join(map(repr, wanted))}; name another sheet=")
     if not pairs and formulas():
         raise DataError(
             f"{source} has formulas without their values, as programs write them; open it in Excel or LibreOffice and save it there"
@@ -97,10 +102,24 @@ def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], fo
     return table.noted(*file.notes, _sheet_note(title, titles, pairs, chosen=sheet is not None))
 
 
+def _tables(file: FileBytes, pages: Mapping[str, list[list[str]]]) -> tuple[dict[str, Table], dict[str, DataError]]:
+    """The columns of the sheets with rows of numbers, and the errors of those that cannot be read, by title."""
+    there: dict[str, Table] = {}
+    failed: dict[str, DataError] = {}
+    for title, rows in pages.items():
+        try:
+            if (table := _table(file, rows)) is not None:
+                there[title] = table
+        except DataError as error:
+            failed[title] = error
+    return there, failed
+
+
 def _holds_pair(table: Table) -> bool:
-    """Whether at least two columns of numbers change."""
-    numbers = [column for k, column in enumerate(table.columns) if k not in table.labels]
-    return sum(np.unique(column[np.isfinite(column)]).size > 1 for column in numbers) > 1
+    """Whether at least two columns of numbers change that are no times or counters."""
+    kinds = [column_quantity(*told) for told in zip(table.names, table.units, strict=True)]
+    numbers = [k for k, kind in enumerate(kinds) if k not in table.labels and kind not in ("time", "index")]
+    return sum(np.unique(table.columns[k][np.isfinite(table.columns[k])]).size > 1 for k in numbers) > 1
 
 
 def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
@@ -110,9 +129,31 @@ def _holds_formulas(openpyxl: Any, raw: bytes) -> bool:
     return any(isinstance(cell, str) and cell.startswith("=") for page in book.worksheets for cell in cells_of(page))
 
 
-def _table(file: FileBytes, page: Any) -> Table | None:
-    """The columns of a sheet; None where it has no rows of numbers."""
-    rows = _cells_of(page, file.source)
+def _side_by_side(title: str, rows: list[list[str]]) -> Iterator[tuple[str, list[list[str]]]]:
+    """A sheet, or the parts of a report between columns of bars, by the title of the sheet and a number."""
+    width = max(map(len, rows), default=0)
+    columns = [{row[k] for row in rows if k < len(row)} for k in range(width)]
+    bars = [k for k, values in enumerate(columns) if "|" in values <= {"|", ""}]
+    if not bars:
+        yield title, rows
+        return
+    for number, (left, right) in enumerate(itertools.pairwise([-1, *bars, width]), 1):
+        yield f"{title} {number}", [row[left + 1 : right] for row in rows]
+
+
+def _table(file: FileBytes, rows: list[list[str]]) -> Table | None:
+    """The columns of a sheet, or of its part left of an empty column where remarks beside it hide the names; None without numbers."""
+    whole = _table_of(file, rows)
+    if whole is None or whole.named:
+        return whole
+    width = max(map(len, rows))
+    empty = (k for k in range(2, width) if not any(row[k] for row in rows if k < len(row)))
+    parts = (_table_of(file, [row[:k] for row in rows]) for k in empty)
+    return next((part for part in parts if part is not None and part.named), whole)
+
+
+def _table_of(file: FileBytes, rows: list[list[str]]) -> Table | None:
+    """The columns of a sheet or a part of it; None where it has no rows of numbers."""
     rows = [list(row) for row in turned([[cell for cell in row if cell] for row in rows if any(row)]) or rows]
     dialect = max((dialect_of(rows[:SAMPLE], "\t", mark) for mark in (".", ",")), key=lambda one: one.score)
     if dialect.rows < 2 or dialect.score <= 0:
@@ -129,16 +170,11 @@ def _records(tables: Mapping[str, Table]) -> Table:
         dataclasses.replace(part, name=title, metadata=table.metadata)
         for part, (title, table) in zip(base, tables.items(), strict=True)
     ]
-    branches = all(words_of(title) & BRANCHES for title in tables)
-    ordered = [*tables.values()]
-    if branches and len(ordered) == 2 and ordered[0].runs(0) * ordered[1].runs(0) > 0:  # both listed upward
-        ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
-    below = below_each_other(ordered)
-    if branches:
+    if (loop := one_loop([*tables], [*tables.values()])) is not None:
         text = f"{len(tables)} sheets of the same columns, each a branch: {sheets} (--sheet reads one)"
-        return dataclasses.replace(below, curve=below.part, part=None, parts=()).noted(Note(Code.FILE_FORMAT, text))
+        return loop.noted(Note(Code.FILE_FORMAT, text))
     text = f"{len(tables)} sheets of the same columns, each a record: {sheets} (--sheet reads one)"
-    return dataclasses.replace(below, parts=tuple(parts)).noted(Note(Code.CURVES, text))
+    return dataclasses.replace(below_each_other([*tables.values()]), parts=tuple(parts)).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:

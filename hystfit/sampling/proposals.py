@@ -12,6 +12,7 @@ import functools
 import numpy as np
 from jaxtyping import Float
 from scipy.special import logsumexp, softmax
+from scipy.stats import genpareto
 
 from hystfit.params.host_arrays import to_device
 from hystfit.sampling.target import Target, log_densities
@@ -138,6 +139,12 @@ class Batch:
 def efficiency(score: Float[np.ndarray, " n"]) -> float:
     """Effective fraction of places with these logarithms of importance weights (Kish)."""
     return float(1 / (score.size * np.sum(softmax(score) ** 2))) if np.isfinite(score).any() else 0.0
+
+
+def tail_shape(score: Float[np.ndarray, " n"]) -> float:
+    """Shape k of the generalized Pareto distribution of the largest weights (Vehtari et al. 2024, J. Mach. Learn. Res. 25)."""
+    largest = np.sort(np.exp(score - score.max()))[-int(3 * score.size**0.5) - 1 :]
+    return float(genpareto.fit(largest[1:] - largest[0], floc=0)[0])
 
 
 def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] | None:

@@ -105,7 +105,7 @@ def sample(
         units=setup.problem.units,
         draws=draws,
         log_density=raw.log_density,
-        stats={"log_prior": _log_prior(setup, draws)} | raw.stats,
+        stats=raw.stats | {"log_prior": _log_prior(setup, draws) + raw.stats.get("log_penalty", 0.0)},
         convergence=convergence,
         status=status,
         notes=(
