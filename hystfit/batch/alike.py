@@ -26,13 +26,21 @@ from hystfit.fitting.multistart import spread_starts
 from hystfit.fitting.thinning import LEAST, kept_samples
 from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
+from hystfit.params.host_arrays import zeros
 from hystfit.params.units import Scales
 
 CONVEX = ("convex", "preisach")  # estimators of weights, which are solved side by side
-_FIRST = 3  # loops from whose starting values all others begin
+_FIRST = 2  # loops from whose starting values all others begin: with 1, 2 and 3 the same loops of 1024 were left to further starts
 _LOOKED_AT = 512  # loops among which these are chosen
-_GLANCE = 3  # steps of every start, before the best one goes on: a loop that is not described from it is solved again, from all
+# Steps of each start that is read off a loop, before the best one goes on: a loop that is not described from it is solved from all starts.
+_GLANCE = 3
 _TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
+
+
+def same_columns(a: Record, b: Record, *names: str) -> bool:
+    """Whether two records have equal columns of these names."""
+    pairs = ((getattr(a, name), getattr(b, name)) for name in names)
+    return all(one is other or np.array_equal(one, other) for one, other in pairs)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,23 +111,28 @@ class Loops:
     def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
         """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
 
+        One row of dt and weight where all groups have the same.
+
         Args:
             kept: numbers of the samples of each group; None for all.
             length: to which they are padded.
         """
-        u, dt, weight = (np.zeros((len(self.groups), 1, length)) for _ in range(3))
-        outputs = np.zeros((len(self), 1, length))
+        first = self.groups[0].record
+        same = kept is None and all(same_columns(group.record, first, "t", "weight", "used") for group in self.groups)
+        u, y = zeros(len(self.groups), 1, length), zeros(len(self), 1, length)
+        dt, weight = (zeros(1 if same else len(self.groups), 1, length) for _ in range(2))
         start = 0
         for k, group in enumerate(self.groups):
-            record, y = group.record, group.y
-            at = slice(None) if kept is None else kept[k]
-            elapsed = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
-            u[k, 0, elapsed.size :], of_record = record.u[-1], slice(elapsed.size)
-            u[k, 0, of_record], dt[k, 0, of_record] = record.u[at], elapsed
-            weight[k, 0, of_record] = (record.weight * record.used)[at]
-            outputs[start : start + len(y), 0, of_record] = y[:, at]
-            start += len(y)
-        return u, dt, weight, outputs
+            record, at = group.record, slice(None) if kept is None else kept[k]
+            inputs = record.u[at]
+            of_record = slice(inputs.size)
+            u[k, 0, of_record], u[k, 0, inputs.size :] = inputs, record.u[-1]
+            y[start : start + len(group.y), 0, of_record] = group.y[:, at]
+            start += len(group.y)
+            if k < len(dt):
+                dt[k, 0, of_record] = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
+                weight[k, 0, of_record] = (record.weight * record.used)[at]
+        return u, dt, weight, y
 
 
 class Common(NamedTuple):
@@ -130,12 +143,14 @@ class Common(NamedTuple):
         starts: shape (S, p), relative to the sizes of each loop; none for weights, which need none.
         levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
         powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
+        read: how many of the starts, the first ones, are read off loops; the others surround them.
     """
 
     setup: FitSetup
     starts: np.ndarray
     levels: np.ndarray
     powers: np.ndarray
+    read: int = 0
 
     @property
     def of_weights(self) -> bool:
@@ -164,6 +179,13 @@ class Common(NamedTuple):
         on_host = eqx.tree_at(inputs, on_host, tuple(columns))
         on_host = eqx.tree_at(places, on_host, (y, self.scale(loops), sizes))
         return Stack(on_host, tuple(jax.tree_util.tree_leaves(own)))
+
+    def starts_of(self, loops: Loops) -> Float[np.ndarray, "N S p"]:
+        """Starts of each loop, about the middle of its output."""
+        starts = np.repeat(self.starts[None], len(loops), axis=0)
+        higher = loops.each(lambda group: group.levels)[:, None] - self.levels
+        starts[:, :, self.setup.problem.space.offsets] += higher[..., None]
+        return starts
 
 
 def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, held: bool) -> Common | None:
@@ -195,12 +217,13 @@ def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, h
         return None
     if not of_weights and first.method != "lm":
         return None
-    starts, levels = (np.zeros((0, len(first.problem.space))), np.zeros(0)) if of_weights else _starts(setups, options)
+    none = np.zeros((0, len(first.problem.space))), np.zeros(0), 0
+    starts, levels, read = none if of_weights else _starts(setups, options)
     unit = Scales(1.0, 1.0, 1.0)
     doubled = [dataclasses.replace(unit, **{symbol: 2.0}) for symbol in "uys"]
     units = [info.unit for info in first.problem.space.infos]
     powers = np.log2([[sizes.size(one) / unit.size(one) for one in units] for sizes in doubled])
-    return Common(first, starts, levels, np.round(powers, 9))
+    return Common(first, starts, levels, np.round(powers, 9), read)
 
 
 def _different(loops: Loops) -> list[Record]:
@@ -224,8 +247,8 @@ def _different(loops: Loops) -> list[Record]:
     return [group.record.replace(y=group.y[0]) for group in single]
 
 
-def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Starts from all setups, and a hypercube about the first; and the level of the output that each belongs to."""
+def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np.ndarray, int]:
+    """Starts from all setups, and a hypercube about the first; the level of the output that each belongs to; how many are from setups."""
     rows, levels = [], []
     for setup in setups:
         space, record = setup.problem.space, setup.problem.data[0]
@@ -234,23 +257,17 @@ def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np
             rows.append(space.unconstrained(space.clip(space.vector(model))))
             levels.append(level)
     spread = spread_starts(setups[0].problem, rows[0], options.starts - len(rows) + 1, options.seed)[1:]
-    return np.stack([*rows, *spread]), np.array([*levels, *[levels[0]] * len(spread)])
+    return np.stack([*rows, *spread]), np.array([*levels, *[levels[0]] * len(spread)]), len(rows)
 
 
-def solve_alike(common: Common, loops: Loops, steps: int = _GLANCE) -> tuple[Ends, Stack, np.ndarray]:
-    """Where the best start of each loop ended, their problems, and the costs of all starts, shape (N, S).
+def solve_alike(common: Common, loops: Loops) -> tuple[Ends, Stack]:
+    """Where the best start that is read off a loop ended, for each of them, and their problems.
 
     Args:
         loops: outputs without faults, finite.
-        steps: of every start, before the best one goes on.
     """
-    problem, full = common.setup.problem, common.stack(loops)
-    short = None
-    if problem.model.allows_thinning:
+    full, short = common.stack(loops), None
+    if common.setup.problem.model.allows_thinning:
         found = kept_samples([group.record for group in loops.groups], loops.length, LEAST)
         short = None if found is None else common.stack(loops, *found)
-    starts = np.repeat(common.starts[None], len(loops), axis=0)
-    levels = loops.each(lambda group: group.levels)
-    starts[:, :, problem.space.offsets] += (levels[:, None] - common.levels)[..., None]
-    ends, costs, _ = solve_stack(full, short, starts, steps)
-    return ends, full, costs
+    return solve_stack(full, short, common.starts_of(loops)[:, : common.read], _GLANCE)[0], full

@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.batch.alike import Group
 from hystfit.batch.loop_map import LoopMap, shared
-from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain, setup_of
+from hystfit.batch.plain_fits import FEWEST, PlainFits, fit_plain
 from hystfit.batch.row import Row
 from hystfit.batch.work import SAMPLES, Work, fit_alone_rows
 from hystfit.config import device_of_many, verb
@@ -154,12 +154,12 @@ def _fit_part(work: Work, frame: Record, y: np.ndarray) -> Columns:
             records[k] = frame.replace(y=y[k])
         except DataError as error:
             rows[k] = Row("loop", "", None, Status.FAILED, str(error))
-    solved = {
-        number: (setup_of(fits.common, record, work.options), fits.estimates[k])
+    posed = {
+        number: fits.posed(k, record, work.options)
         for number, (k, record) in enumerate(records.items())
-        if fits is not None and k in fits.estimates
+        if fits is not None and fits.judged.close[k]
     }
-    fitted = fit_alone_rows(work, [("loop", record) for record in records.values()], solved)
+    fitted = fit_alone_rows(work, [("loop", record) for record in records.values()], posed)
     rows |= dict(zip(records, fitted, strict=True))
     return _columns(len(y), plain, fits, rows)
 

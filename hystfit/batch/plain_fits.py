@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
 
 from hystfit.batch.alike import Common, Group, Loops, common_of, solve_alike
+from hystfit.batch.bucketed import Task
 from hystfit.batch.many_fits import ERRORS
 from hystfit.batch.plain_judge import Judged, RowNotes, judge_plain, row_notes
 from hystfit.batch.row import Row, row_of
@@ -23,13 +24,12 @@ from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
 from hystfit.fitting.lanes import Stack
-from hystfit.fitting.least_squares import ROUND
-from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
 from hystfit.outcome.table import or_none
 from hystfit.results.provenance import Stopwatch
+from hystfit.results.quantities import applicable
 from hystfit.results.quantity_estimates import values_of_outputs
 from hystfit.results.steady_loops import Excitation
 
@@ -45,20 +45,27 @@ class PlainFits(NamedTuple):
         judged: numbers of each loop.
         quantities: of the fitted loops by name, shape (N,), NaN where unknown.
         notes: on plain loops.
-        samples: of each loop that count, shape (N,).
         example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
         common: what the loops have in common.
-        estimates: of loops that are solved, but not plain, by their number.
+        starts: of each loop, unconstrained, shape (N, S, p); none for weights.
+        estimate: the estimate of a loop, from its number.
     """
 
     names: tuple[str, ...]
     judged: Judged
     quantities: dict[str, np.ndarray]
     notes: RowNotes
-    samples: np.ndarray
     example: Row | None
     common: Common
-    estimates: Mapping[int, Estimate]
+    starts: np.ndarray
+    estimate: Callable[[int], Estimate]
+
+    def posed(self, k: int, record: Record, options: FitOptions) -> tuple[FitSetup, Task | None, Estimate | None]:
+        """The fit of a close loop that is not plain, and its estimate, or what it takes to solve it beside others from every start."""
+        setup = setup_of(self.common, record, options)
+        if self.common.of_weights:
+            return setup, None, self.estimate(k)
+        return setup, Task.of(setup.problem, self.starts[k]), None
 
     def columns(self) -> dict[str, np.ndarray]:
         """The numbers of all loops, shape (N,), by the names of `Row.numbers`."""
@@ -68,18 +75,18 @@ class PlainFits(NamedTuple):
         columns |= dict(zip(ERRORS, (one.rmse, one.percent, one.largest_percent), strict=True))
         return columns | {f"quantity {name}": values for name, values in self.quantities.items()}
 
-    def row(self, k: int, name: str, file: str, sha256: str | None) -> Row:
-        """The row of a plain loop."""
+    def row(self, k: int, name: str, file: str, record: Record) -> Row:
+        """The row of a plain loop and its record."""
         one, example = self.judged, cast(Row, self.example)
         return Row(
             name=name,
             file=file,
-            sha256=sha256,
+            sha256=record.sha256 or record.digest(),
             status=Status.OK,
             reason=self.notes.reason(k),
             codes=self.notes.codes(k),
             model=example.model,
-            samples=int(self.samples[k]),
+            samples=int(np.count_nonzero(record.used)),
             values=dict(zip(self.names, one.x[k].tolist(), strict=True)),
             stderr=dict(zip(self.names, map(or_none, one.stderr[k].tolist()), strict=True)),
             rmse=float(one.rmse[k]),
@@ -125,14 +132,8 @@ def fit_plain(
         judged = judged._replace(plain=np.zeros(len(loops), bool))
     example = examples[0] if examples else None
     quantities = _quantities(common, loops, outputs)
-    samples = loops.each(lambda group: np.full(len(group.y), np.count_nonzero(group.record.used)))
-    rest = np.flatnonzero(judged.close & ~judged.plain)
-    if common.of_weights:
-        estimates = {k: estimate(k) for k in rest.tolist()}
-    else:
-        estimates = _estimates(common, loops, rest)
-    names = common.setup.problem.space.names
-    fits = PlainFits(names, judged, quantities, notes, samples, example, common, estimates)
+    names, starts = common.setup.problem.space.names, common.starts_of(loops)
+    fits = PlainFits(names, judged, quantities, notes, example, common, starts, estimate)
     return _spread(fits, sound, len(every))
 
 
@@ -154,7 +155,7 @@ class _Solved(NamedTuple):
 
 def _solved_lanes(common: Common, loops: Loops, noise: np.ndarray) -> _Solved:
     """By Levenberg-Marquardt."""
-    ends, stack, _ = solve_alike(common, loops)
+    ends, stack = solve_alike(common, loops)
     judged, cost, model = judge_plain(common, loops, ends, stack, noise), ends.normal.cost, common.setup.problem.model
     estimate = lambda k: Estimate(judged.x[k], float(cost[k]), True, "converged", 1, np.array([cost[k]]))
     counts, timed = [len(group.y) for group in loops.groups], not model.rate_independent
@@ -191,23 +192,6 @@ def _examples(
     return rows
 
 
-def _estimates(common: Common, loops: Loops, rest: np.ndarray) -> dict[int, Estimate]:
-    """Estimates of loops that are not plain, but close, by their numbers: from every start to its end, which is on no bound."""
-    if not rest.size:
-        return {}
-    ends, stack, costs = solve_alike(common, loops.take(rest), ROUND)
-    coordinates, space = stack.objective.coordinates, common.setup.problem.space
-    x = coordinates.physical(ends.normal.z, np)
-    on_bound = np.logical_or(*space.reached(x, ON_BOUND, np.asarray(coordinates.scale))).any(axis=1)
-    good = ends.converged & np.isfinite(x).all(axis=1) & ~on_bound
-    ended = zip(rest.tolist(), x, ends.normal.cost, good, costs, strict=True)
-    return {
-        k: Estimate(x, float(cost), True, "converged", 1, costs * (float(cost) / costs.min()))
-        for k, x, cost, good, costs in ended
-        if good
-    }
-
-
 def _quantities(
     common: Common, loops: Loops, outputs_of: Callable[[Sequence[Record]], np.ndarray]
 ) -> dict[str, np.ndarray]:
@@ -215,21 +199,22 @@ def _quantities(
     model, timed = common.setup.problem.model, common.setup.problem.model.creeps
     datasets = [Dataset.of(group.record) for group in loops.groups]
     excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
-    counts = [len(group.y) for group in loops.groups]
-    drives = {"loop": [one.loop for one in excitations]} | (
-        {"step": [one.step for one in excitations]} if timed else {}
-    )
-    outputs = {name: outputs_of(records) for name, records in drives.items()}
-    found, stop = list[dict[str, np.ndarray]](), 0
-    for data, excitation, count in zip(datasets, excitations, counts, strict=True):
-        start, stop = stop, stop + count
-        of = lambda record, a=start, b=stop, one=excitation: outputs["loop" if record is one.loop else "step"][
-            a:b, : len(record)
-        ]
-        found.append(values_of_outputs(data, excitation, of, timed=timed))
-    names = dict.fromkeys(name for values in found for name in values)
-    pairs = list(zip(found, counts, strict=True))
-    return {name: np.concatenate([v.get(name, np.full(n, np.nan)) for v, n in pairs]) for name in names}
+    of_loop = outputs_of([one.loop for one in excitations])
+    of_step = outputs_of([one.step for one in excitations]) if timed else np.zeros((len(loops), 0))
+    group_of = np.repeat(np.arange(len(datasets)), [len(group.y) for group in loops.groups])
+    kinds = dict[tuple[tuple[str, ...], Excitation], list[int]]()  # groups by their names and all but the range
+    for k, (data, one) in enumerate(zip(datasets, excitations, strict=True)):
+        names = applicable(data, timed=timed)
+        kinds.setdefault((names, dataclasses.replace(one, low=0.0, high=0.0, interval=0.0)), []).append(k)
+    found = dict[str, np.ndarray]()
+    for (names, _), numbers in kinds.items():
+        rows, first = np.flatnonzero(np.isin(group_of, numbers)), excitations[numbers[0]]
+        low, high = np.array([(excitations[k].low, excitations[k].high) for k in group_of[rows]]).T[:, :, None]
+        one = first if len(numbers) == 1 else dataclasses.replace(first, low=low, high=high)
+        outputs = of_loop[rows, : len(first.loop)]
+        for name, values in values_of_outputs(names, one, outputs, lambda rows=rows: of_step[rows]).items():
+            found.setdefault(name, np.full(len(loops), np.nan))[rows] = values
+    return found
 
 
 def _outputs(
@@ -265,6 +250,6 @@ def _spread(fits: PlainFits, at: np.ndarray, count: int) -> PlainFits:
         judged=Judged(*map(among, fits.judged)),
         quantities={name: among(values) for name, values in fits.quantities.items()},
         notes=fits.notes.among(at, count),
-        samples=among(fits.samples),
-        estimates={int(at[k]): estimate for k, estimate in fits.estimates.items()},
+        starts=among(fits.starts),
+        estimate=lambda k: fits.estimate(int(np.searchsorted(at, k))),
     )

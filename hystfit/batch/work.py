@@ -10,9 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from hystfit.batch.alike import CONVEX, Group
+from hystfit.batch.alike import CONVEX, Group, same_columns
 from hystfit.batch.bucketed import Task, solve_together
-from hystfit.batch.plain_fits import FEWEST, fit_plain, setup_of
+from hystfit.batch.plain_fits import FEWEST, fit_plain
 from hystfit.batch.row import Row, row_of
 from hystfit.batch.sources import Source
 from hystfit.config import enable_x64, one_blas_thread
@@ -165,16 +165,14 @@ def _rows_of(work: Work, sources: Sequence[Source]) -> list[list[dict[str, Any]]
 
 
 def fit_alone_rows(
-    work: Work, records: Sequence[tuple[str, Record]], solved: Mapping[int, tuple[FitSetup, Estimate]] | None = None
+    work: Work,
+    records: Sequence[tuple[str, Record]],
+    posed: Mapping[int, tuple[FitSetup, Task | None, Estimate | None]],
 ) -> list[Row]:
-    """Rows of named records, none of which is plain.
-
-    Args:
-        solved: fits of some of them, by their number, that need judgment alone.
-    """
+    """Rows of named records, none of which is plain; `posed` has the fits of some of them by their number, see `PlainFits.posed`."""
     loops = [_Loop(Source(name, "", record), name, record) for name, record in records]
-    for k, (setup, estimate) in (solved or {}).items():
-        loops[k].fit_setup, loops[k].estimate = setup, estimate
+    for k, one in posed.items():
+        loops[k].fit_setup, loops[k].task, loops[k].estimate = one
     _fit(work, loops, plain=False)
     return [cast(Row, loop.row) for loop in loops]
 
@@ -255,9 +253,9 @@ def _fit_groups(work: Work, inputs: Sequence[Sequence[_Loop]]) -> bool:
     for k, loop in enumerate(ordered):
         record = cast(Record, loop.record)
         if fits.judged.plain[k]:
-            loop.row = fits.row(k, loop.name, loop.source.file, record.sha256 or record.digest())
-        elif k in fits.estimates:
-            loop.fit_setup, loop.estimate = setup_of(fits.common, record, work.options), fits.estimates[k]
+            loop.row = fits.row(k, loop.name, loop.source.file, record)
+        elif fits.judged.close[k]:
+            loop.fit_setup, loop.task, loop.estimate = fits.posed(k, record, work.options)
     return True
 
 
@@ -273,18 +271,13 @@ def _by_input(loops: Sequence[_Loop]) -> list[list[_Loop]]:
     for loop in loops:
         record = cast(Record, loop.record)
         near = found[record.u[:: max(1, len(record) // _LOOKED_AT)].tobytes()]
-        same = next((one for one in near if _equal_inputs(cast(Record, one[0].record), record)), None)
+        same = next((one for one in near if same_columns(record, one[0].record, "u", "weight", "t")), None)
         near.append([loop]) if same is None else same.append(loop)
     return [same for near in found.values() for same in near]
 
 
-def _equal_inputs(a: Record, b: Record) -> bool:
-    columns = (a.u, b.u), (a.weight, b.weight), (a.t, b.t)
-    return all(one is other or np.array_equal(one, other) for one, other in columns)
-
-
 def _pose(work: Work, loop: _Loop) -> None:
-    if loop.estimate is not None:
+    if loop.fit_setup is not None:
         return
     data = Dataset.of(cast(Record, loop.record))
     loop.fit_setup = fit_setup = set_up_fit(make_model(work.model), data, work.options, held=work.held)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.params.host_arrays import to_device
+from hystfit.params.host_arrays import to_device, zeros
 
 _SMALLEST, _LONG = 64, 4096
 
@@ -61,5 +61,8 @@ class Batch(eqx.Module):
 
 def _column(values: Iterable[np.ndarray], length: int, *, hold: bool = False) -> Array:
     """One row for each record, padded with 0, or with its last value."""
-    rows = [np.pad(row, (0, length - row.size), mode="edge" if hold else "constant") for row in values]
-    return to_device(rows[0][None] if len(rows) == 1 else np.stack(rows))
+    rows = list(values)
+    columns = zeros(len(rows), length)
+    for column, row in zip(columns, rows, strict=True):
+        column[: row.size], column[row.size :] = row, row[-1] if hold else 0.0
+    return to_device(columns)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
 
@@ -19,6 +20,17 @@ _R = TypeVar("_R")
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
 _ARRAYS = (np.ndarray, jax.Array, np.generic)
 set_compiler_flags()  # before JAX computes: every model is made of arrays from here
+
+
+_ALIGNED = 64  # bytes, at which arrays begin that JAX takes on a CPU without a copy
+
+
+def zeros(*shape: int) -> np.ndarray:
+    """Zeros that JAX takes on a CPU without a copy; they must not change from then on."""
+    size = math.prod(shape)
+    room = np.zeros(size + _ALIGNED // 8)
+    first = -room.ctypes.data % _ALIGNED // 8
+    return room[first : first + size].reshape(shape)
 
 
 def to_device(values: Any, dtype: Any = None) -> jax.Array:

@@ -354,6 +354,8 @@ class ParameterSpace:
 
     def tied(self, x: Sequence[float] | np.ndarray) -> list[tuple[Tie, float, ParamInfo, int | None]]:
         """Tie, value at x, declaration, and the number of the free element that it follows (None: a fixed one), of tied elements."""
+        if not self.ties:
+            return []
         flat = jax.tree_util.tree_leaves(self.assembled(x))
         place = {source[:2]: k for k, source in enumerate(self.sources)}
         rows = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -54,9 +54,7 @@ class Baselines:
         """
         judged = list(train if test is None else test)
         frame, own = _Frame.of(train), {record.name: k for k, record in enumerate(train)}
-        short = sum(map(len, train)) <= BLOCK  # of long records no rows are kept
-        kept = [list(frame.parts(record)) for record in train] if short else None
-        fitted = lambda k: kept[k] if kept else frame.parts(train[k])
+        fitted = frame.parts_of(train)
 
         samples = sum(int(record.used.sum()) for record in train)
         enough = samples >= _SPARE * (len(_PLAYED) + len(own))
@@ -77,9 +75,9 @@ class Baselines:
 
 def plays_residuals(data: Dataset) -> list[np.ndarray]:
     """Prediction less measurement of ten plays and a cubic curve, which no slow change in time bends, at the samples that count."""
-    frame, kept = _Frame.of(data), range(len(data))
-    (theta,) = _least_squares([frame.parts(record) for record in data], (_PLAYED,))
-    missed = lambda k: [theta[:_ROWS] @ rows + theta[_ROWS + k] - measured for rows, measured in frame.parts(data[k])]
+    parts, kept = _Frame.of(data).parts_of(data), range(len(data))
+    (theta,) = _least_squares([parts(k) for k in kept], (_PLAYED,))
+    missed = lambda k: [theta[:_ROWS] @ rows + theta[_ROWS + k] - measured for rows, measured in parts(k)]
     return [np.concatenate(missed(k)) for k in kept]
 
 
@@ -94,6 +92,12 @@ class _Frame:
     def of(cls, data: Dataset) -> _Frame:
         low, high = min(float(r.u[r.used].min()) for r in data), max(float(r.u[r.used].max()) for r in data)
         return cls(0.5 * (low + high), 0.5 * (high - low) or 1.0)
+
+    def parts_of(self, data: Dataset) -> Callable[[int], Iterable[_Part]]:
+        """`parts` of a record by its number, as often as they are asked for; of long records none are kept."""
+        short = sum(map(len, data)) <= BLOCK
+        kept = [list(self.parts(record)) for record in data] if short else None
+        return lambda k: kept[k] if kept else self.parts(data[k])
 
     def parts(self, record: Record) -> Iterator[_Part]:
         """Rows of the descriptions and outputs at the samples of a record that count, block by block."""

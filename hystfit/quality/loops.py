@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,35 +30,49 @@ def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     Returns:
         Sample numbers in rising order, shape (R,), the ends of the record excluded; on a flat top the first sample.
     """
-    corners, values = _corners(np.asarray(u, dtype=float))
-    at = dict(zip(corners, values, strict=True))
+    found = _corners(np.asarray(u, dtype=float))
+    if threshold not in found.turns:
+        found.turns[threshold] = _turns(found.at, threshold)
+        found.turns[threshold].flags.writeable = False
+    return found.turns[threshold]
+
+
+def _turns(at: Mapping[int, float], threshold: float) -> np.ndarray:
+    """`reversals` among the samples that alone can be turning points, with their values."""
     turns: list[int] = []
     extreme, rising = 0, 0  # rising: +1, -1, or 0 while the direction is unknown
     low = high = 0
-    for corner in corners:
+    for corner, value in at.items():
         if rising == 0:
-            low = corner if at[corner] < at[low] else low
-            high = corner if at[corner] > at[high] else high
+            low = corner if value < at[low] else low
+            high = corner if value > at[high] else high
             if at[high] - at[low] > threshold:
                 rising, extreme = (1, high) if high > low else (-1, low)
                 first = low if rising > 0 else high
                 if first > 0 and abs(at[first] - at[0]) > threshold:
                     turns.append(first)
-        elif rising * (at[corner] - at[extreme]) > 0:
+        elif rising * (value - at[extreme]) > 0:
             extreme = corner
-        elif rising * (at[extreme] - at[corner]) > threshold:
+        elif rising * (at[extreme] - value) > threshold:
             turns.append(extreme)
             rising, extreme = -rising, corner
     return np.array(turns, dtype=int)
 
 
-_Corners = tuple[list[int], list[float]]
+class _Corners(NamedTuple):
+    """Of an input: the samples that alone can be turning points with their values, its range, and its turning points by threshold."""
+
+    at: dict[int, float]
+    span: float
+    turns: dict[float, np.ndarray]
+
+
 # Of arrays that cannot change, by `id`: those of a record are asked for a dozen times.
 _known: dict[int, tuple[weakref.ref[np.ndarray], _Corners]] = {}
 
 
 def _corners(u: np.ndarray) -> _Corners:
-    """Samples that alone can be turning points, and their values: the ends, and local extremes, each the first of its flat run."""
+    """The ends, and local extremes, each the first of its flat run."""
     whole = u.base
     if isinstance(whole, np.ndarray) and (whole.shape, whole.strides, whole.dtype) == (u.shape, u.strides, u.dtype):
         u = whole  # a view of all samples
@@ -70,10 +85,11 @@ def _corners(u: np.ndarray) -> _Corners:
         moves = np.flatnonzero(steps)
         rises = rises[moves]
     if moves.size == 0:
-        return [], []
+        return _Corners({}, 0.0, {})
     change = np.flatnonzero(rises[1:] != rises[:-1])
     corners = np.concatenate([[0], moves[change] + 1, [moves[-1] + 1]])
-    found = corners.tolist(), u[corners].tolist()  # a number of Python takes a tenth of the time of one in an array
+    values = u[corners].tolist()  # a number of Python takes a tenth of the time of one in an array
+    found = _Corners(dict(zip(corners.tolist(), values, strict=True)), max(values) - min(values), {})
     if u.base is None and not u.flags.writeable:
         forget = partial(_known.pop, id(u), None)
         _known[id(u)] = weakref.ref(u, lambda _: forget()), found
@@ -87,7 +103,7 @@ def largest_step(u: np.ndarray) -> float:
 
 def clear_reversals(u: np.ndarray) -> np.ndarray:
     """Turning points from which the input moves back by more than 2 % of its range, as by `reversals`."""
-    return reversals(u, SAME_LEVEL * float(np.ptp(u)))
+    return reversals(u, SAME_LEVEL * _corners(np.asarray(u, dtype=float)).span)
 
 
 def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -41,12 +41,8 @@ _COARSE, _SEEN, _INSERTED = 40, 10, 16
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    values = values_of_outputs(
-        result.data,
-        Excitation.of(result.data, hardens=result.model.hardens),
-        lambda record: _run(result, record, result.model)[None],
-        timed=result.model.creeps,
-    )
+    excitation = Excitation.of(result.data, hardens=result.model.hardens)
+    values = _values(result, excitation, lambda record: _run(result, record, result.model)[None])
     return {name: or_none(one[0]) for name, one in values.items()}
 
 
@@ -56,7 +52,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     size, linear = relative_size(space, x), space.linear
     excitation = Excitation.of(result.data, hardens=result.model.hardens)
     outputs = lambda record: _perturbed(result, record, _STEP * size, linear)
-    values = values_of_outputs(result.data, excitation, outputs, timed=result.model.creeps)
+    values = _values(result, excitation, outputs)
     scales, rows = result.problem.scales, []
     read = {one.name: one for values in result.measured.rows.values() for one in values}
     measured = measured_quantities(result.data) if read else {}  # none of loops that noise alone opens
@@ -160,23 +156,34 @@ def _estimate(
     return made(value, error if error > ROUNDED * natural else None, None)
 
 
+def _values(
+    result: FitResult, excitation: Excitation, outputs: Callable[[Record], np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Quantities by name, from what gives the outputs over a record, shape (count, T)."""
+    names = applicable(result.data, timed=result.model.creeps)
+    of_loop = _simulated_outputs(outputs, excitation.loop)
+    return values_of_outputs(names, excitation, of_loop, lambda: _simulated_outputs(outputs, excitation.step))
+
+
 def values_of_outputs(
-    data: Dataset, excitation: Excitation, outputs: Callable[[Record], np.ndarray], *, timed: bool
+    names: Iterable[str], excitation: Excitation, of_loop: np.ndarray, of_step: Callable[[], np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
     Args:
-        outputs: gives the outputs over a record, shape (count, T).
-        timed: whether the model creeps.
+        names: that the records have, see `applicable`.
+        excitation: of all outputs, or of each.
+        of_loop: outputs over its loops, shape (count, T).
+        of_step: gives those over its steps.
     """
-    names, found = applicable(data, timed=timed), {}
+    found = {}
     with np.errstate(all="ignore"):
-        loops = excitation.loops(_simulated_outputs(outputs, excitation.loop))
+        loops = excitation.loops(of_loop)
         for name in names:
             of_loops = QUANTITIES[name].of_loops
             if of_loops is not None:
                 found[name] = of_loops(loops)
-            elif creeps(creep := Excitation.creep(_simulated_outputs(outputs, excitation.step))):
+            elif creeps(creep := Excitation.creep(of_step())):
                 found[name] = creep
     return found
 

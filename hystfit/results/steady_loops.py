@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from statistics import median
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -35,10 +36,10 @@ _AT_1S, _AT_10S = (1 + round(seconds / _STEP) for seconds in (1, 10))  # samples
 
 @dataclasses.dataclass(frozen=True)
 class SteadyLoops:
-    """Steady loops over one input range.
+    """Steady loops.
 
     Attributes:
-        inputs: rising, shape (P,).
+        inputs: rising, of all loops, shape (P,), or of each, shape (count, P).
         rising, falling: outputs of each loop at these inputs, shape (count, P).
         force_driven: whether the input is the force.
         energy: that of a unit of area, in the unit of `loop_energy`.
@@ -61,9 +62,9 @@ class SteadyLoops:
         return np.maximum(self.rising.max(1), self.falling.max(1)) - np.minimum(self.rising.min(1), self.falling.min(1))
 
     @property
-    def width(self) -> float:
+    def width(self) -> Any:
         """Range of the input."""
-        return float(self.inputs[-1] - self.inputs[0])
+        return self.inputs[..., -1] - self.inputs[..., 0]
 
     @functools.cached_property
     def area(self) -> Float[np.ndarray, " count"]:
@@ -98,10 +99,12 @@ class SteadyLoops:
     @property
     def remanence(self) -> Float[np.ndarray, " count"]:
         """Half the height of the loop at the middle of the input; NaN of a butterfly."""
-        middle = 0.5 * (self.inputs[0] + self.inputs[-1])
-        k = int(np.clip(np.searchsorted(self.inputs, middle), 1, self.inputs.size - 1))
-        share = (middle - self.inputs[k - 1]) / (self.inputs[k] - self.inputs[k - 1])
-        return np.where(self.lobed, np.nan, 0.5 * ((1 - share) * self.gap[:, k - 1] + share * self.gap[:, k]))
+        inputs, rows = np.broadcast_to(self.inputs, self.gap.shape), np.arange(len(self.gap))
+        middle = 0.5 * (inputs[:, 0] + inputs[:, -1])
+        k = np.clip((inputs < middle[:, None]).sum(axis=1), 1, inputs.shape[1] - 1)
+        share = (middle - inputs[rows, k - 1]) / (inputs[rows, k] - inputs[rows, k - 1])
+        height = (1 - share) * self.gap[rows, k - 1] + share * self.gap[rows, k]
+        return np.where(self.lobed, np.nan, 0.5 * height)
 
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
@@ -109,16 +112,17 @@ class SteadyLoops:
         return self.width / self.travel if self.force_driven else self.travel / self.width
 
 
-def _crossings(branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " count"]:
+def _crossings(
+    branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, "... P"]
+) -> Float[np.ndarray, " count"]:
     """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it ends on its first side."""
     passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
     half = (passed.sum(axis=1, keepdims=True) + 1) // 2
     k, rows = np.argmax(passed & (np.cumsum(passed, axis=1) == half), axis=1), np.arange(len(branches))
-    before, after = branches[rows, k], branches[rows, k + 1]
+    before, after, inputs = branches[rows, k], branches[rows, k + 1], np.broadcast_to(inputs, branches.shape)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(
-            passed.sum(axis=1) % 2 == 1, inputs[k] - before * (inputs[k + 1] - inputs[k]) / (after - before), np.nan
-        )
+        place = inputs[rows, k] - before * (inputs[rows, k + 1] - inputs[rows, k]) / (after - before)
+        return np.where(passed.sum(axis=1) % 2 == 1, place, np.nan)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +130,7 @@ class Excitation:
     """The inputs on which the quantities of a fit are computed.
 
     Attributes:
-        low, high: range of the input.
+        low, high: range of the input; a column of them, shape (count, 1), for `inputs` and `loops` of several that differ in these alone.
         interval: between the samples of the cycles [s].
         force_driven: whether the input is the force.
         sine: whether the cycles of the records are nearer to a sine than to a triangle.
@@ -136,8 +140,8 @@ class Excitation:
         energy: that of a unit of area of a loop.
     """
 
-    low: float
-    high: float
+    low: Any
+    high: Any
     interval: float
     force_driven: bool = False
     sine: bool = False
@@ -162,7 +166,7 @@ class Excitation:
 
     @functools.cached_property
     def inputs(self) -> np.ndarray:
-        """Inputs of one branch, rising, shape (points / 2 + 1,), evenly spaced in time."""
+        """Inputs of one branch, rising, shape (..., points / 2 + 1), evenly spaced in time."""
         phase = np.linspace(0.0, 1.0, self.points // 2 + 1)
         share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
         return self.low + (self.high - self.low) * share

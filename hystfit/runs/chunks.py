@@ -29,9 +29,13 @@ def load(file: Path) -> dict[str, np.ndarray] | None:
 def keep(file: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write under another name, then rename: an interruption leaves a whole file or none."""
     scratch = file.with_name(f".{file.name}")
-    with scratch.open("wb") as handle:
-        np.savez(handle, **arrays)  # type: ignore[arg-type]
-    scratch.replace(file)
+    try:
+        with scratch.open("wb") as handle:
+            np.savez(handle, **arrays)  # type: ignore[arg-type]
+        scratch.replace(file)
+    except OSError:
+        scratch.unlink(missing_ok=True)  # a full disk has no room for a part that is no use
+        raise
 
 
 def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
