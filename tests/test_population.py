@@ -1,6 +1,7 @@
 """Populations: the second stage against a grid and closed forms, device fits, bad input, priors for the next device, and the verb."""
 
 import dataclasses
+import functools
 import json
 
 import jax.numpy as jnp
@@ -10,7 +11,9 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Status, warn
+from hystfit.population import devices as devices_module
+from hystfit.population.fit_population import _status
 from hystfit.population.hierarchy import Pool, draw_hierarchy
 from hystfit.population.population_files import load_population_priors
 
@@ -75,6 +78,12 @@ def devices() -> tuple[list[hf.Record], np.ndarray]:
     return records, x
 
 
+def unsettled(sample, *args, **options):
+    """Draws by a sampler that says that its chains have not converged."""
+    note = warn(Code.CHAINS, "the chains disagree")
+    return dataclasses.replace(sample(*args, **options), status=Status.NOT_CONVERGED, notes=(note,))
+
+
 @pytest.fixture(scope="module")
 def population() -> tuple[hf.PopulationFit, np.ndarray]:
     records, x = devices()
@@ -117,6 +126,16 @@ def test_draws_of_a_device_have_the_posterior_of_a_grid(population):
     spread = np.sqrt(p @ (grid - mean) ** 2)
     np.testing.assert_allclose(pool.z.mean(axis=0), mean, atol=0.15 * spread.min(), rtol=0)
     np.testing.assert_allclose(pool.z.std(axis=0), spread, rtol=0.1)
+
+
+def test_draws_of_a_device_that_have_not_converged_are_the_status_of_the_population(population, monkeypatch):
+    fit, _ = population
+    monkeypatch.setattr(devices_module, "sample", functools.partial(unsettled, devices_module.sample))
+    device = fit.devices[1]
+    pool = device.pool(device.mean, np.array([0.1, 0.2]), fit.common, seed=0)
+    status, problems = _status(fit.drawn, {1: pool}, fit.common, {})
+    assert status is Status.NOT_CONVERGED
+    assert all(note.text.startswith("device 1: ") for note in problems)
 
 
 def test_the_next_device_and_its_band(population):

@@ -15,6 +15,7 @@ from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.density import Density
 from hystfit.inference.priors import AbstractPrior, LogitNormal, LogNormal, Normal
 from hystfit.inference.problem import Problem
+from hystfit.outcome import Severity, Status
 from hystfit.params.coordinates import BOTH, LOWER, REAL
 from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
@@ -146,7 +147,11 @@ class Device:
         flat = posterior.draws.reshape(-1, len(posterior.names))[:, common.at]
         flat = flat[np.linspace(0, len(flat) - 1, min(DRAWS, len(flat))).astype(int)]
         z = common.z_of(flat)
-        return Pool(z, -0.5 * np.sum(((z - mean) / (_WIDER * sd)) ** 2, axis=1))
+        wrong = [note for note in posterior.notes if note.severity is Severity.WARNING]
+        if posterior.status is not Status.NOT_CONVERGED:
+            wrong = []
+        problems = tuple(dataclasses.replace(note, text=f"{self.name}: {note.text}") for note in wrong)
+        return Pool(z, -0.5 * np.sum(((z - mean) / (_WIDER * sd)) ** 2, axis=1), problems)
 
 
 def marginal(information: Float[np.ndarray, "q q"], at: np.ndarray) -> Float[np.ndarray, "p p"]:

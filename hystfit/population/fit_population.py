@@ -101,7 +101,7 @@ def fit_population(
     if pools:
         drawn = draw(pools)
     notes = _notes(left_out, [devices[k].name for k in pools])
-    status, problems = _status(drawn, common, left_out)
+    status, problems = _status(drawn, pools, common, left_out)
     return PopulationFit(
         devices=tuple(devices),
         common=common,
@@ -271,11 +271,13 @@ def convergence_of(drawn: Hierarchy) -> Convergence:
     return Convergence.of(np.concatenate([drawn.effects[:, :, 0], np.log(sd)], axis=-1))
 
 
-def _status(drawn: Hierarchy, common: Common, left_out: dict[str, str]) -> tuple[Status, list[Note]]:
-    """From the convergence of means and standard deviations."""
+def _status(
+    drawn: Hierarchy, pools: Mapping[int, Pool], common: Common, left_out: dict[str, str]
+) -> tuple[Status, list[Note]]:
+    """From the convergence of means and standard deviations, and of the draws of single devices."""
     convergence = convergence_of(drawn)
     names = (*(f"mean of {name}" for name in common.names), *(f"sd of {name}" for name in common.names))
-    problems = convergence.problems(names)
+    problems = [*convergence.problems(names), *(note for pool in pools.values() for note in pool.problems)]
     if problems:
         return Status.NOT_CONVERGED, problems
     return (Status.PARTIAL if left_out else Status.OK), []

@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from hystfit.outcome import Note
+
 _NU = 2.0  # degrees of freedom of the half-t, whose scale is a factor e between devices or a natural scale: correlations are uniform
 _BURN = 0.25  # of the draws, before the first one that is kept
 _STEP = 0.7  # of the logarithm of a standard deviation that is scaled together with the deviations
@@ -36,10 +38,12 @@ class Pool:
     Attributes:
         z: shape (n, p).
         log_prior: of that prior at the draws, shape (n,).
+        problems: why they do not stand for that posterior.
     """
 
     z: Float[np.ndarray, "n p"]
     log_prior: Float[np.ndarray, " n"]
+    problems: tuple[Note, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
