@@ -11,7 +11,8 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
-from hystfit.outcome import Code, Status, warn
+from hystfit.outcome import Code, Status
+from hystfit.outcome.note import warn
 from hystfit.population import devices as devices_module
 from hystfit.population.fit_population import _status
 from hystfit.population.hierarchy import Pool, draw_hierarchy
