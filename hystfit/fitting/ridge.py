@@ -16,7 +16,7 @@ from hystfit.models.design import FAR, effective_number, with_own_offsets
 from hystfit.models.nonnegative import solve_nonnegative, solve_several
 
 # Half decades where ridges of plays and dampers lie: at a whole decade the best error can be 3 % larger, and the residuals 4 % above the
-# noise; of a damper whose best ridge lies at 10^-1.5, 9 and 18 %.
+# noise; of a damper whose best ridge lies at 10^-1.5, 10 and 21 %.
 STRENGTHS = tuple(10.0**k for k in (-10, -8, -6, -5, -4.5, -4, -3.5, -3, -2.5, -2, -1.5, -1, -0.5, 0))
 _SMALL = 45  # unknowns up to which 25 systems take less time side by side than one after another
 
