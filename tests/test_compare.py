@@ -771,6 +771,17 @@ def test_a_loop_recorded_at_one_pace_is_hysteresis_though_a_lag_describes_it():
     }  # the output falls, also where a curve needs no negation
 
 
+def test_creep_is_found_at_one_pace_where_models_without_time_leave_more_than_noise():
+    t = np.linspace(0, 10, 1000)
+    u = 50 + 50 * (1 - 0.09 * t) * np.sin(1.6 * np.pi * t + -0.155)
+    device = hf.Series(hf.BoucWen(c=0.15, mu=0.358, tau=0.0347, rho=0.384), hf.LogCreep(gamma=(0.0185,)))
+    y = np.asarray(hf.simulate(device, u, np.full(t.size, t[1]))[0])
+    noise = 1e-3 * np.ptp(y) * np.random.default_rng(0).normal(size=t.size)
+    found = hf.compare(hf.Record(u, y + noise, t, u_unit="V", y_unit="um"))
+    assert found.winner.train.rmse < 1.05 * np.std(noise)
+    assert "creep" in found.rows[0].name
+
+
 def test_the_search_states_numbers_that_agree():
     """Each step gives its error before and after: the last one is the score of the search."""
     found = search_structure(hf.Dataset.of(hf.Record(U, U**3, T)))

@@ -71,8 +71,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
     rings, iterated = _rings(run), chosen.iterated
     found, reason = dataclasses.replace(found, falls=falls(run.data)), "the search found no term that depends on time"
-    beaten = run.one_pace and run.best_row is not None and not run.best_row.paced
-    if still or (beaten and found.timed):
+    if still or (found.timed and run.one_pace and run.is_white()):
         found, reason = dataclasses.replace(found, lag=0.0, creep=False, rate=0), BEATEN
     if not (white or rings or delay or found.timed):
         iterated = timeless(chosen.iterated)
