@@ -147,10 +147,12 @@ class Device:
         flat = posterior.draws.reshape(-1, len(posterior.names))[:, common.at]
         flat = flat[np.linspace(0, len(flat) - 1, min(DRAWS, len(flat))).astype(int)]
         z = common.z_of(flat)
-        wrong = [note for note in posterior.notes if note.severity is Severity.WARNING]
-        if posterior.status is not Status.NOT_CONVERGED:
-            wrong = []
-        problems = tuple(dataclasses.replace(note, text=f"{self.name}: {note.text}") for note in wrong)
+        failed = posterior.status is Status.NOT_CONVERGED
+        problems = tuple(
+            dataclasses.replace(note, text=f"{self.name}: {note.text}")
+            for note in posterior.notes
+            if failed and note.severity is Severity.WARNING
+        )
         return Pool(z, -0.5 * np.sum(((z - mean) / (_WIDER * sd)) ** 2, axis=1), problems)
 
 

@@ -86,10 +86,8 @@ class Independence(AbstractSampler):
                 _Chain(*known, start, (seed, attempt, k), folder, f"{self.name}-{attempt}-{k}")
                 for k, start in enumerate(zip(begin["starts"], begin["scores"].tolist(), strict=True))
             ]
-            for draws in (
-                min(_CHUNK, self.draws),
-                self.draws,
-            ):  # a chunk of each shows most of those that cover too little
+            # A chunk of each chain shows most mixtures that cover too little.
+            for draws in (min(_CHUNK, self.draws), self.draws):
                 drawn = self._joined(chains, draws, report)
                 offers = Batch.joined([chain.offers for chain in chains])
                 if not covers(offers):
