@@ -18,7 +18,7 @@ from hystfit.fitting.remains import correlation_of
 from hystfit.fitting.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.sizes import SizeSearch, weights_of
 from hystfit.fitting.smooth_weights import left_out_scores
-from hystfit.fitting.structure import structure_of
+from hystfit.fitting.structure import falls, structure_of
 from hystfit.fitting.structure_search import Found, search_structure
 from hystfit.fitting.thinning import thinned
 from hystfit.fitting.verdict import residuals_are_white
@@ -109,7 +109,8 @@ def _screened(data: Dataset, spacing: int = 1) -> Iterator[Screened]:
             return
         least = min(least, one.error)
         if one.found is not None:
-            waiting += chosen.beside(*structure_of(one.found.model)).closed
+            found, delay = structure_of(one.found.model)
+            waiting += chosen.beside(dataclasses.replace(found, falls=falls(data)), delay).closed
 
 
 def _searched(data: Dataset, baselines: Baselines, spacing: int) -> Screened:
