@@ -146,8 +146,8 @@ def column_role(name: str) -> str:
     roles = {ROLES[word] for word in told}
     if roles == {"input"} and _MEASURED.intersection(words):
         return ""  # what supplies a controller that reports its input voltage
-    if roles == {"output"} and _DRIVERS.intersection(words):
-        return "input"
+    if roles == {"output"} and _DRIVERS.intersection(_words(split_unit(name)[0].replace(".", "_"))):
+        return "input"  # source.y of a model too
     return roles.pop() if len(roles) == 1 else ""
 
 

@@ -29,7 +29,7 @@ _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by 
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
-_RETENTION = (("h", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
+_RETENTION = (("h", "theta"), ("psi", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
@@ -46,10 +46,11 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         many: whether there are more columns than a pair.
     """
     among = lambda *names: any(kinds[k] in names for k in free)
+    bases = {k: split_unit(table.names[k])[0].strip() for k in free}
     if among("stress", "pressure"):  # of the water in a soil, by its saturation or its content
         kinds.update({k: "loading" for k in free if table.names[k] == "Sr"})
     for names in _RETENTION:
-        pair = [k for name in names for k in free if table.names[k] == name]
+        pair = [k for name in names for k in free if bases[k] == name]
         if len(pair) == 2 and 0 <= np.nanmin(table.columns[pair[1]]) < np.nanmax(table.columns[pair[1]]) <= 1:
             kinds.update(zip(pair, ("pressure", "loading"), strict=True))
     relative = [k for k in free if RELATIVE_PRESSURE.search(table.names[k])]
@@ -71,7 +72,6 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
         if among("force", "current"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    bases = {k: split_unit(table.names[k])[0].strip() for k in free}
     if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
         kinds.update(dict.fromkeys(parts, ""))
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
@@ -127,12 +127,19 @@ def _is_count(values: np.ndarray) -> bool:
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
+    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D.
+
+    What has a velocity as its rate is a displacement: mass.s beside mass.v, and no stress.
+    """
     unknown = [k for k in free if kinds[k] in ("", "flow", "volume") and not column_role(table.names[k])][:_FEW_UNKNOWN]
     if len(unknown) > 2 or len(free) > len(unknown) > 1:
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
+    rates = [k for k in free if kinds[k] == "velocity"]
+    for k in [k for k in free if kinds[k] == "stress" and not table.units[k]]:
+        if any(_is_rate(table.columns[rate], table.columns[k]) for rate in rates):
+            kinds[k] = "displacement"
     bare = {table.names[k]: k for k in free if not table.units[k]}
     if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
         kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 
@@ -17,7 +18,7 @@ _INTERVAL = (
 _NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _LINE = re.compile(
     rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])])?"
-    rf"\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
+    rf"\"?\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
 )
@@ -42,8 +43,8 @@ def _interval(line: str) -> float | None:
     match = _LINE.fullmatch(line)
     if match is None:
         return None
-    parts = re.findall(_NUMBER, match["numbers"])
-    values = {float(part.replace(",", ".")) for part in parts}
+    parts = {part for some in re.split(r"[\s;]+", match["numbers"]) for part in _of_channels(some)}
+    values = {float(part.replace(",", ".")) if re.fullmatch(_NUMBER, part) else math.nan for part in parts}
     unit = (match["unit"] or match["after"] or "").strip()
     if len(values) != 1 or not (value := values.pop()) > 0:
         return None
@@ -54,6 +55,12 @@ def _interval(line: str) -> float | None:
         return None
     factor = conversion(unit, "s") if unit else 1.0
     return None if factor is None else factor * value
+
+
+def _of_channels(numbers: str) -> set[str]:
+    """Equal numbers between commas, one for each channel, once; another comma is a decimal mark."""
+    parts = {*numbers.split(",")}
+    return parts if len(parts) == 1 else {numbers}
 
 
 def unit_of_interval(step: float | None, interval: float | None) -> str:
