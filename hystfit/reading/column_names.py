@@ -144,7 +144,8 @@ def column_role(name: str) -> str:
     if {*told} == {"in"} and others and not others.intersection(WORDS):
         return ""  # radiation that comes in: sw_in
     roles = {ROLES[word] for word in told}
-    if roles == {"input"} and _MEASURED.intersection(words):
+    gauge = "hall" in told and quantity(split_unit(name)[1]) == "induction"  # of the field that is applied
+    if gauge or (roles == {"input"} and _MEASURED.intersection(words)):
         return ""  # what supplies a controller that reports its input voltage
     if roles == {"output"} and _DRIVERS.intersection(_words(split_unit(name)[0].replace(".", "_"))):
         return "input"  # source.y of a model too

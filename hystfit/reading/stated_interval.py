@@ -13,7 +13,7 @@ _OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|
 _RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
 _INTERVAL = (
     rf"{_OF_SAMPLES}[ _.-]*(?:interval|period|increment|step|intervall)|sampl(?:e|ing)[ _.-]*time|time[ _.-]*(?:increment|step|interval)"
-    r"|abtastintervall|delta[ _]?[xt]|dt|wf_increment|x[ _]?incr?(?:ement)?|horizontal interval|采样间隔|采样周期"
+    r"|abtastintervall|delta[ _]?[xt]|dt|wf_increment|[tx][ _]?incr?(?:ement)?|horizontal interval|采样间隔|采样周期"
 )
 _NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _LINE = re.compile(
