@@ -119,7 +119,7 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
     known = not _NODE.fullmatch(unit) and bool(is_unit(unit) or in_case(base, unit))
     closed = known or not re.search(r"[\])>]", unit)
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not known:
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and (not known or unit == "in"):  # the node "in"
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None
