@@ -26,7 +26,11 @@ def named(record, u: str, y: str, units: tuple[str, str]) -> bool:
 @pytest.mark.parametrize(
     ("header", "u", "y"),
     [  # HOBO: the number of the row is "#", and a comma stands before each unit
-        ('"Plot Title: 7"\n"#","Time, s","Potential, kPa (LGR S/N: 2012)","Water Content, m3/m3 (LGR S/N: 2012)"\n', 2, 3),
+        (
+            '"Plot Title: 7"\n"#","Time, s","Potential, kPa (LGR S/N: 2012)","Water Content, m3/m3 (LGR S/N: 2012)"\n',
+            2,
+            3,
+        ),
         ('"File","0312.MEM"\n"Title","DEA test"\n"#","Time (s)","CH1-1[V]","CH1-2[mm]"\n', 2, 3),  # HIOKI
     ],
 )

@@ -27,9 +27,6 @@ _TERMINAL = re.compile(
     r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Rr]ead|[Ww]rite|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
     r"|(V)[DSBdsb]\d?"
 )
-_OF_DRAIN = re.compile(
-    r"I[DdSs]\d?"
-)  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 # Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
@@ -55,8 +52,6 @@ def column_quantity(name: str, unit: str = "") -> str:
         return "temperature"  # T or Ta in degrees Celsius without their sign
     if by_unit == "stress" and re.fullmatch(r"p(?: ?c(?:ap)?)?", without_role(name)):
         return "pressure"  # whose unit is that of a stress, also the capillary one
-    if re.fullmatch(r"(?i)theta_?(?:[vw]|c?m3_?c?m3)", base):
-        return "loading"  # the water in soil, and no angle
     base = _field(base)
     if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]
@@ -120,11 +115,6 @@ def has_terminals(names: Iterable[str]) -> bool:
 def is_terminal(name: str) -> bool:
     """Whether a column is the voltage or current of one terminal of a device (GateV, DrainI)."""
     return _TERMINAL.fullmatch(split_unit(name)[0]) is not None
-
-
-def is_drain(name: str) -> bool:
-    """Whether a column of a transistor is the current of its drain or source."""
-    return _OF_DRAIN.fullmatch(split_unit(name)[0]) is not None
 
 
 @_of_names

@@ -95,7 +95,7 @@ def _xml_lines(text: TextFile) -> list[str]:
     tables = [_rows(rows) for rows in groups if len(rows) >= FEWEST]
     if len(kinds := {rows[0] for rows in tables}) > FEW:
         raise DataError(
-            f"{text.source} is XML with tables of {len(kinds)} kinds: export the one that was measured as CSV, from the program that wrote it"
+            f"{text.source} is XML with tables of {len(kinds)} kinds: export what was measured as CSV, from the program that wrote it"
         )
     return "\n\n".join("\n".join(rows) for rows in tables).split("\n") if tables else []
 

@@ -8,14 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hystfit.reading.column_names import (
-    RELATIVE_PRESSURE,
-    column_quantity,
-    column_role,
-    has_terminals,
-    is_drain,
-    parts_of,
-)
+from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity, column_role, parts_of
 from hystfit.reading.limits import MAJORITY
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
@@ -29,7 +22,11 @@ _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by 
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
-_RETENTION = (("h", "theta"), ("psi", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
+_RETENTION = (
+    ("h", "theta"),
+    ("psi", "theta"),
+    ("s", "w"),
+)  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
@@ -64,8 +61,6 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):
         kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
-    if among("displacement"):  # v beside x is a velocity
-        kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     if not among(
         "field", "induction", "voltage", "electric field"
     ):  # q beside a torque or current is an angle of a joint
@@ -75,8 +70,6 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
         kinds.update(dict.fromkeys(parts, ""))
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
-    if among("voltage") and has_terminals(table.names):
-        kinds.update({k: "current" for k in free if is_drain(table.names[k])})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing

@@ -1,4 +1,4 @@
-"""Results of circuit simulators (ngspice, LTspice) as text: below "Values:" the number of a sample and its values, each in a line of its own."""
+"""Results of circuit simulators (ngspice, LTspice) as text: below "Values:" the number of a sample and its values, one in a line."""
 
 from __future__ import annotations
 
