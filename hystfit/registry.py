@@ -50,11 +50,7 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return attribute(self._base)
 
     def find(self, choice: Any) -> Callable[..., T]:
-        """What makes a part: of a name, of my_file.py:MyClass, or of a class.
-
-        Raises:
-            ParameterError: no such name (the message lists the names), or a file without such a class.
-        """
+        """What makes a part: of a name, of my_file.py:MyClass, or of a class."""
         if isinstance(choice, str):
             if choice in self._entries:
                 return self[choice]

@@ -53,7 +53,6 @@ class BoundedDescent(AbstractEstimator):
     max_steps: int = eqx.field(static=True, default=500)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`."""
         space = problem.space
         missing, solutions = _why_not_jaxopt(), []
         descend = _descend_by_scipy if missing else _descend

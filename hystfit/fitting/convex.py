@@ -37,16 +37,10 @@ class Convex(AbstractEstimator):
     max_evaluations: int = eqx.field(static=True, default=80)
 
     def quick(self) -> Convex:
-        """See the base class."""
         return dataclasses.replace(self, max_evaluations=15)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
-
-        Raises:
-            ModelError: no free parameter enters linearly, or one has bounds that this method does not serve.
-            ParameterError: tied parameters.
-        """
+        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
         if problem.space.ties:
             raise ParameterError("tied parameters need another method than 'convex': choose method='lm'")
         at = linear_positions(problem)

@@ -49,9 +49,6 @@ class LinearSystem:
             problem: what is fitted.
             x: physical parameters, shape (p,).
             which: parameters to solve for, shape (p,), bool; None for all linear ones.
-
-        Raises:
-            ModelError: a linear parameter with bounds other than none or (0, infinity).
         """
         at = linear_positions(problem) if which is None else np.flatnonzero(which)
         lower, upper = (np.asarray(b)[at] for b in (problem.space.coordinates.lower, problem.space.coordinates.upper))

@@ -143,7 +143,6 @@ class RateDependentPlays(AbstractHysteresis):
         return low - 0.25 * (high - low), high + 0.25 * (high - low)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `RatePlayStep`."""
         return RatePlayStep(self)
 
 
@@ -154,7 +153,6 @@ class RatePlayStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         model = self.model
         q, _ = model.rate(state, dt)
         plays, widths, w = state[:-2], model.r + model.kappa * q, model.w

@@ -71,7 +71,6 @@ class SearchStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = True
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         miss = lambda u1: self.sign * (self.model.step(state, u0, u1, dt)[1] - target)
         return solve_rising(miss, jnp.clip(u0, low, high), low, high)
 
@@ -83,6 +82,5 @@ class LinearStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         value, gain = jax.jvp(lambda u: self.model.step(state, u0, u, dt)[1], (u0,), (jnp.ones_like(u0),))
         return Root(u0 + (target - value) / jnp.where(gain > 0, gain, jnp.inf), gain > 0)
