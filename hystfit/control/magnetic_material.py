@@ -230,7 +230,6 @@ class _Sizes(NamedTuple):
         """Those of a fit.
 
         Args:
-            result: the fit.
             by_flux: the input is not the field, but what it magnetizes.
         """
         first = result.data[0]

@@ -61,11 +61,8 @@ class Convex(AbstractEstimator):
         """The estimate that a solution gives.
 
         Args:
-            fit: the solution.
             x: all parameters, shape (p,).
-            at: positions of the weights.
             size: half range of the output.
-            groups: number of those held out.
         """
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
@@ -108,11 +105,8 @@ def search_nonlinear(
     """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
 
     Args:
-        problem: what is fitted.
         cost: of physical parameters, shape (p,).
         z: unconstrained start, shape (p,).
-        others: positions of the nonlinear parameters.
-        **options: of the simplex search.
 
     Returns:
         Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.

@@ -122,7 +122,6 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     """The fit of the model that wins the comparison, with notes on the choice.
 
     Args:
-        data: the records.
         options: starting points and seed of every fit, and the noise of the winner; others have no effect, see
             `FitOptions.check_search`.
         purpose: see `compare`.

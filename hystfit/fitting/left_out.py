@@ -118,7 +118,6 @@ def _with_absent_records(
     """Fitted parameters, and those of records absent from the fit: offsets that fit them best, and else their values in x.
 
     Args:
-        problem: with all records.
         x: the fit of all records, physical, shape (p,).
         fitted: the fit without some records, shape (p,).
         idle: which parameters belong to these, shape (p,), bool.

@@ -46,7 +46,6 @@ class LinearSystem:
         """The system at given values of the other parameters; for all linear parameters, or some.
 
         Args:
-            problem: what is fitted.
             x: physical parameters, shape (p,).
             which: parameters to solve for, shape (p,), bool; None for all linear ones.
         """
@@ -250,12 +249,7 @@ def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths:
 
 
 def penalized(system: LinearSystem, strength: float) -> float:
-    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize.
-
-    Args:
-        system: at some values of the nonlinear parameters.
-        strength: of the ridge.
-    """
+    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize."""
     normal = system.normal()
     total, b = normal.A.sum(axis=0), normal.b.sum(axis=1)
     ridge = (system.ridged | normal.dead) * strength * normal.counts.sum() + normal.dead

@@ -83,12 +83,8 @@ class SmoothWeights(AbstractEstimator):
         """The estimate that a solution gives.
 
         Args:
-            fit: the solution.
-            split: of the parameters.
             x: values of the parameters that are no weights, shape (p,).
             size: half range of the output.
-            groups: number of those held out.
-            texts: notes on the records.
         """
         at = split.place >= 0
         x, penalty = x.copy(), np.zeros(x.size)

@@ -97,7 +97,6 @@ def maximize(
 
     Args:
         function: of z, scalar.
-        z: start.
         slope: value and gradient of z; a forward pass through the function by default.
         steps: at most.
     """
@@ -172,7 +171,6 @@ def descend(
     Args:
         cost: of z.
         normal: (cost, gradient, Gauss-Newton matrix) of z.
-        z: start.
         moving: which coordinates may move, shape (p,), bool.
         steps: at most.
     """

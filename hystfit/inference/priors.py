@@ -199,7 +199,6 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
     A value on a bound (a play's weight of zero) is first moved inside, by a hundredth of the natural size or of the interval.
 
     Args:
-        space: the free parameters.
         x: physical values, shape (p,).
         spread: relative width.
     """
@@ -252,7 +251,6 @@ def choose_priors(
     """Default priors, replaced by the user's where given, in the order of the space.
 
     Args:
-        space: the free parameters.
         given: by name; a name without a record, such as "offset", stands for that parameter in every record.
         x: fitted values, as in `default_priors`.
         others: names of another space, for the error message.

@@ -41,9 +41,7 @@ class AbstractStepInverse(eqx.Module):
         Args:
             state: of the model after the last sample.
             u0: input of the last sample.
-            target: desired output.
             dt: time since the last sample [s].
-            low, high: limits of the input.
         """
 
     # Optional, as those of a model:
