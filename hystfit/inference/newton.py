@@ -14,6 +14,7 @@ from hystfit.models.shapes import Scalar
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 LONGEST = 2.0  # step in z, infinity norm
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
+_MOST = 30  # steps of Levenberg-Marquardt
 _NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
@@ -161,7 +162,6 @@ def descend(
     normal: Callable[[Array], tuple[Array, Array, Array]],
     z: Float[Array, " p"],
     moving: Any,
-    steps: int = 30,
 ) -> tuple[Float[Array, " p"], Scalar, Array]:
     """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
 
@@ -172,11 +172,10 @@ def descend(
         cost: of z.
         normal: (cost, gradient, Gauss-Newton matrix) of z.
         moving: which coordinates may move, shape (p,), bool.
-        steps: at most.
     """
 
     def go_on(carry: tuple[Array, ...]) -> Array:
-        return ~carry[3] & (carry[4] < steps)
+        return ~carry[3] & (carry[4] < _MOST)
 
     def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
         z, value, damping, _, k = carry
