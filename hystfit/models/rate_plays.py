@@ -74,9 +74,6 @@ class RateDependentPlays(AbstractHysteresis):
     def of(cls, plays: int = 20) -> RateDependentPlays:
         """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range.
 
-        Args:
-            plays: number of thresholds.
-
         Raises:
             ModelError: fewer than one play.
         """
