@@ -14,7 +14,6 @@ from hystfit.models.shapes import Scalar
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 LONGEST = 2.0  # step in z, infinity norm
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
-_MOST = 30  # steps of Levenberg-Marquardt
 _NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
@@ -175,7 +174,7 @@ def descend(
     """
 
     def go_on(carry: tuple[Array, ...]) -> Array:
-        return ~carry[3] & (carry[4] < _MOST)
+        return ~carry[3] & (carry[4] < 30)  # steps at most
 
     def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
         z, value, damping, _, k = carry
