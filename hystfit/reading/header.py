@@ -215,10 +215,7 @@ def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
 
 
 def _mostly_units(bare: Sequence[str]) -> bool:
-    """Whether at least two cells of a line and half of those that are filled are units; the others are words such as "segments".
-
-    A cell for the number or the time of a row, "NO." or "Time", counts on neither side.
-    """
+    """Whether two cells of a line and half of those that are filled are units; "NO." and "Time" count on neither side."""
     count = sum(is_unit(cell) or is_symbol(cell) for cell in bare)
     others = [cell for cell in bare if cell and (is_unit(cell) or column_quantity(cell) not in ("index", "time"))]
     return count > 1 and 2 * count >= len(others)

@@ -120,16 +120,15 @@ def _is_count(values: np.ndarray) -> bool:
 
 
 def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -> None:
-    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D.
-
-    What has a velocity as its rate is a displacement: mass.s beside mass.v, and no stress.
-    """
+    """Mark columns of unknown quantity that are the rate of another such column: v in x, v, F, a flow beside its volume, V beside D."""
     unknown = [k for k in free if kinds[k] in ("", "flow", "volume") and not column_role(table.names[k])][:_FEW_UNKNOWN]
     if len(unknown) > 2 or len(free) > len(unknown) > 1:
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
-    rates = [k for k in free if kinds[k] == "velocity"]
+    rates = [
+        k for k in free if kinds[k] == "velocity"
+    ]  # of displacements, such as mass.s beside mass.v, and of no stress
     for k in [k for k in free if kinds[k] == "stress" and not table.units[k]]:
         if any(_is_rate(table.columns[rate], table.columns[k]) for rate in rates):
             kinds[k] = "displacement"

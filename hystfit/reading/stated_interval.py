@@ -43,7 +43,9 @@ def _interval(line: str) -> float | None:
     match = _LINE.fullmatch(line)
     if match is None:
         return None
-    parts = {part for some in re.split(r"[\s;]+", match["numbers"]) for part in _of_channels(some)}
+    pieces = (piece.split(",") for piece in re.split(r"[\s;]+", match["numbers"]))
+    # Equal numbers between commas are those of several channels; another comma is a decimal mark
+    parts = {",".join(piece if len({*piece}) > 1 else piece[:1]) for piece in pieces}
     values = {float(part.replace(",", ".")) if re.fullmatch(_NUMBER, part) else math.nan for part in parts}
     unit = (match["unit"] or match["after"] or "").strip()
     if len(values) != 1 or not (value := values.pop()) > 0:
@@ -55,12 +57,6 @@ def _interval(line: str) -> float | None:
         return None
     factor = conversion(unit, "s") if unit else 1.0
     return None if factor is None else factor * value
-
-
-def _of_channels(numbers: str) -> set[str]:
-    """Equal numbers between commas, one for each channel, once; another comma is a decimal mark."""
-    parts = {*numbers.split(",")}
-    return parts if len(parts) == 1 else {numbers}
 
 
 def unit_of_interval(step: float | None, interval: float | None) -> str:

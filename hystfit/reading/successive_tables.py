@@ -28,7 +28,6 @@ from hystfit.reading.text_file import HEAD, TextFile
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
-_NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,7 +200,7 @@ def _with_names(parts: Sequence[Part]) -> list[Part]:
     titles = [part.name for part in parts]
     if len({*titles, ""}) == len(parts) + 1:
         return [*parts]
-    return [dataclasses.replace(part, name=f"{_NUMBERED}{k}") for k, part in enumerate(parts, start=1)]
+    return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
 
 
 def _with_summary(text: TextFile, parts: Sequence[Part], others: Sequence[_Piece]) -> list[Part]:
