@@ -623,19 +623,13 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
 
 def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
     t, u = signals.sine(4, 200)
-    late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
     measured = piezo(u) + 1e-3 * np.ptp(piezo(u)) * np.random.default_rng(0).normal(size=t.size)
     cases = [
         (Record(u, measured, t=t), "prandtl-ishlinskii"),
-        (Record(u, late, t=t), "lag+"),
         (Record(u, steel(u)), "prandtl-ishlinskii-stop"),
-        (Record(u, u**2, t=t), None),
     ]
     for data, model in cases:
         report = check(data)
-        if model is None:
-            assert report.advice is None
-            continue
         assert report.advice.model.startswith(model)
         assert make_model(report.advice.model) is not None
         parts = [judged_as(part.partition(":")[0]) for part in report.advice.model.split("+")]
@@ -1062,8 +1056,7 @@ def test_damaged_structures_are_out_of_reach(name):
     "name",
     [
         "struct_slotboom/u-damper",
-        "steel_resspylab/example_1",
-        pytest.param("steel_resspylab/example_2", marks=pytest.mark.slow),
+        *(pytest.param(f"steel_resspylab/example_{k}", marks=pytest.mark.slow) for k in (1, 2)),
     ],
 )
 def test_sound_steel_is_within_reach(name):

@@ -654,6 +654,7 @@ def kill_in_the_middle(fitted: hf.FitResult, sampler: str, folder: Path, sign: s
     assert (folder / sign).exists()
 
 
+@pytest.mark.slow
 def test_nuts_killed_outright_goes_on_with_the_draws_of_an_unbroken_run(fitted, tmp_path):
     folder = tmp_path / "run"
     kill_in_the_middle(fitted, "nuts", folder, "nuts-0-00001.npz")
