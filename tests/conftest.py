@@ -141,6 +141,21 @@ def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hystfit.fitting.data_check._screened", lambda _: ())
 
 
+@pytest.fixture
+def few_families(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A default comparison of a family of each kind: where it ends does not depend on the others, which take 10 s to compile."""
+    kinds = (
+        "preisach",
+        "preisach-signed",
+        "duhem",
+        "bouc-wen",
+        "bouc-wen+log-creep",
+        "bouc-wen-force+viscous",
+        "oscillator",
+    )
+    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
+
+
 def examined(data: Any) -> Any:
     """The report of `check` on data without its comparison of models, which takes seconds."""
     # Imported here, as modules that are imported before the tests are collected escape their type checks.

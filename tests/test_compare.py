@@ -100,13 +100,6 @@ def default() -> Comparison:
     return hf.compare(stepped_loops(), workers=1)
 
 
-@pytest.fixture
-def few_families(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A default comparison of a family of each kind: where it ends does not depend on the others, which take 10 s to compile."""
-    kinds = "preisach", "preisach-signed", "duhem", "bouc-wen", "bouc-wen+log-creep", "bouc-wen-force+viscous", "oscillator"
-    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
-
-
 def test_few_samples_of_stepped_loops_get_an_answer(default):
     found = default
     assert sum(len(record) for record in found.winner.data) == 63
@@ -393,7 +386,13 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
         assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
 
 
-@pytest.mark.parametrize(("name", "data"), [("duhem", stepped_loops()), pytest.param("bouc-wen", hf.Dataset.of(steady_loop()), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("duhem", stepped_loops()),
+        pytest.param("bouc-wen", hf.Dataset.of(steady_loop()), marks=pytest.mark.slow),
+    ],
+)
 def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated(name, data):
     alone = hf.compare(data, [name]).rows[0]
     error, score = alone.in_sample_percent, alone.score_percent

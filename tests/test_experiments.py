@@ -175,6 +175,7 @@ def test_a_mutation_that_no_expectation_notices_survives(tmp_path: Path) -> None
     assert (EXPERIMENTS / "MUTATIONS.md").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_an_experiment_notices_a_fault_in_the_library() -> None:
     ended = mutated("duhem", "--only", "RLS steps against the error")
     assert ended.returncode == 0, ended.stdout + ended.stderr

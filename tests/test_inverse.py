@@ -64,7 +64,12 @@ CASES = {
 }
 
 
-SLOW = "bouc-wen creep of displacement", "input negated", "preisach negative", "preisach symmetric"  # another state, one inverse
+SLOW = (
+    "bouc-wen creep of displacement",
+    "input negated",
+    "preisach negative",
+    "preisach symmetric",
+)  # another state, one inverse
 
 
 @pytest.mark.parametrize(
