@@ -364,19 +364,7 @@ def test_a_line_that_was_cut_short_is_ignored(folder, tmp_path):
 def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path, monkeypatch, capsys):
     for number in range(48):
         write(measured(number, 150), tmp_path / f"loop{number}.csv")
-    command = [
-        "batch",
-        "loop*.csv",
-        "--model",
-        "bouc-wen",
-        "--starts",
-        "2",
-        "--workers",
-        "1",
-        "--reports",
-        "0",
-        "--out",
-    ]
+    command = "batch loop*.csv --model bouc-wen --starts 2 --workers 1 --reports 0 --out".split()
     options = {"cwd": tmp_path, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "env": _plain(tmp_path)}
     running = subprocess.Popen([*MAIN, *command, "killed"], **options)
     rows = _first_rows(running, tmp_path / "killed")

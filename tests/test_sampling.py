@@ -270,6 +270,7 @@ def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     np.testing.assert_allclose(found, [0.65, 0.85], atol=0.06)
 
 
+@pytest.mark.slow
 def test_weights_that_replace_each_other_are_sampled():
     """Plays of nearly the same width: their sum is known, its parts are not, and each may be zero."""
     u = np.sin(np.linspace(0, 4 * np.pi, 200)) * np.linspace(0.4, 1.0, 200)
