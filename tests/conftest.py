@@ -33,28 +33,9 @@ MOST_MAPS = 15_000
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 PICTURES = Pictures()
 LONGEST = (
-    "quality",
-    "sampling",
-    "models",
-    "unfamiliar_records",
-    "site",
-    "compare",
-    "cli",
-    "batch",
-    "noise",
-    "calibration",
-    "faults",
-    "ukf",
-    "recovery",
-    "profiles",
-    "inverse",
-    "cli_process",
-    "experiments",
-    "population",
-    "stage",
-    "records",
-    "creep",
-)
+    "sampling compare models quality site unfamiliar_records inverse profiles ukf fit noise export calibration weight_sampling "
+    "population batch cli_uncertainty cli_process experiments docs cli predictive_noise lanes oscillator answers preisach_fits"
+).split()
 
 
 def pytest_configure(config: pytest.Config) -> None:

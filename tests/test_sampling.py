@@ -725,25 +725,6 @@ def test_a_finished_emcee_run_asked_again_is_what_it_was(fitted, tmp_path):
     np.testing.assert_array_equal(again.draws, first.draws)
 
 
-@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"no archive"])
-def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
-    settings = {
-        "noise": "iid",
-        "chains": 1,
-        "draws": 100,
-        "extend": 1,
-        "warmup": 50,
-        "folder": tmp_path / "run",
-    }  # of NUTS
-    first = sample(fitted, **settings)
-    for name in ("nuts-0-00001.npz", "nuts-0-warm.npz"):
-        (tmp_path / "run" / name).write_bytes(damage)
-    np.testing.assert_array_equal(sample(fitted, **settings).draws, first.draws)
-    (tmp_path / "run" / "run.json").write_text("{")
-    with pytest.raises(DataError, match="damaged: remove"):
-        sample(fitted, **settings)
-
-
 def test_independence_chains_go_on_from_their_files(fitted, tmp_path):
     settings = {"noise": "iid", "chains": 2, "extend": 1, "seed": 3}
     whole = sample(fitted, draws=400, **settings)
