@@ -28,14 +28,12 @@ from hystfit.sampling.setup import Setup, given_others
 from hystfit.sampling.target import Target
 
 _CHUNK = 100  # draws of a chain between two writes to disk
-_LEAST = 0.1  # effective fraction of the draws of a mixture, below which no chains are drawn
-# The same of all offers of the chains: 0.45 to 0.75 for records. Of 48 funnels (Neal 2003) none from six dimensions on had as much.
-_COVERED = 0.4
-# Shape of the largest weights, above which averages over them are not reliable (Vehtari et al. 2024): 0.03 to 0.65 for three records
-# after one fit or two. Without it 8 of 16 funnels of four and five dimensions are taken, up to 2.4 % of the draws missing at the
-# narrow end; with it two, of which one lacks 1.0 % and one 1.8 %.
-_TAIL = 0.7
-_ATTEMPTS = 5  # to draw, each by a mixture fitted to the offers of the one before
+# Effective fraction of the offers, and shape of their largest weights (Vehtari et al. 2024), of a mixture that covers a posterior. Records
+# have 0.3 to 0.75, and shapes of 0.03 to 0.56 after one fit to three. Of 120 funnels (Neal 2003) of three to eight dimensions these two
+# take three, of three dimensions, whose narrow end is there; at a shape of 0.7 they take one of six dimensions that lacks it.
+_COVERED, _TAIL = 0.25, 0.6
+_HOPELESS = 0.02  # effective fraction below which no other mixture follows: 0.03 and more for those that led to one that covers a record
+_ATTEMPTS = 5  # to draw, each by a mixture fitted to all offers before
 _TRIES = 2.0  # effective draws of the mixture for each draw of a chain
 
 
@@ -72,11 +70,11 @@ class Independence(AbstractSampler):
     def _drawn(self, target: Target, seed: int, folder: Path | None, report: Progress) -> dict[str, np.ndarray] | None:
         """Draws in the coordinates of a target; None where no mixture covers it.
 
-        Where too few offers are effective, the mixture is fitted to all offers of the chains, and all draws are made anew.
+        Where the offers of the chains show that it does not, the mixture is fitted to all offers so far, and all draws are made anew.
         """
         rng = np.random.default_rng([seed, 0])
         make = lambda: _begin(adapted(target, rng), self.chains, rng)
-        begin = stored(folder, f"{self.name}-fit.npz", make)
+        begin, offered = stored(folder, f"{self.name}-fit.npz", make), list[Batch]()
         for attempt in range(1, _ATTEMPTS + 1):
             if not begin:
                 return None
@@ -94,8 +92,10 @@ class Independence(AbstractSampler):
                     break
             else:
                 return self._converged(chains, drawn, report)
-            refitted = mixture.refitted(offers)
-            found = None if refitted is None else (refitted, offers)
+            offered.append(offers.balanced)
+            every = Batch.joined(offered)
+            refitted = mixture.refitted(every)
+            found = None if refitted is None else (refitted, every)
             begin = _begin(found, self.chains, np.random.default_rng([seed, 0, attempt]))
         return None
 
@@ -129,11 +129,11 @@ def covers(offers: Batch) -> bool:
 
 def _begin(found: tuple[Mixture, Batch] | None, chains: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """What the chains begin with: the mixture, its tries for each draw (even), and a place for each; empty where no mixture is found."""
-    if found is None or efficiency(found[1].score) < _LEAST:
+    if found is None or (effective := efficiency(found[1].score)) < _HOPELESS:
         return {}
     mixture, batch = found
     at = rng.choice(len(batch.q), chains, p=batch.weights)
-    tries = np.asarray(2 * math.ceil(0.5 * _TRIES / efficiency(batch.score)))
+    tries = np.asarray(2 * math.ceil(0.5 * _TRIES / max(effective, _COVERED)))
     return {"share": mixture.share, "center": mixture.center, "root": mixture.root, "tries": tries, "starts": batch.q[at],
             "scores": batch.log_density[at] - mixture.log_density(batch.q[at])}  # fmt: skip
 

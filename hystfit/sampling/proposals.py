@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +23,11 @@ _FREEDOM = 10.0  # of the t distributions; 5 was no better
 _WIDER = 1.1  # times the scale of the weighted places of a component: weights stay bounded where a posterior is skewed
 _COMPONENTS = 5  # one alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70
 _ALONE = 3  # rounds of one component, which finds place and scale
-_ROUNDS = 12  # of `_ROUND` draws at most
-_ROUND = 5 * ROWS  # draws: 200 are too few to tell a funnel
+_ROUNDS = 12  # at most
+_LEAST = 5 * ROWS  # draws of a round: 200 are too few to tell a funnel
+# Draws of a round for each number in a mixture. Of a piezo record's 14 parameters, rounds of 1000 draws ended with one component or two
+# that covered too little from one seed of three.
+_EACH = 5
 _RECENT = 4  # rounds that a mixture is fitted to
 _STEADY = 0.5  # effective fraction of the draws of two rounds after which no further ones follow
 
@@ -52,6 +56,12 @@ class Mixture:
     def log_density(self, q: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
         """Up to a constant."""
         return np.asarray(logsumexp(self.components(q)[0], axis=0))
+
+    @property
+    def round(self) -> int:
+        """Draws of a round, which fit it: several for each of its numbers, and a multiple of `ROWS`."""
+        k, d = self.center.shape
+        return max(_LEAST, ROWS * math.ceil(_EACH * k * (d + 1) * (d + 2) / 2 / ROWS))
 
     def draw(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n d"]:
         """Independent draws."""
@@ -152,7 +162,7 @@ def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] |
     d, batches = len(target.center), []
     mixture: Mixture | None = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
     for number in range(1, _ROUNDS + 1):
-        batches.append(Batch.of(target, mixture, rng, _ROUND))
+        batches.append(Batch.of(target, mixture, rng, mixture.round))
         steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
         if number == _ROUNDS or (number > _ALONE + 2 and steady):
             break
