@@ -42,9 +42,7 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
     durations.
 
     Args:
-        data: records.
         screened: models already scored, see `screen`.
-        baselines: errors of simple descriptions.
     """
     if any(one.leaves_noise and _kind(make_model(one.name)) == "" for one in screened):
         return ()
