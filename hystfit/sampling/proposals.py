@@ -28,6 +28,8 @@ _LEAST = 5 * ROWS  # draws of a round: 200 are too few to tell a funnel
 # Draws of a round for each number in a mixture. Of a piezo record's 14 parameters, rounds of 1000 draws ended with one component or two
 # that covered too little from one seed of three.
 _EACH = 5
+_PLACES = 3  # effective, for each dimension, that a covariance needs
+_FLAT = 1e-6  # power of weights that leaves them equal
 _RECENT = 4  # rounds that a mixture is fitted to
 _STEADY = 0.5  # effective fraction of the draws of two rounds after which no further ones follow
 
@@ -72,13 +74,12 @@ class Mixture:
     def refitted(self, batch: Batch) -> Mixture | None:
         """One step of population Monte Carlo to weighted places; None where they determine no component."""
         levels, distances = self.components(batch.q)
-        parts = batch.truncated * softmax(levels, axis=0)  # of each place in each component
+        parts = batch.tempered * softmax(levels, axis=0)  # of each place in each component
         pulls = parts * (_FREEDOM + batch.q.shape[1]) / (_FREEDOM + distances)
         found = []
         for part, pull in zip(parts, pulls, strict=True):
             share, center = part.sum(), pull @ batch.q / max(pull.sum(), np.finfo(float).tiny)
-            # As many effective places as its covariance needs.
-            if share**2 >= 3 * batch.q.shape[1] * np.sum(part**2) > 0:
+            if share**2 >= _PLACES * batch.q.shape[1] * np.sum(part**2) > 0:
                 away = batch.q - center
                 found.append((share, center, _WIDER * np.linalg.cholesky((pull * away.T) @ away / share)))
         if not found:
@@ -135,10 +136,12 @@ class Batch:
         return softmax(self.score) if np.isfinite(self.score).any() else np.zeros(len(self.q))
 
     @property
-    def truncated(self) -> Float[np.ndarray, " n"]:
-        """Weights of which none is above sqrt(n) times their mean (Ionides 2008, J. Comput. Graph. Stat. 17): one place is no component."""
-        weights = np.minimum(self.weights, len(self.q) ** -0.5)
-        return weights / max(weights.sum(), np.finfo(float).tiny)
+    def tempered(self) -> Float[np.ndarray, " n"]:
+        """Weights to the power, at most one, that leaves as many effective as a covariance needs (Koblents and Miguez 2015)."""
+        power, enough = 1.0, 2 * _PLACES * self.q.shape[1]
+        while power > _FLAT and len(self.q) * efficiency(power * self.score) < enough:
+            power *= 0.9
+        return softmax(power * self.score) if self.effective else self.weights
 
     @property
     def effective(self) -> float:
@@ -158,18 +161,18 @@ def tail_shape(score: Float[np.ndarray, " n"]) -> float:
 
 
 def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] | None:
-    """A mixture fitted to a target, and draws of it that did not shape it; None where none is found."""
+    """A mixture fitted to a target, and the draws of the last rounds, balanced; None where none is found."""
     d, batches = len(target.center), []
     mixture: Mixture | None = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
     for number in range(1, _ROUNDS + 1):
         batches.append(Batch.of(target, mixture, rng, mixture.round))
         steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
-        if number == _ROUNDS or (number > _ALONE + 2 and steady):
-            break
         recent = Batch.joined([batch.balanced for batch in batches[-_RECENT:]])
+        if number == _ROUNDS or (number > _ALONE + 2 and steady):
+            return mixture, recent
         if not recent.effective:
-            return None
+            break
         mixture = mixture.split(recent, rng) if number == _ALONE else mixture.refitted(recent)
         if mixture is None:
-            return None
-    return mixture, batches[-1]
+            break
+    return None
