@@ -374,7 +374,7 @@ def test_independence_chains_have_a_skewed_density_as_their_distribution(fitted)
             assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside.reshape(2, -1)))
 
 
-@pytest.mark.parametrize(("d", "seed", "covered"), [(2, 0, True), (3, 13, True), (4, 2, False), (5, 6, False), (8, 0, False)])
+@pytest.mark.parametrize(("d", "seed", "covered"), [(2, 0, True), (4, 2, False), (5, 6, False), (8, 0, False)])
 def test_a_mixture_that_covers_a_funnel_has_its_narrow_end_and_others_are_told(fitted, d, seed, covered):
     """v is normal with standard deviation 2, whatever d: a mixture that lacks the narrow end has no small v."""
     target = without_parameters(Funnel, fitted, d)
