@@ -8,8 +8,10 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, get_args
 
+from hystfit.fitting.remains import leaves_noise
 from hystfit.outcome import Column, Status, Table, fragment
 from hystfit.quality.held_out import Scheme
+from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
@@ -157,6 +159,29 @@ class Comparison:
     fits: Mapping[str, FitResult]
     scheme: Scheme
     purpose: Purpose = "prediction"
+
+    @property
+    def reason(self) -> str:
+        """Why the winner was chosen, in words."""
+        best, count = self.rows[0], sum(row.fitted for row in self.rows)
+        score = (
+            "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+        )
+        first = min(self.rows, key=lambda row: row.score)
+        reason = "is the only candidate for these data"
+        if len(self.rows) > 1:
+            reason = "leaves nothing but noise" if leaves_noise(self.winner) else "is the only model that was fitted"
+        if count > 1:
+            reason = f"is the best of {count} models by cross-validation"
+        if first.score != best.score:
+            reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
+            if first.paced and not best.paced:
+                reason = (
+                    f"is taken before {first.name} ({first.score_percent:.3g} %), which depends on time: at one pace it could stand for "
+                    "the hysteresis, and a record at another pace tells them apart"
+                )
+        pace = "; another pace is not tested" if paces(self.winner.problem.data) == 1 else ""
+        return f"{best.name} {reason}{score}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
 
     def table(self) -> Table:
         """The ranking."""
