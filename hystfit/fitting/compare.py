@@ -35,6 +35,7 @@ from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
 
+NO_GAIN = "the noise alone exceeds the error with which it would win"
 NO_LOOP = f"{WHITE}, out of which no loop stands"
 
 
@@ -91,7 +92,9 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     if still or run.is_white():
         run.skip(chosen.late, WHITE)
         return
-    run.run(chosen.late)
+    late = [name for name in chosen.late if run.may_win(name)]
+    run.skip([name for name in chosen.late if name not in late], NO_GAIN)
+    run.run(late)
     if chosen.last and _rough(run, closed):
         run.run(chosen.last)
 

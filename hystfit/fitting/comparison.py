@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Literal, get_args
 
-from hystfit.fitting.remains import leaves_noise
 from hystfit.outcome import Column, Status, Table, fragment
 from hystfit.quality.held_out import Scheme
 from hystfit.quality.summary import paces
@@ -68,6 +67,7 @@ class Row:
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
         family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
+        leaves_noise: whether it leaves nothing but noise, see `hystfit.fitting.remains.leaves_noise`.
         paced: whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike.
         hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
         effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
@@ -92,6 +92,7 @@ class Row:
     family_inverts: bool = True
     effective: float | None = None
     hysteretic: bool = True
+    leaves_noise: bool = False
     paced: bool = False
 
     @property
@@ -170,7 +171,7 @@ class Comparison:
         first = min(self.rows, key=lambda row: row.score)
         reason = "is the only candidate for these data"
         if len(self.rows) > 1:
-            reason = "leaves nothing but noise" if leaves_noise(self.winner) else "is the only model that was fitted"
+            reason = "leaves nothing but noise" if best.leaves_noise else "is the only model that was fitted"
         if count > 1:
             reason = f"is the best of {count} models by cross-validation"
         if first.score != best.score:

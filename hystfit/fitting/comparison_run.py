@@ -32,6 +32,7 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
+from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import HeldOut, Scheme, equal_errors, held_out, inner_loops
 from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
@@ -251,6 +252,7 @@ class ComparisonRun:
             result = with_left_out(result, float(score))
             score = ranking_error(result, float(score), most * self.span / 100)
         stopped = np.isfinite(most) and np.isposinf(score)
+        effective = one.solved.estimate.effective or float(len(result.free_names))
         one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -266,7 +268,8 @@ class ComparisonRun:
             family_inverts=result.model.has_inverse,
             hysteretic=result.model.hysteretic,
             paced=self._paced(result.model),
-            effective=one.solved.estimate.effective or float(len(result.free_names)),
+            leaves_noise=leaves_noise(result, effective),
+            effective=effective,
         )
 
     def _excluded_row(self, one: Candidate) -> Row | None:
@@ -339,12 +342,21 @@ class ComparisonRun:
         best = self.best_row
         if best is None or math.isinf(best.score) or best.paced:
             return False
-        return leaves_noise(self.fits[best.asked])
+        return best.leaves_noise
 
     def is_white_at_one_pace(self) -> bool:
         """Whether the residuals of the best model are white, and it depends on time at one pace."""
         best = self.best_row
-        return best is not None and best.paced and leaves_noise(self.fits[best.asked])
+        return best is not None and best.paced and best.leaves_noise
+
+    def may_win(self, name: str) -> bool:
+        """Whether a model that leaves nothing but the noise of the output could win."""
+        noise = 0.0 if (known := self._baselines.noise) is None else 100 * known / self.span
+        return noise < self._most(Status.OK, make_model(name))
+
+    @functools.cached_property
+    def _baselines(self) -> Baselines:
+        return Baselines.of(self.data)
 
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""

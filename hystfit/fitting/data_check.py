@@ -11,7 +11,6 @@ from hystfit.errors import HystfitError
 from hystfit.fitting.compare import compare
 from hystfit.fitting.comparison import Comparison
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.remains import leaves_noise
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as
@@ -57,7 +56,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
             more = [_no_loop(found)]
     findings = report.findings
     if found is not None and advice is not None and not found.winner.model.degrades:
-        if leaves_noise(found.winner):
+        if found.rows[0].leaves_noise:
             findings = tuple(note for note in findings if note.code is not Code.DEGRADING)
         elif has(findings, Code.DEGRADING):
             advice = None
@@ -103,7 +102,7 @@ def _traits(records: Dataset, found: Comparison) -> tuple[Trait, ...]:
     baselines = Baselines.of(data)
     best = found.winner.model
     if is_noise(baselines.curve, baselines) or (
-        best.rate_independent and not best.degrades and leaves_noise(found.winner)
+        best.rate_independent and not best.degrades and found.rows[0].leaves_noise
     ):
         return ()
     try:
