@@ -59,7 +59,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         chosen, others = tried, []
         if not chosen.iterated:
             return
-    if still := run.is_white_at_one_pace():
+    if still := run.is_white(paced=True):
         run.skip([name for name in others if name not in timeless(others)], WHITE)
         others = timeless(others)
     waiting = run.looked_at(others)

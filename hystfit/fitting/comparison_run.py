@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -32,7 +31,6 @@ from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.starting import output_range
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
-from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import HeldOut, Scheme, equal_errors, held_out, inner_loops
 from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
@@ -268,7 +266,7 @@ class ComparisonRun:
             family_inverts=result.model.has_inverse,
             hysteretic=result.model.hysteretic,
             paced=self._paced(result.model),
-            leaves_noise=leaves_noise(result, effective),
+            leaves_noise=bool(np.isfinite(score)) and leaves_noise(result, effective),
             effective=effective,
         )
 
@@ -337,26 +335,15 @@ class ComparisonRun:
         samples = sum(int(record.used.sum()) for record in self.data)
         return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
 
-    def is_white(self) -> bool:
-        """Whether the residuals of the best model are white, its loop stands out of them, and no model without time describes it alike."""
+    def is_white(self, *, paced: bool = False) -> bool:
+        """Whether the best model leaves nothing but noise, and is `paced` or not: of one without time no other describes more."""
         best = self.best_row
-        if best is None or math.isinf(best.score) or best.paced:
-            return False
-        return best.leaves_noise
-
-    def is_white_at_one_pace(self) -> bool:
-        """Whether the residuals of the best model are white, and it depends on time at one pace."""
-        best = self.best_row
-        return best is not None and best.paced and best.leaves_noise
+        return best is not None and best.paced == paced and best.leaves_noise
 
     def may_win(self, name: str) -> bool:
         """Whether a model that leaves nothing but the noise of the output could win."""
-        noise = 0.0 if (known := self._baselines.noise) is None else 100 * known / self.span
-        return noise < self._most(Status.OK, make_model(name))
-
-    @functools.cached_property
-    def _baselines(self) -> Baselines:
-        return Baselines.of(self.data)
+        noise = max((fit.baselines.noise or 0.0 for fit in self.fits.values()), default=0.0)
+        return 100 * noise / self.span < self._most(Status.OK, make_model(name))
 
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
@@ -373,8 +360,8 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        self._equations, self._known = None, Known()
-        known, result = self.fits[name], self._solved[name].judged()
+        self._equations, self._known, known = None, Known(), self.fits[name]
+        result = self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
         return result.with_notes(
