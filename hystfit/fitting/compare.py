@@ -35,6 +35,7 @@ from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
 
+LATE = "such models of time are tried where the others leave more than noise"
 NO_GAIN = "the noise alone exceeds the error with which it would win"
 NO_LOOP = f"{WHITE}, out of which no loop stands"
 
@@ -90,7 +91,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
     if still or run.is_white():
-        run.skip(chosen.late, WHITE)
+        run.skip(chosen.late, LATE)
         return
     late = [name for name in chosen.late if run.may_win(name)]
     run.skip([name for name in chosen.late if name not in late], NO_GAIN)
