@@ -90,7 +90,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if still or run.is_white():
+    if still or run.is_white(paced=None):
         run.skip(chosen.late, LATE)
         return
     late = [name for name in chosen.late if run.may_win(name)]

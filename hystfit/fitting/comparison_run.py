@@ -335,10 +335,10 @@ class ComparisonRun:
         samples = sum(int(record.used.sum()) for record in self.data)
         return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
 
-    def is_white(self, *, paced: bool = False) -> bool:
-        """Whether the best model leaves nothing but noise, and is `paced` or not: of one without time no other describes more."""
+    def is_white(self, *, paced: bool | None = False) -> bool:
+        """Whether the best model leaves nothing but noise, and is `paced` or not, or either."""
         best = self.best_row
-        return best is not None and best.paced == paced and best.leaves_noise
+        return best is not None and best.leaves_noise and paced in (None, best.paced)
 
     def may_win(self, name: str) -> bool:
         """Whether a model that leaves nothing but the noise of the output could win."""
