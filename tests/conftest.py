@@ -138,7 +138,7 @@ def _figures_closed() -> Iterator[None]:
 @pytest.fixture
 def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """`check` without its comparison of models, which takes seconds, where the findings are looked at and not the advice."""
-    monkeypatch.setattr("hystfit.fitting.data_check._compared", lambda _: ())
+    monkeypatch.setattr("hystfit.fitting.data_check._compared", lambda _: None)
 
 
 def examined(data: Any) -> Any:

@@ -1196,7 +1196,7 @@ def test_the_current_of_a_capacitor_is_integrated_and_not_damaged(sign, tmp_path
     assert found.option == ("integrate", "true")
     assert report.advice is None
     assert not has(report.findings, Code.DEGRADING)
-    monkeypatch.setattr("hystfit.fitting.data_check._compared", lambda _: ())
+    monkeypatch.setattr("hystfit.fitting.data_check._compared", lambda _: None)
     rows = (f"{a:.9g},{b:.9g},{c:.9g}" for a, b, c in zip(record.t, record.u, record.y, strict=True))
     (tmp_path / "pulse.csv").write_text("\n".join(["t_s,U_V,I_A", *rows]) + "\n")
     run(["check", str(tmp_path / "pulse.csv")])
