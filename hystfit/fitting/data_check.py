@@ -29,7 +29,7 @@ _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 @verb
 def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityReport:
-    """Data-quality report of records, of a data frame or of arrays, which models the data determine, and which to try first.
+    """Data-quality report of records, of a data frame or of arrays, which models the data determine, and which one a fit takes.
 
     Args:
         data: a record, several, or a data frame; or the input, shape (T,).

@@ -74,7 +74,7 @@ class QualityReport:
         records: what was measured on each record.
         findings: faults and noteworthy properties of the data.
         determines: which models the data determine, the recommended one first.
-        advice: which model to try first; None where the data determine none.
+        advice: the model that a fit takes; None where the data determine none.
         traits: what the loops show.
     """
 
