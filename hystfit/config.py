@@ -74,11 +74,7 @@ def enable_x64(*, whole_loops: bool = True) -> None:
 
 
 def require_x64() -> None:
-    """Refuse single precision.
-
-    Raises:
-        PrecisionError: double precision is off.
-    """
+    """Refuse single precision."""
     import jax
 
     if not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
@@ -199,11 +195,7 @@ def _blas() -> Any:
 
 
 def require_seed(seed: int) -> int:
-    """Refuse what some random number generators do not accept as a seed, before any work.
-
-    Raises:
-        ParameterError: not a whole number from 0 to 2^32 - 1.
-    """
+    """Refuse what some random number generators do not accept as a seed, before any work."""
     if isinstance(seed, bool) or not isinstance(seed, numbers.Integral) or not 0 <= seed < 2**32:
         raise ParameterError(f"a seed is a whole number from 0 to {2**32 - 1}, got {seed!r}")
     return int(seed)

@@ -39,9 +39,6 @@ def optional(package: str, extra: str, purpose: str) -> Any:
         package: its name, or that of a module in it.
         extra: of hystfit that installs it.
         purpose: what needs it, as the subject of a message.
-
-    Raises:
-        MissingExtraError: it is not installed.
     """
     try:
         with warnings.catch_warnings():

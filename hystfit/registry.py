@@ -50,11 +50,7 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return attribute(self._base)
 
     def find(self, choice: Any) -> Callable[..., T]:
-        """What makes a part: of a name, of my_file.py:MyClass, or of a class.
-
-        Raises:
-            ParameterError: no such name (the message lists the names), or a file without such a class.
-        """
+        """What makes a part: of a name, of my_file.py:MyClass, or of a class."""
         if isinstance(choice, str):
             if choice in self._entries:
                 return self[choice]
@@ -117,10 +113,7 @@ def class_from_file(path: str, name: str, base: type, error: type[HystfitError] 
     """A class from a Python file of the user's. The file is executed, once in a process for the same content.
 
     Args:
-        path: of the file.
-        name: of the class in it.
         base: what the class must be derived from.
-        error: class of the errors raised.
 
     Raises:
         HystfitError: the file cannot be read or run, or holds no such class; the message lists those that it holds.

@@ -1,5 +1,6 @@
 """What the documents promise works: the skeleton of a model, the README's six lines, the lazy import."""
 
+import ast
 import inspect
 import os
 import pkgutil
@@ -145,6 +146,16 @@ def test_public_names_say_what_they_take(name):
         assert undocumented(member) == []
     elif inspect.isfunction(member) and len(inspect.signature(member).parameters) >= 3:
         assert "Args:" in member.__doc__
+
+
+def test_a_method_without_description_takes_the_place_of_one_with():
+    trees = (ast.parse(path.read_text(encoding="utf-8")) for path in (ROOT / "hystfit").rglob("*.py"))
+    kinds = [node for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
+    methods = [(kind, one) for kind in kinds for one in kind.body if isinstance(one, ast.FunctionDef)]
+    described = {one.name for _, one in methods if ast.get_docstring(one)}
+    silent = [(kind, one) for kind, one in methods if not ast.get_docstring(one) and one.name[0] != "_" != kind.name[0]]
+    assert len(described) > 500
+    assert [f"{kind.name}.{one.name}" for kind, one in silent if not kind.bases or one.name not in described] == []
 
 
 @pytest.mark.parametrize("page", ["SECURITY.md", "docs/guide/hard-use.md"])

@@ -10,6 +10,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
+from hystfit.fitting.bounded import BoundedDescent
 from hystfit.fitting.fit_warnings import _repeats, disturbance_note
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
@@ -79,9 +80,9 @@ def test_parameters_of_a_loop_have_no_influence_on_a_line():
 
 
 def test_a_solver_that_did_not_converge_is_named_and_the_model_is_not_blamed():
-    fit = hf.fit("bouc-wen", KINDS["wrong family: pinched"][0], method="projected-gradient", starts=1)
+    fit = hf.fit("bouc-wen", KINDS["wrong family: pinched"][0], method=BoundedDescent(max_steps=2), starts=1)
     assert fit.status is Status.NOT_CONVERGED
-    assert [note.text.startswith("projected-gradient") for note in fit.notes if note.code is Code.SOLVER] == [True]
+    assert [note.text.startswith("lbfgsb") for note in fit.notes if note.code is Code.SOLVER] == [True]
 
 
 def test_as_many_parameters_as_samples_are_never_usable():

@@ -19,10 +19,9 @@ sys.modules["jaxopt"] = None
 import hystfit as hf
 hf.enable_x64()
 from tests.saved_examples import loop
-for method in ("lbfgsb", "projected-gradient"):
-    result = hf.fit("bouc-wen", loop(), method=method, starts=1)
-    choices = [note for note in result.notes if note.code == "choice" and "jaxopt" in note.text]
-    print(method, result.status, len(choices), *(result[name].value for name in ("c", "mu", "tau", "rho")))
+result = hf.fit("bouc-wen", loop(), method="lbfgsb", starts=1)
+choices = [note for note in result.notes if note.code == "choice" and "jaxopt" in note.text]
+print(result.status, len(choices), *(result[name].value for name in ("c", "mu", "tau", "rho")))
 """
 
 
@@ -33,12 +32,10 @@ def test_bounded_fits_without_jaxopt_reach_the_same_optimum():
     )
     assert ended.returncode == 0, ended.stderr
     expected = fitted()
-    for line in ended.stdout.splitlines():
-        method, status, notes, *values = line.split()
-        assert (status, notes) == ("ok", "1"), line
-        for name, value in zip(("c", "mu", "tau", "rho"), values, strict=True):
-            assert abs(float(value) - expected[name].value) < 0.01 * expected[name].stderr, method
-    assert len(ended.stdout.splitlines()) == 2
+    status, notes, *values = ended.stdout.split()
+    assert (status, notes) == ("ok", "1"), ended.stdout
+    for name, value in zip(("c", "mu", "tau", "rho"), values, strict=True):
+        assert abs(float(value) - expected[name].value) < 0.01 * expected[name].stderr
 
 
 def new_arviz(monkeypatch) -> None:

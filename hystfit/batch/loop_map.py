@@ -121,11 +121,7 @@ class LoopMap(ManyFits):
         return self.statuses.ravel().tolist()
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The map of a parameter, quantity or error, in the shape of the array.
-
-        Raises:
-            ParameterError: there is none of this name.
-        """
+        """The map of a parameter, quantity or error, in the shape of the array."""
         known = {**self.values, **self.quantities, **self.errors}
         if name not in known:
             raise ParameterError(

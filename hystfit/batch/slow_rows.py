@@ -25,7 +25,6 @@ def slow_information(
     """Information about the parameters under slow and independent noise with the statistics of the residuals, in output units.
 
     Args:
-        loops: with equal weights.
         z: estimates, unconstrained.
 
     Returns:

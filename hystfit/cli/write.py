@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from hystfit.cli.options import Output
 from hystfit.cli.verbs import as_options
-from hystfit.errors import optional
 from hystfit.outcome import Status
 from hystfit.outcome.progress import progress as progress
 from hystfit.outcome.table import write_csv as write_csv
@@ -82,11 +81,12 @@ def finish_table(
                 write_csv(folder / "truth.csv", truth, ".10g")
 
         return finish(text, content, output, save)
+    from hystfit.results.exchange import write_table
     from hystfit.results.folders import writing_file
 
     with writing_file(out) as file:
         if out.suffix == ".nc":
-            write_netcdf(file, columns)
+            write_table(file, tuple, lambda: _dataset(columns))
         else:
             write_csv(file, columns, ".10g")
         if truth is not None:
@@ -147,16 +147,11 @@ def write_input(path: Path, like: Record, u: Sequence[float], step: float | None
     write_csv(path, time | {named(like.u_name, like.u_unit): u}, ".9g")
 
 
-def write_netcdf(path: Path, columns: Mapping[str, Iterable[Any]]) -> None:
-    """Columns by heading as netCDF variables over the dimension "sample".
+def _dataset(columns: Mapping[str, Iterable[Any]]) -> Any:
+    """Columns by heading as an xarray data set over the dimension "sample"."""
+    import xarray
 
-    Raises:
-        MissingExtraError: xarray or h5netcdf is not installed.
-    """
-    optional("h5netcdf", "frames", "a netCDF file")
-    xarray = optional("xarray", "frames", "a netCDF file")
-    table = xarray.Dataset({name: ("sample", list(values)) for name, values in columns.items()})
-    table.to_netcdf(path, engine="h5netcdf")
+    return xarray.Dataset({name: ("sample", list(values)) for name, values in columns.items()})
 
 
 def record_columns(data: Dataset, output: str = "y", y_unit: str = "") -> dict[str, Any]:

@@ -202,11 +202,7 @@ class Material:
 
 
 def _with_gap(h: np.ndarray, flux: np.ndarray, gap: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fields and branches of a material in a circuit with a gap, at fields that both branches share.
-
-    Raises:
-        ModelError: the field falls while the flux density rises.
-    """
+    """Fields and branches of a material in a circuit with a gap, at fields that both branches share."""
     outside = h + gap * flux
     if (np.diff(outside) <= 0).any():
         raise ModelError(
@@ -234,11 +230,7 @@ class _Sizes(NamedTuple):
         """Those of a fit.
 
         Args:
-            result: the fit.
             by_flux: the input is not the field, but what it magnetizes.
-
-        Raises:
-            ModelError: the units are no such units.
         """
         first = result.data[0]
         names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)

@@ -162,7 +162,6 @@ class InverseStep(AbstractRunningInverse):
         return Resume(state, u), Answer(u, y, status)
 
     def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
-        """See the base class."""
         dt = jnp.asarray(dt, dtype=memory.u.dtype)
         return Resume(self.solver.advance(memory.state, memory.u, u, dt)[0], u)
 

@@ -19,9 +19,6 @@ def covariate(record: Record, name: str) -> float:
     Args:
         record: of one value; columns that are constant are metadata once a file is read.
         name: of the covariate, such as "T_degC"; a unit behind the last underscore is recognized in names.
-
-    Raises:
-        DataError: no value, or several.
     """
     plain = lambda text: re.sub(r"\W+", "_", text).strip("_").lower()
     stated = [value for key, value in record.metadata.items() if plain(key) == plain(name)]
@@ -57,11 +54,7 @@ def covariate_unit(name: str) -> str:
 
 
 def dependences(given: Mapping[str, str | Sequence[str]] | Sequence[str] | str) -> tuple[tuple[str, str], ...]:
-    """(covariate, parameter) pairs from {"T_degC": ["kappa_x", "c"]} or from "T_degC:kappa_x,c", one or several.
-
-    Raises:
-        ParameterError: not of that form, or a pair that is given twice.
-    """
+    """(covariate, parameter) pairs from {"T_degC": ["kappa_x", "c"]} or from "T_degC:kappa_x,c", one or several."""
     if isinstance(given, Mapping):
         listed = [(name, [one] if isinstance(one, str) else list(one)) for name, one in given.items()]
     else:

@@ -90,7 +90,6 @@ def notes_of_errors(
     """Notes on bounds that were reached, on what is not determined, and on a regularization.
 
     Args:
-        space: of the parameters.
         sides: which bound each of them has reached.
         unknown: what the data do not determine.
         penalty: see `Estimate`.

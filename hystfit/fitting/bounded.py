@@ -1,4 +1,4 @@
-"""Bound-constrained fits by jaxopt: L-BFGS-B and projected gradient.
+"""Bound-constrained fits by L-BFGS-B of jaxopt.
 
 The one file that imports jaxopt, whose authors no longer maintain it. Where it does not import, L-BFGS-B of scipy takes its place.
 """
@@ -6,7 +6,7 @@ The one file that imports jaxopt, whose authors no longer maintain it. Where it 
 from __future__ import annotations
 
 import warnings
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -42,18 +42,15 @@ class BoundedDescent(AbstractEstimator):
     """Minimizes the logarithm of the cost in physical coordinates, in units of each parameter's size at the start, within the bounds.
 
     Attributes:
-        method: "lbfgsb", or "projected-gradient" for many weights.
         tolerance: on the projected gradient.
         max_steps: from each start.
     """
 
     needs_starts: ClassVar[bool] = True
-    method: Literal["lbfgsb", "projected-gradient"] = eqx.field(static=True, default="lbfgsb")
     tolerance: float = eqx.field(static=True, default=1e-5)
     max_steps: int = eqx.field(static=True, default=500)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`."""
         space = problem.space
         missing, solutions = _why_not_jaxopt(), []
         descend = _descend_by_scipy if missing else _descend
@@ -71,11 +68,6 @@ class BoundedDescent(AbstractEstimator):
         return Estimate(x, cost, converged, message, sum(steps for *_, steps in solutions), costs, notes=notes)
 
 
-def projected_gradient() -> BoundedDescent:
-    """Projected gradient, for many weights."""
-    return BoundedDescent(method="projected-gradient")
-
-
 @compiled
 def _descend(
     settings: BoundedDescent, objective: Objective, v0: Array, size: Array
@@ -84,13 +76,7 @@ def _descend(
     first = _squares(v0, objective, size)
     cost = lambda v, objective: _cost(v, objective, size, first)
     bounds = (c.lower / size, c.upper / size)
-    if settings.method == "lbfgsb":
-        solver = jaxopt.LBFGSB(cost, maxiter=settings.max_steps, tol=settings.tolerance)
-    else:
-        solver = jaxopt.ProjectedGradient(
-            cost, jaxopt.projection.projection_box, maxiter=settings.max_steps, tol=settings.tolerance
-        )
-    solution = solver.run(v0, bounds, objective)
+    solution = jaxopt.LBFGSB(cost, maxiter=settings.max_steps, tol=settings.tolerance).run(v0, bounds, objective)
     last = _squares(solution.params, objective, size)
     better = last <= first  # a failed line search must not lose the start
     v = jnp.where(better, solution.params, v0)

@@ -37,16 +37,10 @@ class Convex(AbstractEstimator):
     max_evaluations: int = eqx.field(static=True, default=80)
 
     def quick(self) -> Convex:
-        """See the base class."""
         return dataclasses.replace(self, max_evaluations=15)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
-
-        Raises:
-            ModelError: no free parameter enters linearly, or one has bounds that this method does not serve.
-            ParameterError: tied parameters.
-        """
+        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
         if problem.space.ties:
             raise ParameterError("tied parameters need another method than 'convex': choose method='lm'")
         at = linear_positions(problem)
@@ -67,11 +61,8 @@ class Convex(AbstractEstimator):
         """The estimate that a solution gives.
 
         Args:
-            fit: the solution.
             x: all parameters, shape (p,).
-            at: positions of the weights.
             size: half range of the output.
-            groups: number of those held out.
         """
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
@@ -114,11 +105,8 @@ def search_nonlinear(
     """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
 
     Args:
-        problem: what is fitted.
         cost: of physical parameters, shape (p,).
         z: unconstrained start, shape (p,).
-        others: positions of the nonlinear parameters.
-        **options: of the simplex search.
 
     Returns:
         Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.

@@ -85,7 +85,6 @@ def uncertainty(
     bounds as prior information where up to 60 parameters are near theirs (`near_bounds`); for more, those at bounds are held there.
 
     Args:
-        problem: what was fitted.
         estimate: where it ended.
         correlated: allow for autocorrelated residuals.
         root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
@@ -195,10 +194,7 @@ def determine(
     """Covariance, and which parameters and directions the data determine.
 
     Args:
-        space: of the parameters.
-        x: estimate.
         relative: sizes of the parameters, see `relative_size`.
-        information: about them.
         live: which parameters act and are off their bounds, shape (p,), bool.
         inside: covariance where bounds are near, shape (p, p).
     """

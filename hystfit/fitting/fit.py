@@ -65,7 +65,7 @@ def fit(
         y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
         t: time of each sample [s], shape (T,), or a column of a data frame; models that depend on time need it.
         u: column of the input in a data frame; or the input, where it is given by name.
-        method: "lm", "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" and "projected-gradient" (jaxopt, bounded), "convex"
+        method: "lm", "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" (jaxopt, bounded), "convex"
             (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
             estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
             "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
@@ -121,7 +121,6 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     """The fit of the model that wins the comparison, with notes on the choice.
 
     Args:
-        data: the records.
         options: starting points and seed of every fit, and the noise of the winner; others have no effect, see
             `FitOptions.check_search`.
         purpose: see `compare`.

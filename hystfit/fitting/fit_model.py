@@ -55,8 +55,6 @@ def fit_model(
 
     Args:
         model: a model, its class or its name.
-        data: the records.
-        options: of the fit.
         **settings: of a sequential identifier.
     """
     require_seed(options.seed)

@@ -54,8 +54,6 @@ def set_up_fit(
     """Set up a fit: the problem, its estimator and starting points.
 
     Args:
-        model: to be fitted.
-        data: the records.
         options: of the fit. Isolated outliers of the output are fitted where a noise model or a robust loss has a place for them.
         held: parameters in `fix` without a value keep that of the model where starting values are read off the data.
         notes: on choices made before.
@@ -88,7 +86,6 @@ def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
     Where weights differ, as those of stated standard deviations do, no sample is an outlier: the weights describe the noise.
 
     Args:
-        data: the records.
         keep_outliers: whether outliers keep their weights.
     """
 

@@ -183,7 +183,6 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
 
     Args:
         rows: prediction less measurement at the samples of each record that count [y].
-        data: the records.
         span: range of the output [y].
     """
     for row, record in zip(rows, data, strict=True):
@@ -276,7 +275,6 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
 
     Args:
         rows: residuals of the samples that count, for each record.
-        data: the records.
         robust: the loss was robust.
     """
     for row, record in zip(rows, data, strict=True):

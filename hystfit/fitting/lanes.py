@@ -124,7 +124,6 @@ def descend_lanes(
     """Minimize half the sum of squared misfits from every lane.
 
     Args:
-        stack: the problems.
         records: which of them each lane is of, shape (L,), those of one record side by side.
         z: starts, unconstrained.
         gain: decrease of the cost that the linear model promises, relative to the cost, below which a lane has converged.
@@ -189,7 +188,6 @@ def _of_records(stack: Stack, records: np.ndarray, most: int) -> tuple[Stack, np
     """The problems of some records on the CPU, of a number that few calls differ in, and the place of each record among them.
 
     Args:
-        stack: all problems.
         records: numbers of some, which may repeat.
         most: the largest number of problems that are placed.
     """

@@ -51,15 +51,12 @@ class LeastSquares(AbstractEstimator):
     most: float = eqx.field(static=True, default=np.inf)
 
     def quick(self) -> LeastSquares:
-        """See the base class."""
         return dataclasses.replace(self, brief=True)
 
     def up_to(self, most: float) -> LeastSquares:
-        """See the base class."""
         return dataclasses.replace(self, most=most)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`."""
         short = thin(problem)
         objective = problem.objective if short is None else short
         ended = self._run(objective, starts)

@@ -36,9 +36,6 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
             record that is held out as a whole is fitted to it; its other own parameters, such as an initial state, keep the values of
             the fit of all data.
         most: error that is of interest [y]; refits end, and the error is infinite, once it is larger.
-
-    Raises:
-        ParameterError: an unknown choice.
     """
     if left_out not in CHOICES:
         raise ParameterError(f"left_out must be one of {', '.join(CHOICES)}, got {left_out!r}")
@@ -121,7 +118,6 @@ def _with_absent_records(
     """Fitted parameters, and those of records absent from the fit: offsets that fit them best, and else their values in x.
 
     Args:
-        problem: with all records.
         x: the fit of all records, physical, shape (p,).
         fitted: the fit without some records, shape (p,).
         idle: which parameters belong to these, shape (p,), bool.

@@ -97,7 +97,6 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
 
     Args:
         lane: before.
-        new: the trial points.
         gain: decrease of the cost that the linear model promises, relative to the cost, below which a lane has converged.
         samples: of each problem.
         bounded: which parameters have bounds, shape (p,).
@@ -154,7 +153,6 @@ def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
     """Which lanes approach no lower cost than the best converged lane of the same problem, shape (L,).
 
     Args:
-        lane: L lanes.
         problems: the number of the problem of each.
     """
     rival, cost, ended = _rival(lane, problems), np.asarray(lane.best.cost), np.asarray(lane.ended)

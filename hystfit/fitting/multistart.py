@@ -29,11 +29,7 @@ def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -
 
 
 def starting_vectors(problem: Problem, count: int, seed: int, points: Sequence[AbstractHysteresis] = ()) -> np.ndarray:
-    """Starting points of shape (S, p) in unconstrained coordinates; arguments as for `solve`.
-
-    Raises:
-        ParameterError: nothing is free.
-    """
+    """Starting points of shape (S, p) in unconstrained coordinates; arguments as for `solve`."""
     if not len(problem.space):
         raise ParameterError("every parameter is fixed: there is nothing to fit (use predict)")
     models = points[:count] or (problem.model,)

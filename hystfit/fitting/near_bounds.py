@@ -79,11 +79,9 @@ class NearBounds(NamedTuple):
         """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
 
         Args:
-            space: of the parameters.
             x: estimates, shape (N, p).
             on_bound: which parameters have reached a bound, shape (N, p), bool.
             rows: the Jacobian of what was minimized, or its triangular factor, shape (n, p).
-            information: about the parameters.
             slope: of the minimized cost, shape (N, p), computed when it is needed.
             ridge: of that cost, added to its normal matrix, diagonal, shape (N, p).
             acts: which parameters have an influence, shape (p,), bool.

@@ -51,7 +51,6 @@ def polish(
     solved for in each step: where an input or output is far from zero, damping would hold them, and with them all others.
 
     Args:
-        problem: what is fitted.
         z: start, unconstrained, shape (p,).
         steps: linearizations at most.
         within: standard errors from the minimum, in the linear model, at which the fit has converged.

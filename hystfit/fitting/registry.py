@@ -15,7 +15,6 @@ ESTIMATORS = Registry(
         "dogleg": f"{_HERE}.least_squares:dogleg",
         "trf": f"{_HERE}.trust_region:TrustRegion",
         "lbfgsb": f"{_HERE}.bounded:BoundedDescent",
-        "projected-gradient": f"{_HERE}.bounded:projected_gradient",
         "convex": f"{_HERE}.convex:Convex",
         "preisach": f"{_HERE}.smooth_weights:SmoothWeights",
         "everett-table": f"{_HERE}.table_reading:TableReading",

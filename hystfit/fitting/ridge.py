@@ -46,12 +46,8 @@ class LinearSystem:
         """The system at given values of the other parameters; for all linear parameters, or some.
 
         Args:
-            problem: what is fitted.
             x: physical parameters, shape (p,).
             which: parameters to solve for, shape (p,), bool; None for all linear ones.
-
-        Raises:
-            ModelError: a linear parameter with bounds other than none or (0, infinity).
         """
         at = linear_positions(problem) if which is None else np.flatnonzero(which)
         lower, upper = (np.asarray(b)[at] for b in (problem.space.coordinates.lower, problem.space.coordinates.upper))
@@ -253,12 +249,7 @@ def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths:
 
 
 def penalized(system: LinearSystem, strength: float) -> float:
-    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize.
-
-    Args:
-        system: at some values of the nonlinear parameters.
-        strength: of the ridge.
-    """
+    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize."""
     normal = system.normal()
     total, b = normal.A.sum(axis=0), normal.b.sum(axis=1)
     ridge = (system.ridged | normal.dead) * strength * normal.counts.sum() + normal.dead

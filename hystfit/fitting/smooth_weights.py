@@ -46,15 +46,10 @@ class SmoothWeights(AbstractEstimator):
     most: float = eqx.field(static=True, default=np.inf)
 
     def up_to(self, most: float) -> SmoothWeights:
-        """See the base class."""
         return dataclasses.replace(self, most=most)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none.
-
-        Raises:
-            ModelError: the model has no smooth weights, or too many other parameters are free.
-        """
+        """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
         if problem.model.estimator != "preisach":
             raise ModelError(
                 f"{type(problem.model).__name__} has no smooth weights: use method='convex', or 'lm' without linear weights"
@@ -88,12 +83,8 @@ class SmoothWeights(AbstractEstimator):
         """The estimate that a solution gives.
 
         Args:
-            fit: the solution.
-            split: of the parameters.
             x: values of the parameters that are no weights, shape (p,).
             size: half range of the output.
-            groups: number of those held out.
-            texts: notes on the records.
         """
         at = split.place >= 0
         x, penalty = x.copy(), np.zeros(x.size)

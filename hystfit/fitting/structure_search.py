@@ -69,7 +69,6 @@ def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 
     """Search for the terms of a model, also behind a pure delay where the records show one.
 
     Args:
-        data: records.
         plays: number of thresholds; by default the held-out error chooses it among those that the data can determine.
         spacing: samples over which errors are correlated, see `held_out`.
     """

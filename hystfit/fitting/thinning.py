@@ -53,7 +53,6 @@ def kept_samples(records: Iterable[Record], padded: int, samples: int = SAMPLES)
     """Numbers of the samples of each record in the short form, and its length; None for short records, see `thin`.
 
     Args:
-        records: the records.
         padded: samples of a record, padding included.
         samples: that all records together keep, or more where the input has many reversals.
     """
@@ -68,7 +67,6 @@ def thinned(data: Dataset, samples: int = SAMPLES) -> Dataset:
     """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are.
 
     Args:
-        data: records.
         samples: that all records together keep, see `thin`.
     """
     turns, length = _plan(data, samples)

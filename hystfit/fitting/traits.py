@@ -42,9 +42,7 @@ def traits(data: Dataset, rows: Sequence[Row], baselines: Baselines) -> tuple[Tr
     durations.
 
     Args:
-        data: records.
         rows: of a comparison.
-        baselines: errors of simple descriptions.
     """
     short = thinned(without_faults(data))
     validated = [row for row in rows if row.score_percent is not None]

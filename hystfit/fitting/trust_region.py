@@ -27,7 +27,6 @@ class TrustRegion(AbstractEstimator):
     max_evaluations: int = eqx.field(static=True, default=300)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`."""
         at = np.flatnonzero(~problem.idle)
         scale, lower, upper = (part[at] for part in (problem.space.scale, problem.space.lower, problem.space.upper))
         ends, solutions = [], []

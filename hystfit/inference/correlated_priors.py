@@ -96,11 +96,7 @@ class Dependence(eqx.Module):
 
     @classmethod
     def of(cls, priors: Any, names: Sequence[str]) -> Dependence | None:
-        """That of the priors that were given, for parameters with these names; None where they are independent.
-
-        Raises:
-            ParameterError: a correlated parameter is not free, or has a value for each record.
-        """
+        """That of the priors that were given, for parameters with these names; None where they are independent."""
         if not isinstance(priors, CorrelatedPriors):
             return None
         if missing := [name for name in priors.names if name not in names]:

@@ -97,7 +97,6 @@ def maximize(
 
     Args:
         function: of z, scalar.
-        z: start.
         slope: value and gradient of z; a forward pass through the function by default.
         steps: at most.
     """
@@ -162,7 +161,6 @@ def descend(
     normal: Callable[[Array], tuple[Array, Array, Array]],
     z: Float[Array, " p"],
     moving: Any,
-    steps: int = 30,
 ) -> tuple[Float[Array, " p"], Scalar, Array]:
     """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
 
@@ -172,13 +170,11 @@ def descend(
     Args:
         cost: of z.
         normal: (cost, gradient, Gauss-Newton matrix) of z.
-        z: start.
         moving: which coordinates may move, shape (p,), bool.
-        steps: at most.
     """
 
     def go_on(carry: tuple[Array, ...]) -> Array:
-        return ~carry[3] & (carry[4] < steps)
+        return ~carry[3] & (carry[4] < 30)  # steps at most
 
     def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
         z, value, damping, _, k = carry

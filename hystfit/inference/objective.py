@@ -163,7 +163,6 @@ def linearized(
     On long records it computes as many derivatives at once as fit into a block, by one program for all groups.
 
     Args:
-        objective: what is fitted.
         x: physical parameters, shape (p,).
         at: numbers of the parameters to which the derivatives are, in rising order, shape (k,); default: all.
     """

@@ -73,15 +73,12 @@ class Normal(AbstractPrior):
     sd: Array = eqx.field(converter=_number)
 
     def log_density(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         return -0.5 * self.score(x) ** 2 - jnp.log(self.sd) - _LOG_ROOT
 
     def score(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         return (x - self.mean) / self.sd
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """See `AbstractPrior`."""
         return self.mean + self.sd * jax.random.normal(key, shape)
 
     def __str__(self) -> str:
@@ -98,18 +95,15 @@ class LogNormal(AbstractPrior):
     side: float = eqx.field(static=True, default=1.0)
 
     def log_density(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         above = self.side * (x - self.edge)
         rest = jnp.log(self.spread) + _LOG_ROOT + jnp.log(jnp.where(above > 0, above, 1.0))
         return jnp.where(above > 0, -0.5 * self.score(x) ** 2 - rest, -jnp.inf)
 
     def score(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         above = self.side * (x - self.edge)
         return (jnp.log(jnp.where(above > 0, above, 1.0)) - jnp.log(self.median)) / self.spread
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """See `AbstractPrior`."""
         return self.edge + self.side * self.median * jnp.exp(self.spread * jax.random.normal(key, shape))
 
     def __str__(self) -> str:
@@ -125,12 +119,10 @@ class HalfNormal(AbstractPrior):
     side: float = eqx.field(static=True, default=1.0)
 
     def log_density(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         t = self.side * (x - self.edge) / self.sd
         return jnp.where(t >= 0, -0.5 * t**2 + jnp.log(2.0) - jnp.log(self.sd) - _LOG_ROOT, -jnp.inf)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """See `AbstractPrior`."""
         return self.edge + self.side * self.sd * jnp.abs(jax.random.normal(key, shape))
 
     def __str__(self) -> str:
@@ -144,12 +136,10 @@ class Uniform(AbstractPrior):
     upper: Array = eqx.field(converter=_number)
 
     def log_density(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         inside = (x >= self.lower) & (x <= self.upper)
         return jnp.where(inside, -jnp.log(self.upper - self.lower), -jnp.inf)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """See `AbstractPrior`."""
         return self.lower + (self.upper - self.lower) * jax.random.uniform(key, shape)
 
     def __str__(self) -> str:
@@ -169,13 +159,11 @@ class LogitNormal(AbstractPrior):
         return jnp.log(x - self.lower) - jnp.log(self.upper - x)
 
     def log_density(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         inside, safe = self._inside(x)
         slope = jnp.log((self.upper - self.lower) / ((safe - self.lower) * (self.upper - safe)))
         return jnp.where(inside, -0.5 * self.score(x) ** 2 - jnp.log(self.spread) - _LOG_ROOT + slope, -jnp.inf)
 
     def score(self, x: Scalar) -> Scalar:
-        """See `AbstractPrior`."""
         return (self._logit(self._inside(x)[1]) - self._logit(self.median)) / self.spread
 
     def _inside(self, x: Scalar) -> tuple[Array, Array]:
@@ -184,7 +172,6 @@ class LogitNormal(AbstractPrior):
         return inside, jnp.where(inside, x, self.median)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
-        """See `AbstractPrior`."""
         at = self._logit(self.median) + self.spread * jax.random.normal(key, shape)
         return self.lower + (self.upper - self.lower) * jax.nn.sigmoid(at)
 
@@ -197,11 +184,7 @@ _KINDS = {"normal": Normal, "log-normal": LogNormal, "half-normal": HalfNormal, 
 
 
 def parse(text: str) -> AbstractPrior:
-    """A prior from text: normal(mean, sd), log-normal(median, spread), half-normal(sd), uniform(lower, upper).
-
-    Raises:
-        ParameterError: not of that form.
-    """
+    """A prior from text: normal(mean, sd), log-normal(median, spread), half-normal(sd), uniform(lower, upper)."""
     match = re.fullmatch(r"\s*([a-z-]+)\s*\(([^()]*)\)\s*", text)
     try:
         return _KINDS[match[1]](*(float(part) for part in match[2].split(",")))  # type: ignore[index]
@@ -216,7 +199,6 @@ def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> 
     A value on a bound (a play's weight of zero) is first moved inside, by a hundredth of the natural size or of the interval.
 
     Args:
-        space: the free parameters.
         x: physical values, shape (p,).
         spread: relative width.
     """
@@ -269,14 +251,9 @@ def choose_priors(
     """Default priors, replaced by the user's where given, in the order of the space.
 
     Args:
-        space: the free parameters.
         given: by name; a name without a record, such as "offset", stands for that parameter in every record.
         x: fitted values, as in `default_priors`.
         others: names of another space, for the error message.
-
-    Raises:
-        ParameterError: a prior for no free parameter, or something that is not a prior, one without a proper width, or one that lies
-            outside the parameter's bounds.
     """
     chosen = default_priors(space, x)
     for name, prior in (given or {}).items():

@@ -52,7 +52,6 @@ def stretches(objective: Objective, x: Float[np.ndarray, " p"], *, misfit: bool 
     All derivatives share one simulation, and all stretches of records of any length one program.
 
     Args:
-        objective: what is fitted.
         x: physical parameters.
         misfit: residuals and derivatives as they count in the misfit, not in output units.
     """

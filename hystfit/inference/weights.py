@@ -69,7 +69,6 @@ class Split:
         Args:
             own: parameters of these equations.
             space: of the other model.
-            records: number of both.
         """
         mine, others = (jax.tree_util.tree_leaves(one.template) for one in (own, space))
         weights = {block.leaf for block in self.system.layout.blocks}
@@ -123,8 +122,6 @@ def weighted_columns(
     """Columns of some weights and what they have to explain, on the samples that count, both times the roots of the samples' weights.
 
     Args:
-        space: the free parameters.
-        records: measured.
         x: values of all other parameters, shape (p,).
         at: positions in x of the weights that are solved for, shape (k,).
 
@@ -210,10 +207,8 @@ def free_columns(
     """Columns of all free parameters of a model that is linear in them, on distinct states, and the output where these are zero.
 
     Args:
-        space: the free parameters.
         design: of an input.
         number: of the record whose own parameters act.
-        records: that were fitted.
     """
     layout = Layout.of(design, records)
     place, owner = _placed(space, layout, records)

@@ -125,7 +125,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return coarse(self.step_ratio(largest_step(u)))
 
     def step_ratio(self, largest: Any) -> Any:
-        """See `AbstractHysteresis`."""
         return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), largest)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
@@ -144,7 +143,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return Slopes.of(c - m + up * reached, c - m, c - m - down * reached)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `BoucWenStep`."""
         return BoucWenStep(self)
 
     def c_part(self) -> CPart:
@@ -162,7 +160,6 @@ class BoucWenStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         bw = self.model
         gap = target - (bw.offset + bw.c * u0 - state[0])
         s, way = jnp.where(gap < 0, -1.0, 1.0), jnp.abs(gap)

@@ -126,7 +126,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         return coarse(self.step_ratio(largest_step(u)))
 
     def step_ratio(self, largest: Any) -> Any:
-        """See `AbstractHysteresis`."""
         rate = np.asarray(self.tau) * (1 + np.abs(self.rho)) * np.maximum(1.0, self.n)
         return step_ratio(self.scheme, rate, largest)
 

@@ -96,11 +96,9 @@ class AbstractComposition(AbstractHysteresis):
         return next((part.estimator for part in self.parts if part.estimator is not None), None)
 
     def with_rest(self, rest: str) -> AbstractHysteresis:
-        """See the base class."""
         return type(self)(*(part.with_rest(rest) for part in self.parts))
 
     def without_creep(self) -> AbstractHysteresis | None:
-        """See the base class."""
         still = [part.without_creep() for part in self.parts]
         if all(part is None for part in still):
             return None

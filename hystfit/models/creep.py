@@ -117,11 +117,9 @@ class LogCreep(AbstractHysteresis):
         return self.gamma.shape[0] == 1
 
     def without_creep(self) -> LogCreep:
-        """See the base class."""
         return dataclasses.replace(self, gamma=jnp.zeros_like(self.gamma))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `CreepStep`."""
         return CreepStep(self)
 
 
@@ -132,7 +130,6 @@ class CreepStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         creep = self.model
         share = -jnp.expm1(-dt / creep.tau)
         remainder = target - jnp.sum((1 - share) * state)
@@ -213,7 +210,6 @@ class LinearCreep(AbstractHysteresis):
         return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
 
     def without_creep(self) -> LinearCreep:
-        """See the base class."""
         return dataclasses.replace(self, a=np.zeros(self.a.shape))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:

@@ -66,9 +66,6 @@ class Curve(AbstractHysteresis):
     def of(cls, knots: int = _KNOTS) -> Curve:
         """A curve with this many knots.
 
-        Args:
-            knots: their number.
-
         Raises:
             ModelError: fewer than two.
         """

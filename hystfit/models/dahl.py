@@ -58,9 +58,6 @@ class Dahl(AbstractHysteresis):
     def of(cls, bristles: int = _BRISTLES) -> Dahl:
         """A model with this many bristles.
 
-        Args:
-            bristles: their number.
-
         Raises:
             ModelError: fewer than one.
         """

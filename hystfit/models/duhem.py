@@ -85,7 +85,6 @@ class Duhem(AbstractHysteresis):
         return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], scheme=scheme, **fields)
 
     def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
         return {"f": self.f.shape[0] - 1, "g": self.g.shape[0] - 1, "scheme": self.scheme}
 
     @classmethod
@@ -211,7 +210,6 @@ class Duhem(AbstractHysteresis):
         return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
 
     def step_ratio(self, largest: Any) -> Any:
-        """See `AbstractHysteresis`."""
         return np.asarray(self.alpha) * largest / _ALTERNATES.get(self.scheme, np.inf)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:

@@ -211,7 +211,6 @@ class JilesAtherton(AbstractHysteresis):
         return dataclasses.replace(self, Ms=saturation, **shape, slope=slope, offset=theta[1])  # type: ignore[arg-type]
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `JilesAthertonStep`."""
         return JilesAthertonStep(self)
 
     def c_part(self) -> CPart:
@@ -226,7 +225,6 @@ class JilesAthertonStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = True
 
     def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
-        """See the base class."""
         ja = self.model
         s = jnp.sign(target - (ja.offset + ja.slope * u0 + ja.Ms * ja.total(state)))
         total = lambda field: ja.total(ja.at_field(state, s, field))

@@ -120,7 +120,6 @@ class JilesAthertonDynamic(JilesAtherton):
         return dataclasses.replace(law, Ms=saturation, offset=float(theta[1]), **dynamic)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `JilesAthertonDynamicStep`."""
         return JilesAthertonDynamicStep(self)
 
     def c_part(self) -> CPart:
@@ -137,7 +136,6 @@ class JilesAthertonDynamicStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = True
 
     def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
-        """See the base class."""
         model, inside = self.model, self.model.inner(state)
         span = jnp.minimum(low, inside), jnp.maximum(high, inside)
         root = JilesAthertonStep(model).solve(state, inside, target, dt, *span)

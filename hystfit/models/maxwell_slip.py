@@ -80,9 +80,6 @@ class MaxwellSlip(AbstractHysteresis):
     def of(cls, elements: int = _ELEMENTS) -> MaxwellSlip:
         """A model with this many elements.
 
-        Args:
-            elements: their number.
-
         Raises:
             ModelError: fewer than two.
         """

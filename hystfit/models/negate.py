@@ -40,7 +40,6 @@ class Negate(AbstractHysteresis):
         return self
 
     def inputs_between(self, low: float, high: float) -> tuple[float, float]:
-        """See the base class."""
         return -high, -low
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
@@ -56,5 +55,4 @@ class NegateStep(AbstractStepInverse):
     sign: ClassVar[float] = -1.0
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         return Root(-target, jnp.asarray(True))

@@ -254,7 +254,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
         return dataclasses.replace(self, w=w, b=b, rise=rise, offset=offset, low=place.low, high=place.high)
 
     def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
         count, plays = self.w.shape
         path = round(float(self.s0)) if self.hardening.size else 0
         shape = {"plays": plays, "degree": self.b.size + self.rise.size, "envelopes": count}
@@ -267,7 +266,6 @@ class PrandtlIshlinskii(AbstractHysteresis):
 
     @property
     def hardens(self) -> bool:
-        """See the base class."""
         return bool(self.hardening.size)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
@@ -332,7 +330,6 @@ class PlayStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         pi = self.model
         w, x0 = pi.w[0], (u0 - pi.low) / (pi.high - pi.low)
         steepness = 2.0 * jnp.sum(pi.b) + jnp.sum(pi.rise)

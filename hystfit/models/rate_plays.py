@@ -74,9 +74,6 @@ class RateDependentPlays(AbstractHysteresis):
     def of(cls, plays: int = 20) -> RateDependentPlays:
         """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range.
 
-        Args:
-            plays: number of thresholds.
-
         Raises:
             ModelError: fewer than one play.
         """
@@ -143,7 +140,6 @@ class RateDependentPlays(AbstractHysteresis):
         return low - 0.25 * (high - low), high + 0.25 * (high - low)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """See `RatePlayStep`."""
         return RatePlayStep(self)
 
 
@@ -154,7 +150,6 @@ class RatePlayStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         model = self.model
         q, _ = model.rate(state, dt)
         plays, widths, w = state[:-2], model.r + model.kappa * q, model.w

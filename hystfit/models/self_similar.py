@@ -117,7 +117,6 @@ class SelfSimilarStops(AbstractHysteresis):
         )
 
     def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
         return {"peaks": int(self.peaks.shape[-1]), "fading": bool(self.fading.size)}
 
     def init(self, u0: Scalar) -> State:

@@ -202,7 +202,6 @@ class SeriesStep(AbstractStepInverse):
         return math.prod(step.sign for step in self.inner)
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         count = len(self.inner) - 1
         states = split_state(state, self.model.parts)
         before = [u0, *(state[state.shape[0] - count + k] for k in range(count))]

@@ -213,11 +213,7 @@ def _states(model: AbstractDynamics, u: Array, dt: Array) -> Array:
 
 
 def check_one_device(model: Any) -> None:
-    """Refuse a model whose parameters have a leading axis, one element per device.
-
-    Raises:
-        ParameterError: it is not one device.
-    """
+    """Refuse a model whose parameters have a leading axis, one element per device."""
     if any(np.ndim(leaf) == 0 for leaf in jax.tree.leaves(model)):
         return
     zero = jnp.zeros(())

@@ -51,9 +51,6 @@ class Springpot(AbstractHysteresis):
     def of(cls, modes: int = MODES) -> Springpot:
         """A power law by this many elements; take two for each decade of time.
 
-        Args:
-            modes: their number.
-
         Raises:
             ModelError: fewer than two, which have no spacing.
         """

@@ -41,9 +41,7 @@ class AbstractStepInverse(eqx.Module):
         Args:
             state: of the model after the last sample.
             u0: input of the last sample.
-            target: desired output.
             dt: time since the last sample [s].
-            low, high: limits of the input.
         """
 
     # Optional, as those of a model:
@@ -71,7 +69,6 @@ class SearchStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = True
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         miss = lambda u1: self.sign * (self.model.step(state, u0, u1, dt)[1] - target)
         return solve_rising(miss, jnp.clip(u0, low, high), low, high)
 
@@ -83,6 +80,5 @@ class LinearStep(AbstractStepInverse):
     needs_limits: ClassVar[bool] = False
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         value, gain = jax.jvp(lambda u: self.model.step(state, u0, u, dt)[1], (u0,), (jnp.ones_like(u0),))
         return Root(u0 + (target - value) / jnp.where(gain > 0, gain, jnp.inf), gain > 0)

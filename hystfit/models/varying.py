@@ -156,7 +156,6 @@ class Varying(AbstractComposition):
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """See the base class."""
         return self.names
 
     # -- covariates --------------------------------------------------------------------------------------------------------
@@ -220,11 +219,9 @@ class Varying(AbstractComposition):
         return tuple(dataclasses.replace(self, parts=(model,)) for model in self.model.starting_points(records))
 
     def with_rest(self, rest: str) -> Varying:
-        """See the base class."""
         return dataclasses.replace(self, parts=(self.model.with_rest(rest),))
 
     def without_creep(self) -> Varying | None:
-        """See the base class."""
         still = self.model.without_creep()
         return None if still is None else dataclasses.replace(self, parts=(still,))
 

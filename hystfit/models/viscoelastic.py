@@ -52,9 +52,6 @@ class Viscoelastic(AbstractHysteresis):
     def of(cls, modes: int = MODES) -> Viscoelastic:
         """A chain of this many elements; take two for each decade of time.
 
-        Args:
-            modes: their number.
-
         Raises:
             ModelError: fewer than one.
         """

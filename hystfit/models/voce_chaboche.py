@@ -82,9 +82,6 @@ class VoceChaboche(AbstractHysteresis):
     def of(cls, backstresses: int = 2) -> VoceChaboche:
         """A model with this many backstresses.
 
-        Args:
-            backstresses: their number.
-
         Raises:
             ModelError: fewer than one.
         """

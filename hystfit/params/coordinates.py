@@ -102,11 +102,7 @@ class Coordinates(eqx.Module):
 
     def physical(self, z: Any, xp: Any = jnp) -> Any:
         """x from z, shape (p,); `xp` is the module of the arrays, as in `unconstrained`."""
-        if xp is jnp:
-            return _physical_traced(z, self.lower, self.upper, self.scale, self.kinds)
-        lower, upper, scale = (np.asarray(v) for v in (self.lower, self.upper, self.scale))
-        with np.errstate(all="ignore"):
-            return _physical(np.asarray(z, float), lower, upper, scale, self.kinds, np)
+        return self._mapped(_physical_traced if xp is jnp else _physical, z, xp)
 
     def unconstrained(self, x: Any, inside: float = 1e-9, xp: Any = jnp) -> Any:
         """z from x; values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
@@ -128,11 +124,14 @@ class Coordinates(eqx.Module):
 
     def slope(self, z: Any, xp: Any = jnp) -> Any:
         """dx/dz, element by element (the maps do not mix parameters), shape (p,); `xp` as in `physical`."""
+        return self._mapped(_slope_traced if xp is jnp else _slope, z, xp)
+
+    def _mapped(self, map_of: Callable[..., Any], z: Any, xp: Any) -> Any:
+        """A map of z by the bounds and scales, traced or on the host."""
         if xp is jnp:
-            return _slope_traced(z, self.lower, self.upper, self.scale, self.kinds)
-        lower, upper, scale = (np.asarray(v) for v in (self.lower, self.upper, self.scale))
+            return map_of(z, self.lower, self.upper, self.scale, self.kinds)
         with np.errstate(all="ignore"):
-            return _slope(np.asarray(z, float), lower, upper, scale, self.kinds, np)
+            return map_of(*(np.asarray(v, float) for v in (z, self.lower, self.upper, self.scale)), self.kinds, np)
 
     def log_jacobian(self, z: Float[Array, " p"]) -> Float[Array, ""]:
         """log |det dx/dz|."""

@@ -17,10 +17,6 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
 
     Found by bisection: damage does not heal.
 
-    Args:
-        record: what was measured.
-        quality: of that record.
-
     Returns:
         A time [unit of t], or a number of samples for a record without time; None for an undamaged record, for one that is softer after
         larger strokes (Mullins effect), for damage from the start, and where the clock is unusable, in which a window is given.
@@ -42,10 +38,6 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
 
 def fails_at(record: Record, quality: RecordQuality) -> float | None:
     """Where a device fails: the last sample at which 80 % of the largest force is reached, though later strokes are as long.
-
-    Args:
-        record: what was measured.
-        quality: of that record.
 
     Returns:
         A time [unit of t], or a number of samples for a record without time; None for a device that loses no strength, and for one that

@@ -92,7 +92,6 @@ def held_out(records: Sequence[Record], spacing: int = 1) -> HeldOut:
     Whatever only the held-out part determines would test an extrapolation, which prefers coarse models.
 
     Args:
-        records: measured.
         spacing: samples over which errors are correlated; scattered runs have this length where the record is long enough.
     """
     if sum(bool(record.used.any()) for record in records) >= SEVERAL:

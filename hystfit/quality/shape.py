@@ -149,9 +149,7 @@ def has_lobes(area: Any, between: Any, box: Any) -> Any:
     """Whether branches cross, so that lobes of a loop (a butterfly) run in opposite directions.
 
     Args:
-        area: signed, of the loop.
         between: of the branches, whichever is above.
-        box: around the loop.
     """
     return (abs(area) < _CROSSING * between) & (between > _LEAST_LOBES * box)
 

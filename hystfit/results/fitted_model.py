@@ -93,10 +93,6 @@ class FittedModel:
             t: time of each sample, shape (T,), or a column of the data frame; where the model depends on time.
             u: column of the input in a data frame; by default that of the fitted record.
             refit_offset: shift the output so that its mean over the samples that count is right (another record's sensor zero).
-
-        Raises:
-            ModelError: the model needs time and there is none.
-            DataError: an input that cannot be used, or an offset is to be refitted without any usable output.
         """
         given = excitation_of(data, t, u=u, like=self.data[0])
         record = self.in_fitted_units(given)

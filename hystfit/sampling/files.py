@@ -113,11 +113,7 @@ def load_posterior(folder: str | Path, *, trust: bool = False) -> Posterior:
 
 
 def _refuse_outside(content: bytes, place: str) -> None:
-    """Refuse an HDF5 file whose data lie outside it (links, external storage, virtual data sets), or that declares more than it holds.
-
-    Raises:
-        DataError: see above, or no HDF5 file.
-    """
+    """Refuse an HDF5 file whose data lie outside it (links, external storage, virtual data sets), or that declares more than it holds."""
     import h5py
 
     try:

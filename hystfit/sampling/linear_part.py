@@ -48,7 +48,6 @@ class LinearPart(eqx.Module):
         """Those of a problem; None where its noise is not Gaussian, or where no parameter enters linearly, far enough from its bounds.
 
         Args:
-            z: mode of the posterior, parameters of model and noise.
             deviations: standard deviations of the model's parameters about it [their units].
         """
         space, p = problem.space, len(problem.space)

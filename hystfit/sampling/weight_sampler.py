@@ -78,7 +78,6 @@ class Weights(AbstractSampler):
     def prepare(
         self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> WeightSetup:
-        """See `AbstractSampler.prepare`."""
         return WeightSetup.of(result, noise, priors)
 
     def run(self, setup: WeightSetup, seed: int, folder: Path | None, report: Progress) -> Raw:
@@ -264,11 +263,7 @@ class WeightSetup(Prepared):
     def of(
         cls, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> WeightSetup:
-        """Prepare the weights of a fit.
-
-        Raises:
-            ParameterError: another noise model than iid and ou, no weights; see `weight_equations`.
-        """
+        """Prepare the weights of a fit."""
         if not result.problem.space.weights.any():
             raise ParameterError("sampler='weights' needs weights in which the output is linear: use sampler='nuts'")
         if isinstance(priors, CorrelatedPriors):

@@ -61,7 +61,6 @@ class StageInverse(AbstractRunningInverse):
         return memory, answer._replace(y=self.jacobian @ answer.y)
 
     def moved(self, memory: Resume, u: Array, dt: Any = 0.0) -> Resume:
-        """See the base class."""
         return eqx.filter_vmap(lambda inverse, *state_and_u: inverse.moved(*state_and_u, dt))(self.inverses, memory, u)
 
 
@@ -85,6 +84,5 @@ class Decoupled(AbstractController):
         return jax.vmap(self.controller.ask)(state, jnp.linalg.solve(self.jacobian, error))
 
     def step(self, state: Array, error: Array, taken: Any = 0.0) -> Array:
-        """See the base class."""
         taken = jnp.broadcast_to(taken, (3,))
         return jax.vmap(self.controller.step)(state, jnp.linalg.solve(self.jacobian, error), taken)

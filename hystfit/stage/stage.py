@@ -234,16 +234,15 @@ class Stage(eqx.Module):
         notes = (Note(Code.PREPARED, f"{beyond} commands beyond the limits of the amplifiers"),) if beyond else ()
         return StageMeasurement(t, reached, channels["gauge"].read(lengths, rng), probes, notes)
 
-    def records(self, t: Any, u: Any, *, seed: int, sensors: Mapping[str, Sensor] | None = None) -> dict[str, Record]:
+    def records(self, t: Any, u: Any, *, seed: int) -> dict[str, Record]:
         """Measured poses: one record an axis, over the voltage of the actuator that moves it most.
 
         Args:
             t: times [s], shape (T,).
             u: commanded voltages [V], shape (T, 3).
             seed: of the sensor noise.
-            sensors: see `measure`.
         """
-        measured = self.measure(t, u, seed=seed, sensors=sensors)
+        measured = self.measure(t, u, seed=seed)
         strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
         return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}
 

@@ -91,7 +91,6 @@ class Design(WithStatus):
         """A simulated measurement of the best input, with white noise.
 
         Args:
-            seed: of the noise.
             sigma: its standard deviation [y]; that of the residuals by default.
         """
         u = self.best.u

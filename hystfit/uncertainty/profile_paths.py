@@ -76,12 +76,7 @@ class Walk:
         return float(np.sqrt(max(2 * (point.value - self.optimum.value), 0.0))) / self.wider
 
     def follow(self, sign: int) -> Path:
-        """The path upward or downward in the parameter's coordinate.
-
-        Raises:
-            LowerOptimum: a refit fits better than the optimum. It is the lowest of the path: in a flat valley each point is a little
-                lower than the one before.
-        """
+        """The path upward or downward in the parameter's coordinate."""
         points, before, shorter = [self.optimum], 0.0, 0
         start, low, high = self.optimum.v[self.k], *(side[self.k] for side in self.newton.limits)
         linear = self.newton.linear[self.k]

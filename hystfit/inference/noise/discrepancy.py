@@ -67,7 +67,6 @@ class LoopDiscrepancy(OrnsteinUhlenbeck):
         return super().default_priors(longest, curve_size) | curve
 
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """See `AbstractNoise.draw`."""
         first, second = jax.random.split(key)
         return super().draw(setting, first) + self.columns(setting) @ jax.random.normal(second, (2 * self.points,))
 

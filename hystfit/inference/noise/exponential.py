@@ -122,7 +122,6 @@ class AbstractSlow(AbstractNoise):
         return jax.lax.map(lambda at: record(*at), (rows, gap, setting.weight))
 
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """See `AbstractNoise.draw`."""
         gap = jnp.broadcast_to(setting.gap, setting.weight.shape)
         decay = jnp.exp(-gap / self.noise_time)
         first, second, third = jax.random.split(key, 3)

@@ -36,7 +36,6 @@ class StudentT(White):
 
     @classmethod
     def of_size(cls, size: float) -> StudentT:
-        """See `AbstractNoise.of_size`."""
         return cls(noise_white=size, noise_dof=5.0)
 
     def gaussian_scale(self) -> Scalar:
@@ -50,5 +49,4 @@ class StudentT(White):
         return lead - 0.5 * log_variance - 0.5 * (nu + 1) * jnp.log1p(e**2 / nu)
 
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """See `AbstractNoise.draw`."""
         return jax.random.t(key, self.noise_dof, setting.weight.shape) * self._sd(setting)

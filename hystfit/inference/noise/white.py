@@ -35,7 +35,6 @@ class White(AbstractNoise):
 
     @classmethod
     def of_size(cls, size: float) -> White:
-        """See `AbstractNoise.of_size`."""
         return cls(noise_white=size)
 
     def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
@@ -58,7 +57,6 @@ class White(AbstractNoise):
         return jnp.asarray(0.5 * setting.log_weight) - setting.count * each - 0.5 * total / self.noise_white**2
 
     def draw(self, setting: Setting, key: Array) -> Float[Array, "R T"]:
-        """See `AbstractNoise.draw`."""
         return jax.random.normal(key, setting.weight.shape) * self._sd(setting)
 
     def _sd(self, setting: Setting) -> Array:

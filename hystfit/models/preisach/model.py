@@ -231,7 +231,6 @@ class Preisach(AbstractPlane):
     # -- optional methods ------------------------------------------------------------------------------------------------
 
     def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
         return {
             "n": self.n,
             "symmetric": self.symmetric,

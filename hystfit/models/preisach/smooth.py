@@ -155,7 +155,6 @@ class _Trials:
     """Solutions of a system with penalties of different strengths, each started from the one before.
 
     Args:
-        system: the equations.
         fixed: see `fit_smooth`.
         likely: strength of a penalty that a similar system chose.
     """

@@ -127,7 +127,6 @@ def density_of(model: Preisach, *, rising: bool = True) -> ForcDiagram:
     """The density of a fitted model as a diagram over the middles of its cells.
 
     Args:
-        model: of cells, not of point relays.
         rising: the curves rise from their reversals, as those of `forc_diagram` that begin at positive saturation.
     """
     levels, (i, j) = np.asarray(model.levels), cells(model.n)

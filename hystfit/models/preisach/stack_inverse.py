@@ -80,7 +80,6 @@ class PreisachStep(AbstractStepInverse):
         return self.memory.pair(self._place(u), self._place(base), u > base)
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        """See the base class."""
         memory, model = self.memory, self.model
         moves = self._moved(state[1:], state[:-1])
         # height[k]: output of the relays with e_0 .. e_{k-1} remembered and the input on e_{k-1}.

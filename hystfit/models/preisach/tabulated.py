@@ -73,7 +73,6 @@ class TabulatedPreisach(Preisach):
         return EverettTable.from_masses(np.asarray(self.levels), masses, float(self.offset) - float(w.sum()))
 
     def settings(self) -> dict[str, int | bool | str]:
-        """See the base class."""
         return {"n": self.n}
 
     def choices(self, records: Sequence[Record]) -> tuple[Any, ...]:
