@@ -14,7 +14,7 @@ from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
 from hystfit.models.registry import judged, judged_as
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
@@ -80,11 +80,11 @@ def _compared(records: Dataset) -> Comparison | None:
 
 
 def _is_curve(found: Comparison) -> bool:
-    """Whether a single-valued curve describes the records as well as the best model."""
+    """Whether a single-valued curve describes the records as well as the best model, or its fit without time shows no loop."""
     winner = found.winner
     samples = sum(int(record.used.sum()) for record in winner.problem.data)
     as_well = found.rows[0].score * equal_errors(samples) >= 100 * winner.baselines.curve / winner.baselines.span
-    return as_well or winner.model.memoryless
+    return as_well or winner.model.memoryless or (winner.status is Status.NO_LOOP and winner.model.rate_independent)
 
 
 def _no_loop(found: Comparison) -> Note:
