@@ -37,7 +37,7 @@ class Candidates:
         closed: models whose weights follow from a linear solve: they take a tenth of a second each.
         iterated: models whose parameters are searched for.
         resonant: those of them with a resonance, which take longest.
-        late: those that depend on more speeds than the records have: where the others leave more than noise.
+        late: those that depend on more speeds than long branches have, but short ones: where the others leave more than noise.
         last: those for loops of the other direction that describe these too: where no other model does.
     """
 
@@ -85,7 +85,8 @@ def candidates(data: Dataset) -> Candidates:
         # Free masses take a tenth of the time of bounded ones, and their error may tell that these cannot win.
         return Candidates(tuple(sorted(curves, key=lambda name: models[name].has_inverse)) or (SEARCH,))
     timed = all(record.t is not None for record in data)
-    speeds = len(distinct((speed for record in data for speed in speeds_of(record)), SPEEDS_APART))
+    count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
+    speeds, of_any_length = count(), count(0.0)
     contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
     plays_fail = _plays_fail(data)
     able = {
@@ -93,6 +94,7 @@ def candidates(data: Dataset) -> Candidates:
         for name, model in models.items()
         if not model.from_saturation
         and (timed or model.rate_independent)
+        and of_any_length >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
