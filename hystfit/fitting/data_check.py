@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 from hystfit.config import verb
@@ -83,7 +84,9 @@ def _is_curve(found: Comparison) -> bool:
     """Whether a single-valued curve describes the records as well as the best model, or its fit without time shows no loop."""
     winner = found.winner
     samples = sum(int(record.used.sum()) for record in winner.problem.data)
-    as_well = found.rows[0].score * equal_errors(samples) >= 100 * winner.baselines.curve / winner.baselines.span
+    fitted = [row.score for row in found.rows if row.status is Status.NO_LOOP and not row.hysteretic]
+    curve = min(100 * winner.baselines.curve / winner.baselines.span, *fitted, math.inf)
+    as_well = found.rows[0].score * equal_errors(samples) >= curve
     return as_well or winner.model.memoryless or (winner.status is Status.NO_LOOP and winner.model.rate_independent)
 
 
