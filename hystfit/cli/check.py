@@ -18,10 +18,17 @@ if TYPE_CHECKING:
     from hystfit.quality.check import QualityReport
 
 
-def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READING, output: Output = STDOUT) -> int:
-    """Check the quality of a record and which models it can determine.
+def check(
+    *loops: Loop,
+    data_only: bool = False,
+    preisach: bool = False,
+    reading: Reading = DEFAULT_READING,
+    output: Output = STDOUT,
+) -> int:
+    """Check the quality of a record, which models it can determine, and which one a fit takes.
 
     Args:
+        data_only: do not compare models, which takes nearly all of the time.
         preisach: also test the assumptions of a Preisach model: wiping-out, congruency, higher-order reversals, and whether
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
@@ -32,7 +39,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
     output.check()
     data = load(loops, reading)
     with progress("checking"):
-        report = judge(data)
+        report = judge(data, data_only=data_only)
     determined = any(item.verdict != "no" and item.model != "creep" for item in report.determines)
     determined |= report.advice is not None and has(report.findings, Code.CROSSING)  # by a model that is not judged
     status = Status.OK if determined else Status.NO_MODEL
@@ -63,7 +70,7 @@ def check(*loops: Loop, preisach: bool = False, reading: Reading = DEFAULT_READI
 
 
 def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
-    """Commands that read the file as its notes propose: a comparison of models, and the fit of the advised one."""
+    """The command that follows, which reads the file as its notes propose."""
     found = dict(note.option for note in remarks if note.option is not None)
     changed = dict(note.option for note in report.findings if note.option is not None)
     options = {name: True if value == "true" else value for name, value in (found | changed).items()}
@@ -72,12 +79,7 @@ def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Not
         return f"\n\nNext: fit the part before the {part[0]}\nhystfit fit {command} --window=:{part[1]:.10g}"
     if changed or report.advice is None:  # the advice is for the output as it was read
         return f"\n\nNext: look at the records as they are proposed above\nhystfit check {command}"
-    lines = [
-        "\n\nNext: compare models by cross-validation, or fit the one above alone",
-        f"hystfit fit {command}",
-        f"hystfit fit {command} --model {report.advice.model}",
-    ]
-    return "\n".join(lines)
+    return f"\n\nNext: fit this model\nhystfit fit {command} --model {report.advice.model}"
 
 
 def _sound_part(report: QualityReport) -> tuple[str, float] | None:
