@@ -85,7 +85,7 @@ def _screened(records: Dataset) -> tuple[Screened, ...]:
 def _no_better(models: int) -> Note:
     text = (
         f"none of the {count(models, 'model')} with hysteresis that were tried describes these data better than a single-valued curve: "
-        "there is no loop, or it is too narrow for the noise and the distance of the samples, or of a kind that they do not describe"
+        "there is no loop, or it is too narrow for the noise and the sampling, or of a kind that they do not describe"
     )
     return warn(Code.SINGLE_VALUED, text)
 

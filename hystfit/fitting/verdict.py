@@ -104,7 +104,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
     share = max((share for share in shares if share is not None), default=1.0)
     if percent <= POOR and share < _LEAST_SHARE:
-        text = f"hysteresis accounts for {100 * share:.2g} % of the dissipation: the data show damping, but no hysteresis of the spring"
+        text = f"hysteresis accounts for only {100 * share:.2g} % of the dissipation: the data show viscous damping, but no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     # Where nobody knows the noise, errors of the model are as white.
     white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, parameters)
@@ -115,7 +115,9 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
     on_one_line = len(data) > 1 and percent <= VISIBLE and unexplained  # one branch alone is always a curve
     if single_valued or (on_one_line if one_way else _branches_coincide(fitted)):
-        text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
+        text = (
+            "a single-valued curve describes the data equally well: any hysteresis is below the noise of single samples"
+        )
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
@@ -124,15 +126,15 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if fitted.model.memoryless and (white or not exceeded_limits(train, _settled_rows(fitted), baselines)):
-        text = "a single-valued curve describes these data: there is no hysteresis, or none that they show"
+        text = "a single-valued curve describes these data: they show no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]
     if rough and not unexplained and train.rmse <= NOISY * (change := _change_by_input_noise(fitted)):
         text = (
-            f"the error is {fitted.percent:.3g} % of the range, and another noise of the input, as large as that of these data, changes "
-            f"the output of the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
+            f"the error is {fitted.percent:.3g} % of the range, and noise as large as that of the measured input changes the output of "
+            f"the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
         )
         return Status.OK, [Note(Code.MEASUREMENT_NOISE, text), *_damaged(fitted)]
     status = Status.ROUGH if rough else Status.OK
@@ -180,8 +182,9 @@ def _records_apart(fitted: Fitted) -> Note | None:
     if 2 * len(missed) <= len(errors):
         return None
     text = (
-        f"{len(missed)} of {len(errors)} records, such as {missed[0]!r}, are not described: the error of one is {max(errors):.3g} % of its "
-        "range. If they are of different samples or devices, fit each alone (only=), or all of them by hystfit batch"
+        f"the model does not describe {len(missed)} of {len(errors)} records, such as {missed[0]!r} (largest error {max(errors):.3g} % "
+        "of the range of the record). If they come from different samples or devices, fit each one separately (only=), or all of them "
+        "with hystfit batch"
     )
     return Note(Code.RECORDS_DIFFER, text, Severity.ERROR)
 
@@ -212,14 +215,14 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
         text = f"the error is {percent:.3g} % of the range: the model does not describe this loop"
     elif percent > USABLE and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
-        text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
+        text = f"the error is {share:.0f} % of that of a single-valued curve: the model does not describe the loop"
     elif percent > USABLE and not fitted.model.degrades and _shows_damage(fitted):
         code = Code.MODEL_MISMATCH
         text = f"{_damage(fitted)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
         return None
     if fitted.method != fitted.usual:
-        text = f"{text}; this is where {fitted.method} ended, and method='{fitted.usual}' may reach a lower error"
+        text = f"{text}; {fitted.method} stopped here, and method='{fitted.usual}' may reach a lower error"
         if not fitted.estimate.converged:
             return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}: {text}")
     return Status.POOR, _error(code, text, _whole_part(fitted) if code is Code.MODEL_MISMATCH else None)
@@ -229,7 +232,11 @@ def _damaged(fitted: Fitted) -> list[Note]:
     """A warning where the device degrades more than the model does."""
     if not _shows_damage(fitted):
         return []
-    lacks = "its terms for this do not describe all of it" if fitted.model.degrades else "the model has no term for it"
+    lacks = (
+        "the damage terms of the model describe only part of it"
+        if fitted.model.degrades
+        else "the model has no term for it"
+    )
     text = f"{_damage(fitted)}: {lacks} (see hystfit check)"
     return [dataclasses.replace(warn(Code.MODEL_MISMATCH, text), option=_whole_part(fitted))]
 
@@ -262,7 +269,7 @@ def _no_loop(data: Dataset) -> Note:
     read = [one.label for values in quantities(data).rows.values() for one in values]
     if family is None and read:
         listed = ", ".join(dict.fromkeys(read))
-        text = f"a curve in one direction, without a loop to fit: {listed} are read off the curve itself, see below"
+        text = f"the data are a curve in one direction, without a loop to fit; for {listed}, read directly from the curve, see below"
     elif family is None:
         text = "the input has no reversal of more than 2 % of its range: there is no loop in these data"
     else:

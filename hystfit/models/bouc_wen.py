@@ -208,8 +208,8 @@ def coarse(ratio: Any) -> tuple[str, ...]:
         return ()
     largest = COARSE * float(ratio)
     return (
-        f"in one sample the input moves by up to {largest:.2g} times the length over which the hysteresis bends (1 / its rate), and the "
-        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (as text, add :scheme=exact to the "
+        f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
+        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
         "model's name)",
     )
 

@@ -253,8 +253,8 @@ def drift_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"], lon
     if setup.problem.model.creeps:
         missing, remedy = "drift", "remove it"
     text = (
-        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is {missing}, "
-        f"which the model does not include. Parameters are biased by more than their intervals show; {remedy}"
+        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: this is {missing} that the "
+        f"model does not include. The bias of the parameters exceeds their intervals; {remedy}"
     )
     return [warn(Code.INCOMPLETE, text)]
 

@@ -184,7 +184,7 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
-    keep = [] if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then"]
+    keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]
     return [*improve, *keep, *commands]
 
 
