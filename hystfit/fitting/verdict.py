@@ -36,9 +36,9 @@ from hystfit.results.accuracy import (
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
-_LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
+_LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
 _ENOUGH = 30  # residuals of a record needed to call them white
-_CYCLED = 4  # reversals: the half cycles after the first one that show whether the model describes the loop
+_CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
 def turns_back(data: Iterable[Record]) -> bool:
@@ -47,10 +47,9 @@ def turns_back(data: Iterable[Record]) -> bool:
 
 
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
-    """Whether residuals are white and the loop stands out of them: however large they are, no other model would leave less.
+    """Whether the residuals are white and the loop is significant: no other model can then do better, however large they are.
 
-    `plain` is the RMSE of the best single-valued curve. The loop must be worth the model's number of parameters by the Bayesian
-    information criterion.
+    `plain` is the RMSE of the best single-valued curve, with which the model is compared by the Bayesian information criterion.
     """
     return are_white(rows) and stands_out(rows, plain, parameters)
 
@@ -61,7 +60,7 @@ def are_white(rows: Sequence[np.ndarray]) -> bool:
 
 
 def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
-    """Whether a loop stands out of residuals that is worth a number of parameters; arguments as for `residuals_are_white`."""
+    """Whether the loop is significant for this number of parameters (BIC); arguments as for `residuals_are_white`."""
     count = sum(row.size for row in rows)
     rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
     return 0 < rmse < plain and bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
@@ -83,7 +82,7 @@ def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list
 
 
 def _whole_part(fitted: Fitted) -> tuple[str, str] | None:
-    """The window of a single damaged record in which no damage is seen, as an option."""
+    """The option for a window of a single damaged record, before the damage."""
     part, *others = fitted.parts
     if others or len(part) < len(fitted.data[0]) or not _shows_damage(fitted):
         return None
@@ -96,7 +95,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not (fitted.model.from_saturation or turns_back(data)):
         return Status.NO_LOOP, [_no_loop(data)]
     parameters = fitted.estimate.x.size
-    # Smooth weights may outnumber the samples: their penalty was chosen on left-out data, which test them.
+    # Smooth weights may outnumber the samples: the cross-validation that chose their penalty tests them.
     smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None
     if train.n < FEWEST_SAMPLES or (train.n <= parameters and not smooth):
         text = f"{train.n} samples for {parameters} parameters: too few samples to test the fit"
@@ -106,12 +105,12 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if percent <= POOR and share < _LEAST_SHARE:
         text = f"hysteresis accounts for only {100 * share:.2g} % of the dissipation: the data show viscous damping, but no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    # Where nobody knows the noise, errors of the model are as white.
+    # If the noise level is unknown, white residuals may also be model errors.
     white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, parameters)
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
-    one_way = fitted.model.from_saturation  # without branches to compare, and so without a known noise
+    one_way = fitted.model.from_saturation  # without branches to compare, so that the noise is unknown
     single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
     on_one_line = len(data) > 1 and percent <= VISIBLE and unexplained  # one branch alone is always a curve
     if single_valued or (on_one_line if one_way else _branches_coincide(fitted)):
@@ -156,7 +155,7 @@ def _change_by_input_noise(fitted: Fitted) -> float:
 
 
 def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
-    """Errors of each record after the first half cycle, in which the unknown initial state dies out; of a few cycles, all of them."""
+    """Errors of each record after the first half cycle, in which the unknown initial state decays; all errors of a record of few cycles."""
     rows = []
     for row, record in zip(fitted.rows, fitted.data, strict=True):
         turns = clear_reversals(record.u)
@@ -166,7 +165,7 @@ def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
 
 
 def _records_apart(fitted: Fitted) -> Note | None:
-    """The objection to records of which most are not described, beside the range of each, or which differ at equal inputs."""
+    """An error note if the model does not describe most of the records, relative to their ranges, or if they differ at equal inputs."""
     if len(fitted.rows) < 2:
         return None
     ranges = [float(np.ptp(record.y[record.used])) for record in fitted.data]
@@ -195,7 +194,7 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
 
 
 def _branches_coincide(fitted: Fitted) -> bool:
-    """Whether no loop is open beyond the noise, and the fit errs as much as the samples scatter about a curve of any shape."""
+    """Whether no loop is open beyond the noise, and the error of the fit is as large as the scatter of the samples about a smooth curve."""
     scatter = curve_scatter(fitted.parts)
     if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
         return False
@@ -207,7 +206,7 @@ def _branches_coincide(fitted: Fitted) -> bool:
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
     """Status and reason where the model does not describe the loop.
 
-    The usual method has run from several starts; another one that did not converge says nothing about the model.
+    Only the usual method, which runs from several starts, shows that the model is unsuitable; another one may not have converged.
     """
     baselines, percent = fitted.baselines, fitted.percent
     code, text = Code.POOR_FIT, ""
