@@ -83,7 +83,7 @@ def fit(
             slow (Ornstein-Uhlenbeck) and independent noise estimated from them. "iid" treats residuals as independent. "ou" (slow and
             independent noise), "ar1", "student-t", "discrepancy" (model error that recurs every loop), my_noise.py:MyNoise or a
             class refit by maximum likelihood under that noise model: "ou" is more precise under slow noise, and "discrepancy" is needed if
-                errors recur every loop (a note says so).
+            errors recur every loop (a note says so).
         covariates: parameters that depend linearly on a constant of each record, {"T_degC": ["kappa_x", "c"]} or "T_degC:kappa_x,c". Its
             value comes from the metadata of the record, which include constant columns of its file, or from its name; see
             `hystfit.models.Varying`. The result has the parameters at the mean of the covariate, and their slopes ("kappa_x/T_degC").
