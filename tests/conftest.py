@@ -33,28 +33,9 @@ MOST_MAPS = 15_000
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 PICTURES = Pictures()
 LONGEST = (
-    "quality",
-    "sampling",
-    "models",
-    "unfamiliar_records",
-    "site",
-    "compare",
-    "cli",
-    "batch",
-    "noise",
-    "calibration",
-    "faults",
-    "ukf",
-    "recovery",
-    "profiles",
-    "inverse",
-    "cli_process",
-    "experiments",
-    "population",
-    "stage",
-    "records",
-    "creep",
-)
+    "sampling compare models quality site unfamiliar_records inverse profiles ukf fit noise export calibration weight_sampling "
+    "population batch cli_uncertainty cli_process experiments docs cli predictive_noise lanes oscillator answers preisach_fits"
+).split()
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -139,6 +120,21 @@ def _figures_closed() -> Iterator[None]:
 def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """`check` without its comparison of models, which takes seconds, where the findings are looked at and not the advice."""
     monkeypatch.setattr("hystfit.fitting.data_check._screened", lambda _: ())
+
+
+@pytest.fixture
+def few_families(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A default comparison of a family of each kind: where it ends does not depend on the others, which take 10 s to compile."""
+    kinds = (
+        "preisach",
+        "preisach-signed",
+        "duhem",
+        "bouc-wen",
+        "bouc-wen+log-creep",
+        "bouc-wen-force+viscous",
+        "oscillator",
+    )
+    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
 
 
 def examined(data: Any) -> Any:

@@ -255,6 +255,7 @@ def superelastic(samples: int = 50) -> hf.Record:
     return hf.Record(strain, np.array(stress) + noise, u_unit="%", y_unit="MPa", u_name="strain", y_name="stress")
 
 
+@pytest.mark.usefixtures("few_families")
 def test_weights_of_either_sign_are_tried_last_where_no_model_describes_the_loops():
     record = superelastic()
     chosen = candidates(hf.Dataset((record,)))
@@ -327,6 +328,7 @@ def test_a_model_that_cannot_win_is_stopped_only_in_a_default_comparison(default
     assert named["bouc-wen"].score_percent > rows["bouc-wen"].in_sample_percent / 2
 
 
+@pytest.mark.usefixtures("few_families")
 def test_models_of_time_are_tried_where_the_search_needs_time_and_none_beside_one_that_leaves_noise():
     t = np.arange(200) / 100
     u = np.sin(2 * np.pi * t)
@@ -384,7 +386,13 @@ def test_only_a_model_that_serves_the_purpose_stops_others():
         assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
 
 
-@pytest.mark.parametrize(("name", "data"), [("duhem", stepped_loops()), ("bouc-wen", hf.Dataset.of(steady_loop()))])
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("duhem", stepped_loops()),
+        pytest.param("bouc-wen", hf.Dataset.of(steady_loop()), marks=pytest.mark.slow),
+    ],
+)
 def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validated(name, data):
     alone = hf.compare(data, [name]).rows[0]
     error, score = alone.in_sample_percent, alone.score_percent
@@ -749,6 +757,7 @@ def test_progress_is_silent_where_nobody_looks(capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.usefixtures("few_families")
 def test_a_loop_recorded_at_one_pace_is_hysteresis_though_a_lag_describes_it():
     """Strain of a wire over one heating and cooling at constant rates: two branches apart in temperature, which a lag before a curve
     describes as well, with a loop of two thirds of the measured area where it runs at its own pace.
@@ -771,6 +780,7 @@ def test_a_loop_recorded_at_one_pace_is_hysteresis_though_a_lag_describes_it():
     }  # the output falls, also where a curve needs no negation
 
 
+@pytest.mark.usefixtures("few_families")
 def test_creep_is_found_at_one_pace_where_models_without_time_leave_more_than_noise():
     t = np.linspace(0, 10, 1000)
     u = 50 + 50 * (1 - 0.09 * t) * np.sin(1.6 * np.pi * t + -0.155)

@@ -49,6 +49,7 @@ def two_rates(noise: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, u, 4.0 * np.tanh(lagged(u, np.full(t.size, 0.025 / 0.12)) / 2) + noise * rng.normal(size=t.size)
 
 
+@pytest.mark.usefixtures("few_families")
 def test_a_sensor_that_only_lags_has_no_hysteresis():
     t, u, y = two_rates(0.01)
     result = hf.fit("auto", u, y, t)
@@ -67,6 +68,7 @@ def test_a_lag_of_one_order_answers_a_step_as_the_closed_form_does():
         hf.Lag(order=3)
 
 
+@pytest.mark.usefixtures("few_families")
 def test_a_coarse_curve_without_a_loop_is_no_hysteresis():
     voltage = np.concatenate([np.linspace(-1, 0.8, 23), np.linspace(0.8, -1, 23)])
     y = 1e-3 * np.expm1(voltage / 0.07) + 0.02 * voltage  # a diode and its series resistance

@@ -119,7 +119,11 @@ def path(low: float, high: float, samples: int = 300) -> np.ndarray:
     return np.interp(np.linspace(0, 13, samples), np.arange(14), corners)
 
 
-@pytest.mark.parametrize("name", CASES)
+# The code of the parts of these is that of others, and their weights are expanded in Python.
+SLOW = "preisach_positive", "preisach_symmetric", "plays_negated", "bouc_wen_line"
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES])
 def test_c_equals_python(name: str, tmp_path: Path) -> None:
     model, low, high = CASES[name]
     limits = (low, high) if model.step_inverse().needs_limits else None

@@ -180,13 +180,18 @@ def test_a_folder_that_vanishes_ends_a_run_in_words(old, tmp_path, sampler):
 
 
 def test_a_run_file_that_is_damaged_is_computed_again(old, tmp_path):
-    for sampler, name in (("nuts", "nuts-0-00001.npz"), ("emcee", "emcee-00000.npz")):
-        draw = lambda sampler=sampler: hf.sample(old, folder=tmp_path / sampler, seed=1, noise="iid", **RUNS[sampler])
-        whole, file = draw().draws, tmp_path / sampler / name
-        content = file.read_bytes()
-        for cut in (0, 10, len(content) // 2, len(content) - 20):
-            file.write_bytes(content[:cut])
-            np.testing.assert_array_equal(draw().draws, whole)
+    for sampler, names in (("nuts", ("nuts-0-00001.npz", "nuts-0-warm.npz")), ("emcee", ("emcee-00000.npz",))):
+        run = tmp_path / sampler
+        draw = lambda: hf.sample(old, folder=run, seed=1, noise="iid", **RUNS[sampler])  # noqa: B023
+        whole = draw().draws
+        for name in names:
+            content = (run / name).read_bytes()
+            for damaged in (b"no archive", *(content[:cut] for cut in (0, 10, len(content) // 2, len(content) - 20))):
+                (run / name).write_bytes(damaged)
+                np.testing.assert_array_equal(draw().draws, whole)
+        (run / "run.json").write_text("{")
+        with pytest.raises(DataError, match="damaged: remove"):
+            draw()
 
 
 def test_runs_of_shell_verbs_are_judged_by_what_they_leave(old, tmp_path):

@@ -39,11 +39,14 @@ compiled = []
 jax.monitoring.register_event_duration_secs_listener(
     lambda event, _, **more: compiled.append(event) if "backend_compile" in event else None)
 from hystfit.models.registry import make_model
-model, u, dt = make_model({name!r}), np.sin(np.arange(300.0)), np.full(300, 0.1)
-for call in (lambda: model.free_run(u, dt), lambda: model.design_matrix(u, dt), lambda: model.slope_range(-1, 1, 0.1)):
-    compiled.clear()
-    call()
-    print(len(compiled))
+u, dt = np.sin(np.arange(300.0)), np.full(300, 0.1)
+for name in ("linear+springpot", "lag+preisach", "bouc-wen+relaxation"):
+    jax.clear_caches()
+    model = make_model(name)
+    for call in (lambda: model.free_run(u, dt), lambda: model.design_matrix(u, dt), lambda: model.slope_range(-1, 1, 0.1)):
+        compiled.clear()
+        call()
+        print(len(compiled))
 """
 _FLAG = """
 import os, jax
@@ -69,12 +72,9 @@ def test_a_first_fit_compiles_few_programs_and_imports_no_solver_that_it_does_no
     assert "scipy.stats" not in imported
 
 
-@pytest.mark.parametrize(
-    "name", ["linear+springpot", "lag+preisach", pytest.param("bouc-wen+relaxation", marks=pytest.mark.slow)]
-)
-def test_operations_on_the_host_are_no_programs_of_their_own(name):
+def test_operations_on_the_host_are_no_programs_of_their_own():
     """Each took 10 ms of every first fit, kept or not: 40 of the 67 programs of a sweep, a seventh of the processor time of its fit."""
-    assert all(int(count) <= 3 for count in _run(_ON_HOST.format(name=name)).split())
+    assert all(int(count) <= 3 for count in _run(_ON_HOST).split())
 
 
 def test_scan_loops_are_compiled_whole_however_double_precision_is_switched_on():

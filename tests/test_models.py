@@ -161,12 +161,16 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-# The relays and `jiles-atherton` keep the laws in the quick form.
+# What takes longest to compile; relays, the exact and the asymmetric loop and the oscillator keep the laws in the quick form, and the
+# tests of Jiles-Atherton fit by its derivatives.
 SLOW = (
+    "asymmetric, exact",
+    "oscillator, hardening, held",
     "density",
     "cells",
     "cells of either sign",
     "everett table",
+    "jiles-atherton",
     "jiles-atherton driven by B",
     "jiles-atherton with losses",
 )

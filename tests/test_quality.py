@@ -623,19 +623,13 @@ def test_creep_needs_a_rest_with_motion_or_a_drift():
 
 def test_the_model_to_try_first_is_the_best_of_a_quick_comparison():
     t, u = signals.sine(4, 200)
-    late = np.interp(np.arange(t.size) - 4, np.arange(t.size), piezo(u))
     measured = piezo(u) + 1e-3 * np.ptp(piezo(u)) * np.random.default_rng(0).normal(size=t.size)
     cases = [
         (Record(u, measured, t=t), "prandtl-ishlinskii"),
-        (Record(u, late, t=t), "lag+"),
         (Record(u, steel(u)), "prandtl-ishlinskii-stop"),
-        (Record(u, u**2, t=t), None),
     ]
     for data, model in cases:
         report = check(data)
-        if model is None:
-            assert report.advice is None
-            continue
         assert report.advice.model.startswith(model)
         assert make_model(report.advice.model) is not None
         parts = [judged_as(part.partition(":")[0]) for part in report.advice.model.split("+")]
@@ -1062,8 +1056,7 @@ def test_damaged_structures_are_out_of_reach(name):
     "name",
     [
         "struct_slotboom/u-damper",
-        "steel_resspylab/example_1",
-        pytest.param("steel_resspylab/example_2", marks=pytest.mark.slow),
+        *(pytest.param(f"steel_resspylab/example_{k}", marks=pytest.mark.slow) for k in (1, 2)),
     ],
 )
 def test_sound_steel_is_within_reach(name):
@@ -1109,7 +1102,7 @@ def test_a_cycle_that_begins_in_the_middle_of_its_loop_has_the_shape_of_the_elli
     assert record.shape.asymmetry_percent < 0.5
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_noise_is_no_loop_and_a_faint_loop_in_noise_is_one(seed):
     rng, t = np.random.default_rng(seed), np.linspace(0, 10, 1000)
     u = 50 + (1 - 0.09 * t) * 50 * np.sin(2 * np.pi * 0.8 * t)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-import os
+import json
 import signal
 import subprocess
 import sys
@@ -264,12 +264,13 @@ def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     target, found = prepare(fitted, noise="iid").target, []
     for goal in (0.65, 0.85):
         nuts, shares = Nuts(target_accept=goal), []
-        for key in jax.random.split(jax.random.key(3), 4):
+        for key in jax.random.split(jax.random.key(3), 2):
             shares += [chunk["acceptance"].mean() for _, chunk in chunks_of(nuts, target, key, 4)]
         found.append(np.mean(shares))
     np.testing.assert_allclose(found, [0.65, 0.85], atol=0.06)
 
 
+@pytest.mark.slow
 def test_weights_that_replace_each_other_are_sampled():
     """Plays of nearly the same width: their sum is known, its parts are not, and each may be zero."""
     u = np.sin(np.linspace(0, 4 * np.pi, 200)) * np.linspace(0.4, 1.0, 200)
@@ -321,6 +322,13 @@ class LogGamma(Target):
         return jax.value_and_grad(self.log_density)(v)
 
 
+class SkewedWidths(Target):
+    """Logarithms of independent gamma variables of shape 4, in units of their curvature at the mode."""
+
+    def log_density(self, v, lean=False):
+        return 4 * jnp.sum(v / 2 - jnp.exp(v / 2))
+
+
 def of_kind(kind: type[Target], fitted: hf.FitResult, lengths: list[float]) -> Target:
     """A target that replaces the density of a fit."""
     real = prepare(fitted, noise="iid").target
@@ -344,11 +352,9 @@ def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
 
 def independent(target: Target, seed: int, draws: int) -> np.ndarray:
     """Draws v of two chains, end to end."""
-    rng, drawn = np.random.default_rng(seed), []
-    begin = independence._begin(proposals.adapted(target, rng), 2, rng)
-    mixture = proposals.Mixture(begin["share"], begin["center"], begin["root"])
-    for number, start in enumerate(begin["starts"]):
-        chain = independence._Chain(target, mixture, int(begin["tries"]), start, (seed, number), None, "")
+    mixture, places = proposals.adapted(target, np.random.default_rng(seed))
+    chains, drawn = independence.Independence(chains=2)._chains(target, mixture, places, (seed, 1), None), []
+    for chain in chains:
         chain.draw(draws, lambda: None)
         drawn.append(np.asarray(target.v_of(np.concatenate([chunk["q"] for chunk in chain.chunks]), np)))
     return np.concatenate(drawn)
@@ -369,7 +375,7 @@ def test_independence_chains_have_a_skewed_density_as_their_distribution(fitted)
             assert abs(inside.mean() - share) < 4 * np.sqrt(share * (1 - share) / effective_size(inside.reshape(2, -1)))
 
 
-@pytest.mark.parametrize(("d", "seed", "covered"), [(3, 8, True), (4, 2, False), (5, 6, False), (8, 0, False)])
+@pytest.mark.parametrize(("d", "seed", "covered"), [(2, 0, True), (4, 2, False), (5, 6, False), (8, 0, False)])
 def test_a_mixture_that_covers_a_funnel_has_its_narrow_end_and_others_are_told(fitted, d, seed, covered):
     """v is normal with standard deviation 2, whatever d: a mixture that lacks the narrow end has no small v."""
     target = without_parameters(Funnel, fitted, d)
@@ -382,6 +388,22 @@ def test_a_mixture_that_covers_a_funnel_has_its_narrow_end_and_others_are_told(f
         for share in (0.025, 0.16, 0.84, 0.975):
             below = float(offers.weights[offers.q[:, 0] < 2 * scipy.stats.norm.ppf(share)].sum())
             assert below == pytest.approx(share, abs=0.015)  # 0.002 and 0.004 without the narrow end
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_mixture_covers_many_skewed_parameters(fitted, seed):
+    """Of 1000 first draws in 16 dimensions about one has weight, and a mixture fitted to these alone is none."""
+    target, rng = without_parameters(SkewedWidths, fitted, 16), np.random.default_rng(seed)
+    found = proposals.adapted(target, rng)
+    assert found is not None
+    offers = proposals.Batch.of(target, found[0], rng, 8000)
+    assert independence.covers(offers)
+    gamma = np.exp(offers.q / 2)  # mean 1, variance 1 / 4
+    spread = offers.effective**-0.5
+    assert np.abs(offers.weights @ gamma - 1).max() < 4 * 0.5 * spread
+    assert (
+        np.abs(offers.weights @ (gamma - 1) ** 2 - 0.25).max() < 4 * 0.47 * spread
+    )  # sd of the square: sqrt(9 / 32 - 1 / 16)
 
 
 def test_nuts_draws_what_no_mixture_covers(fitted, monkeypatch):
@@ -627,16 +649,11 @@ def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(poste
 
 
 KILLED = """
-import sys
-from tests.test_sampling import ENDLESS, loop
+import json, sys
 import hystfit as hf
-from hystfit.outcome import Code, Status
-from hystfit.outcome.note import has
-from hystfit.sampling.sample import prior_dominated_notes, drift_notes, sample
 hf.enable_x64()
-record, model = loop()
-result = hf.fit(model, record, starts=1, fix={"rho": 0.5})
-sample(result, sys.argv[1], noise="iid", folder=sys.argv[2], seed=4, **ENDLESS[sys.argv[1]])
+sampler, fit, folder, settings = sys.argv[1:]
+hf.sample(hf.load_fit(fit), sampler, noise="iid", folder=folder, seed=4, **json.loads(settings))
 """
 ENDLESS = {
     "nuts": {"chains": 1, "warmup": 100, "extend": 1, "draws": 200_000},
@@ -644,11 +661,11 @@ ENDLESS = {
 }
 
 
-def kill_in_the_middle(sampler: str, folder: Path, sign: str) -> None:
+def kill_in_the_middle(fitted: hf.FitResult, sampler: str, folder: Path, sign: str) -> None:
     """Run a sampler that would not end in a process of its own, and kill it outright once a file appears."""
-    root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    fit = fitted.save(folder.with_name("fit"))
     process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, sampler, str(folder)], env={**os.environ, "PYTHONPATH": root}
+        [sys.executable, "-c", KILLED, sampler, str(fit), str(folder), json.dumps(ENDLESS[sampler])]
     )
     until = time.monotonic() + 300
     while not (folder / sign).exists() and time.monotonic() < until:
@@ -659,9 +676,10 @@ def kill_in_the_middle(sampler: str, folder: Path, sign: str) -> None:
     assert (folder / sign).exists()
 
 
+@pytest.mark.slow
 def test_nuts_killed_outright_goes_on_with_the_draws_of_an_unbroken_run(fitted, tmp_path):
     folder = tmp_path / "run"
-    kill_in_the_middle("nuts", folder, "nuts-0-00001.npz")
+    kill_in_the_middle(fitted, "nuts", folder, "nuts-0-00001.npz")
     kept = len(list(folder.glob("nuts-0-0*.npz")))
     (folder / f".nuts-0-{kept:05d}.npz").write_bytes(b"half a file")  # what a kill during a write leaves
     options = {"noise": "iid", "seed": 4, **ENDLESS["nuts"], "draws": 50 * (kept + 2)}
@@ -673,7 +691,7 @@ def test_nuts_killed_outright_goes_on_with_the_draws_of_an_unbroken_run(fitted, 
 
 def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
     folder = tmp_path / "run"
-    kill_in_the_middle("emcee", folder, "emcee-00000.npz")
+    kill_in_the_middle(fitted, "emcee", folder, "emcee-00000.npz")
     steps = lambda: np.concatenate([np.load(file)["chain"] for file in sorted(folder.glob("emcee-*.npz"))])
     kept = steps()
     assert len(kept) >= 50
@@ -726,25 +744,6 @@ def test_a_finished_emcee_run_asked_again_is_what_it_was(fitted, tmp_path):
     again = sample(fitted, "emcee", draws=200, **settings)
     assert first.status == again.status == "ok"
     np.testing.assert_array_equal(again.draws, first.draws)
-
-
-@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04", b"no archive"])
-def test_a_damaged_chunk_of_nuts_is_made_anew(fitted, tmp_path, damage):
-    settings = {
-        "noise": "iid",
-        "chains": 1,
-        "draws": 100,
-        "extend": 1,
-        "warmup": 50,
-        "folder": tmp_path / "run",
-    }  # of NUTS
-    first = sample(fitted, **settings)
-    for name in ("nuts-0-00001.npz", "nuts-0-warm.npz"):
-        (tmp_path / "run" / name).write_bytes(damage)
-    np.testing.assert_array_equal(sample(fitted, **settings).draws, first.draws)
-    (tmp_path / "run" / "run.json").write_text("{")
-    with pytest.raises(DataError, match="damaged: remove"):
-        sample(fitted, **settings)
 
 
 def test_independence_chains_go_on_from_their_files(fitted, tmp_path):
@@ -922,8 +921,10 @@ def test_a_fit_at_which_the_simulation_breaks_is_not_refused():
     fit = hf.fit(hf.BoucWen(scheme="exact"), record, starts=1, noise="iid")
     far = dataclasses.replace(fit, x=np.array([1e15, 1 - 1e-16, 3e-12, 0.56, fit.x[4]]))
     setup = prepare(far, noise="iid")
-    assert np.isfinite(float(setup.target(jnp.zeros(setup.target.center.size))))
-    assert np.abs(setup.target.physical(jnp.zeros(setup.target.center.size))[0]) < 1e6
+    both = eqx.filter_jit(lambda target, q: (target(q), target.physical(q)))
+    density, mode = both(setup.target, jnp.zeros(setup.target.center.size))
+    assert np.isfinite(density)
+    assert np.abs(mode[0]) < 1e6
 
 
 def test_a_parameter_that_the_data_do_not_move_is_named(fitted, posterior):

@@ -386,7 +386,7 @@ def test_creep_in_stages_on_the_bundled_records():
         pytest.param(
             Preisach.of(4, degree=1, reversible=False, elements="relays", spacing="uniform"), marks=pytest.mark.slow
         ),
-        Sum(bouc_wen(), Viscous()),
+        pytest.param(Sum(bouc_wen(), Viscous()), marks=pytest.mark.slow),
         Series(bouc_wen(), SecondOrder(omega=300.0, zeta=0.1)),
     ],
     ids=["duhem", "prandtl-ishlinskii", "preisach", "viscous", "resonance"],

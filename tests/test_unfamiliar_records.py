@@ -537,7 +537,7 @@ def test_the_column_that_separates_curves_in_time_names_them(tmp_path: Path) -> 
 
 
 def test_a_switch_is_neither_clipped_nor_damaged() -> None:
-    t = np.arange(0, 3600, 5.0)
+    t = np.arange(0, 3600, 10.0)
     temperature = 20 + 2.5 * np.sin(2 * np.pi * t / 600) + 0.7 * np.sin(2 * np.pi * t / 171)
     on, states = 1.0, []
     for now in temperature:

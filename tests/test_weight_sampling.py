@@ -259,6 +259,7 @@ def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitRe
     )
 
 
+@pytest.mark.slow
 def test_a_lag_before_many_cells_converges() -> None:
     """Weights at their bound have means inside it: derivatives about the estimate are not those that the draws need."""
     rng, t = np.random.default_rng(0), 0.01 * np.arange(960.0)

@@ -28,14 +28,12 @@ from hystfit.sampling.setup import Setup, given_others
 from hystfit.sampling.target import Target
 
 _CHUNK = 100  # draws of a chain between two writes to disk
-_LEAST = 0.1  # effective fraction of the draws of a mixture, below which no chains are drawn
-# The same of all offers of the chains: 0.45 to 0.75 for records. Of 48 funnels (Neal 2003) none from six dimensions on had as much.
-_COVERED = 0.4
-# Shape of the largest weights, above which averages over them are not reliable (Vehtari et al. 2024): 0.03 to 0.65 for three records
-# after one fit or two. Without it 8 of 16 funnels of four and five dimensions are taken, up to 2.4 % of the draws missing at the
-# narrow end; with it two, of which one lacks 1.0 % and one 1.8 %.
-_TAIL = 0.7
-_ATTEMPTS = 5  # to draw, each by a mixture fitted to the offers of the one before
+# Effective fraction of the offers, and shape of their largest weights (Vehtari et al. 2024), of a mixture that covers a posterior. Those
+# of measured records had 0.27 to 0.75, and shapes of 0.03 to 0.58. Of 120 funnels (Neal 2003) of 3 to 10 dimensions, 20 of each, one
+# of three dimensions was covered; with a shape of 0.7 others were, up to 2.5 % of whose draws were missing at the narrow end.
+_COVERED, _TAIL = 0.25, 0.6
+_HOPELESS = 0.02  # effective fraction below which no other mixture follows: 0.03 and more for those that led to one that covers a record
+_ATTEMPTS = 5  # to draw, each by a mixture fitted to all offers before
 _TRIES = 2.0  # effective draws of the mixture for each draw of a chain
 
 
@@ -72,20 +70,18 @@ class Independence(AbstractSampler):
     def _drawn(self, target: Target, seed: int, folder: Path | None, report: Progress) -> dict[str, np.ndarray] | None:
         """Draws in the coordinates of a target; None where no mixture covers it.
 
-        Where too few offers are effective, the mixture is fitted to all offers of the chains, and all draws are made anew.
+        Where the offers of the chains show that it does not, the mixture is fitted to them too, and all draws are made anew.
         """
-        rng = np.random.default_rng([seed, 0])
-        make = lambda: _begin(adapted(target, rng), self.chains, rng)
+        make = lambda: _stated(adapted(target, np.random.default_rng([seed, 0])))
         begin = stored(folder, f"{self.name}-fit.npz", make)
+        if not begin:
+            return None
+        mixture: Mixture | None = Mixture(begin["share"], begin["center"], begin["root"])
+        places = Batch(begin["q"], begin["log_density"], begin["score"])
         for attempt in range(1, _ATTEMPTS + 1):
-            if not begin:
-                return None
-            mixture = Mixture(begin["share"], begin["center"], begin["root"])
-            known = (target, mixture, int(begin["tries"]))
-            chains = [
-                _Chain(*known, start, (seed, attempt, k), folder, f"{self.name}-{attempt}-{k}")
-                for k, start in enumerate(zip(begin["starts"], begin["scores"].tolist(), strict=True))
-            ]
+            if mixture is None:
+                break
+            chains = self._chains(target, mixture, places, (seed, attempt), folder)
             # A chunk of each chain shows most mixtures that cover too little.
             for draws in (min(_CHUNK, self.draws), self.draws):
                 drawn = self._joined(chains, draws, report)
@@ -94,10 +90,21 @@ class Independence(AbstractSampler):
                     break
             else:
                 return self._converged(chains, drawn, report)
-            refitted = mixture.refitted(offers)
-            found = None if refitted is None else (refitted, offers)
-            begin = _begin(found, self.chains, np.random.default_rng([seed, 0, attempt]))
+            places = Batch.joined([places, offers.balanced])
+            mixture = mixture.refitted(places)
         return None
+
+    def _chains(
+        self, target: Target, mixture: Mixture, places: Batch, seed: tuple[int, int], folder: Path | None
+    ) -> list[_Chain]:
+        """Chains of one attempt, which begin at weighted places."""
+        at = np.random.default_rng([*seed, 0]).choice(len(places.q), self.chains, p=places.weights)
+        scores = (places.log_density[at] - mixture.log_density(places.q[at])).tolist()
+        tries = 2 * math.ceil(0.5 * _TRIES / max(efficiency(places.score), _COVERED))  # even
+        return [
+            _Chain(target, mixture, tries, start, (*seed, k), folder, f"{self.name}-{seed[1]}-{k}")
+            for k, start in enumerate(zip(places.q[at], scores, strict=True))
+        ]
 
     def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> dict[str, np.ndarray]:
         """All chains, longer than before until they have converged."""
@@ -127,15 +134,11 @@ def covers(offers: Batch) -> bool:
     return efficiency(offers.score) >= _COVERED and tail_shape(offers.score) <= _TAIL
 
 
-def _begin(found: tuple[Mixture, Batch] | None, chains: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """What the chains begin with: the mixture, its tries for each draw (even), and a place for each; empty where no mixture is found."""
-    if found is None or efficiency(found[1].score) < _LEAST:
+def _stated(found: tuple[Mixture, Batch] | None) -> dict[str, np.ndarray]:
+    """Arrays of a mixture and of the places it was fitted to; empty where none is found that may lead to one that covers the posterior."""
+    if found is None or efficiency(found[1].score) < _HOPELESS:
         return {}
-    mixture, batch = found
-    at = rng.choice(len(batch.q), chains, p=batch.weights)
-    tries = np.asarray(2 * math.ceil(0.5 * _TRIES / efficiency(batch.score)))
-    return {"share": mixture.share, "center": mixture.center, "root": mixture.root, "tries": tries, "starts": batch.q[at],
-            "scores": batch.log_density[at] - mixture.log_density(batch.q[at])}  # fmt: skip
+    return {field.name: getattr(part, field.name) for part in found for field in dataclasses.fields(part)}
 
 
 _DRAWN = ("z", "acceptance")  # of each draw of a chunk

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +23,13 @@ _FREEDOM = 10.0  # of the t distributions; 5 was no better
 _WIDER = 1.1  # times the scale of the weighted places of a component: weights stay bounded where a posterior is skewed
 _COMPONENTS = 5  # one alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70
 _ALONE = 3  # rounds of one component, which finds place and scale
-_ROUNDS = 12  # of `_ROUND` draws at most
-_ROUND = 5 * ROWS  # draws: 200 are too few to tell a funnel
+_ROUNDS = 12  # at most
+_LEAST = 5 * ROWS  # draws of a round: 200 are too few to tell a funnel
+# Draws of a round for each number in a mixture. Of a piezo record's 14 parameters, rounds of 1000 draws ended with one component or two
+# that covered too little from one seed of three.
+_EACH = 5
+_PLACES = 3  # effective, for each dimension, that a covariance needs
+_FLAT = 1e-6  # power of weights that leaves them equal
 _RECENT = 4  # rounds that a mixture is fitted to
 _STEADY = 0.5  # effective fraction of the draws of two rounds after which no further ones follow
 
@@ -53,6 +59,12 @@ class Mixture:
         """Up to a constant."""
         return np.asarray(logsumexp(self.components(q)[0], axis=0))
 
+    @property
+    def round(self) -> int:
+        """Draws of a round, which fit it: several for each of its numbers, and a multiple of `ROWS`."""
+        k, d = self.center.shape
+        return max(_LEAST, ROWS * math.ceil(_EACH * k * (d + 1) * (d + 2) / 2 / ROWS))
+
     def draw(self, rng: np.random.Generator, n: int) -> Float[np.ndarray, "n d"]:
         """Independent draws."""
         which = rng.choice(len(self.share), n, p=self.share)
@@ -62,13 +74,12 @@ class Mixture:
     def refitted(self, batch: Batch) -> Mixture | None:
         """One step of population Monte Carlo to weighted places; None where they determine no component."""
         levels, distances = self.components(batch.q)
-        parts = batch.truncated * softmax(levels, axis=0)  # of each place in each component
+        parts = batch.tempered * softmax(levels, axis=0)  # of each place in each component
         pulls = parts * (_FREEDOM + batch.q.shape[1]) / (_FREEDOM + distances)
         found = []
         for part, pull in zip(parts, pulls, strict=True):
             share, center = part.sum(), pull @ batch.q / max(pull.sum(), np.finfo(float).tiny)
-            # As many effective places as its covariance needs.
-            if share**2 >= 3 * batch.q.shape[1] * np.sum(part**2) > 0:
+            if share**2 >= _PLACES * batch.q.shape[1] * np.sum(part**2) > 0:
                 away = batch.q - center
                 found.append((share, center, _WIDER * np.linalg.cholesky((pull * away.T) @ away / share)))
         if not found:
@@ -125,10 +136,12 @@ class Batch:
         return softmax(self.score) if np.isfinite(self.score).any() else np.zeros(len(self.q))
 
     @property
-    def truncated(self) -> Float[np.ndarray, " n"]:
-        """Weights of which none is above sqrt(n) times their mean (Ionides 2008, J. Comput. Graph. Stat. 17): one place is no component."""
-        weights = np.minimum(self.weights, len(self.q) ** -0.5)
-        return weights / max(weights.sum(), np.finfo(float).tiny)
+    def tempered(self) -> Float[np.ndarray, " n"]:
+        """Weights to the power, at most one, that leaves as many effective as a covariance needs (Koblents and Miguez 2015)."""
+        power, enough = 1.0, 2 * _PLACES * self.q.shape[1]
+        while power > _FLAT and len(self.q) * efficiency(power * self.score) < enough:
+            power *= 0.9
+        return softmax(power * self.score) if self.effective else self.weights
 
     @property
     def effective(self) -> float:
@@ -148,18 +161,18 @@ def tail_shape(score: Float[np.ndarray, " n"]) -> float:
 
 
 def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] | None:
-    """A mixture fitted to a target, and draws of it that did not shape it; None where none is found."""
+    """A mixture fitted to a target, and the draws of the last rounds, balanced; None where none is found."""
     d, batches = len(target.center), []
     mixture: Mixture | None = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
     for number in range(1, _ROUNDS + 1):
-        batches.append(Batch.of(target, mixture, rng, _ROUND))
+        batches.append(Batch.of(target, mixture, rng, mixture.round))
         steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
-        if number == _ROUNDS or (number > _ALONE + 2 and steady):
-            break
         recent = Batch.joined([batch.balanced for batch in batches[-_RECENT:]])
+        if number == _ROUNDS or (number > _ALONE + 2 and steady):
+            return mixture, recent
         if not recent.effective:
-            return None
+            break
         mixture = mixture.split(recent, rng) if number == _ALONE else mixture.refitted(recent)
         if mixture is None:
-            return None
-    return mixture, batches[-1]
+            break
+    return None
