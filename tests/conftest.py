@@ -119,7 +119,7 @@ def _figures_closed() -> Iterator[None]:
 @pytest.fixture
 def findings_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """`check` without its comparison of models, which takes seconds, where the findings are looked at and not the advice."""
-    monkeypatch.setattr("hystfit.fitting.data_check._screened", lambda _: ())
+    monkeypatch.setattr("hystfit.fitting.data_check._compared", lambda _: None)
 
 
 @pytest.fixture

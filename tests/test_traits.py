@@ -12,7 +12,7 @@ import numpy as np
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.screening import Screened
+from hystfit.fitting.comparison import Row
 from hystfit.fitting.traits import traits
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Trait, examine
@@ -21,9 +21,8 @@ from hystfit.quality.check import Trait, examine
 def named(*records: hf.Record) -> set[str]:
     """Traits beside a search that took plain stops at 5 % of the range."""
     data = Dataset.of(records)
-    baselines = Baselines.of(data)
-    searched = Screened("prandtl-ishlinskii-stop:plays=10", 0.05 * baselines.span, 10, True)
-    return {trait.name for trait in traits(data, [searched], baselines)}
+    searched = Row("prandtl-ishlinskii-stop:plays=10", "prandtl-ishlinskii-stop:plays=10", score_percent=5.0)
+    return {trait.name for trait in traits(data, [searched], Baselines.of(data))}
 
 
 def growing(samples: int = 1200) -> tuple[np.ndarray, np.ndarray]:

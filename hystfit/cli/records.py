@@ -67,6 +67,7 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     """The records of LOOP arguments, in the units of the first."""
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
+    from hystfit.reading.archive import members_of
     from hystfit.reading.several import combined, files_of
 
     if not loops:
@@ -74,7 +75,8 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
             "LOOP is missing: name the file of a measured loop, or a data set (hystfit datasets lists them)"
         )
     known = [loop for loop in loops if loop in datasets.names() and not Path(loop).exists()]
-    files = [str(file) for loop in loops for file in ([loop] if loop in known else files_of(loop))]
+    whole = lambda loop: loop in known or members_of(Path(loop))  # an archive may hold other files than measurements
+    files = [str(file) for loop in loops for file in ([loop] if whole(loop) else files_of(loop))]
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise DataError(f"{twice[0]!r} is given twice")
     return Dataset.of(combined([(file, _load_one(file, reading)) for file in files]))

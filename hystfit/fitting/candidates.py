@@ -37,18 +37,26 @@ class Candidates:
         closed: models whose weights follow from a linear solve: they take a tenth of a second each.
         iterated: models whose parameters are searched for.
         resonant: those of them with a resonance, which take longest.
+        late: those that depend on more speeds than long branches have, but short ones: where the others leave more than noise.
         last: those for loops of the other direction that describe these too: where no other model does.
     """
 
     closed: tuple[str, ...]
     iterated: tuple[str, ...] = ()
     resonant: tuple[str, ...] = ()
+    late: tuple[str, ...] = ()
     last: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """All but the last."""
-        return (*self.closed, *self.iterated, *self.resonant)
+        return (*self.closed, *self.iterated, *self.resonant, *self.late)
+
+    def timed_late(self) -> Candidates:
+        """The same with the iterated models that depend on time behind the others."""
+        early = timeless(self.iterated)
+        late = tuple(name for name in self.iterated if name not in early)
+        return dataclasses.replace(self, iterated=early, late=(*late, *self.late))
 
     def beside(self, found: Structure, delay: bool) -> Candidates:
         """The same after the search, with what it found before and beside its plays before and beside the iterated models too.
@@ -60,7 +68,8 @@ class Candidates:
         before = "delay+" * delay + "negate+" * found.falls
         around = lambda name: f"{before}{name}" + "+linear" * found.line
         lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop
-        return Candidates(lagged, tuple(map(around, self.iterated)), tuple(map(around, self.resonant)), self.last)
+        others = (tuple(map(around, names)) for names in (self.iterated, self.resonant, self.late))
+        return Candidates(lagged, *others, self.last)
 
 
 def timeless(names: Sequence[str]) -> tuple[str, ...]:
@@ -76,7 +85,8 @@ def candidates(data: Dataset) -> Candidates:
         # Free masses take a tenth of the time of bounded ones, and their error may tell that these cannot win.
         return Candidates(tuple(sorted(curves, key=lambda name: models[name].has_inverse)) or (SEARCH,))
     timed = all(record.t is not None for record in data)
-    speeds = len(distinct((speed for record in data for speed in speeds_of(record)), SPEEDS_APART))
+    count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
+    speeds, of_any_length = count(), count(0.0)
     contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
     plays_fail = _plays_fail(data)
     able = {
@@ -84,7 +94,7 @@ def candidates(data: Dataset) -> Candidates:
         for name, model in models.items()
         if not model.from_saturation
         and (timed or model.rate_independent)
-        and speeds >= _speeds_needed(name)
+        and of_any_length >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
@@ -94,12 +104,15 @@ def candidates(data: Dataset) -> Candidates:
     # Signed weights need no negation, and some models are tried both ways.
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
     before = lambda name, model: "negate+" if falls(data) and model.has_inverse and name not in both_ways else ""
+    late = tuple(name for name in able if speeds < _speeds_needed(name))
     closed = {
-        name: before(name, model) + name for name, model in able.items() if model.estimator in ("preisach", "convex")
+        name: before(name, model) + name
+        for name, model in able.items()
+        if model.estimator in ("preisach", "convex") and name not in late
     }
     resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
-    others = tuple(name for name in able if name not in (*closed, *resonant))
-    return Candidates((SEARCH, *closed.values()), others, resonant, last)
+    others = tuple(name for name in able if name not in (*closed, *resonant, *late))
+    return Candidates((SEARCH, *closed.values()), others, resonant, late, last)
 
 
 def _drives(model: AbstractHysteresis, data: Dataset) -> bool:

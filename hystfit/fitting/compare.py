@@ -35,7 +35,8 @@ from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
 
-BEATEN = "at one pace, a model that does not depend on time describes the records as well"
+LATE = "such models of time are tried where the others leave more than noise"
+NO_GAIN = "the noise alone exceeds the error with which it would win"
 NO_LOOP = f"{WHITE}, out of which no loop stands"
 
 
@@ -45,7 +46,8 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
     would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
     they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out. At one
-    pace, at which a lag or a force of the rate may stand for a loop, models without time are tried too.
+    pace, at which a lag or a force of the rate may stand for a loop, models without time are tried too. Models of time wait where the
+    search found no such term: beside plays that do not fit a loop, creep may not show.
     """
     first, *others = closed = chosen.closed
     run.run((first,))
@@ -53,35 +55,31 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
         return
     if white := first == SEARCH and run.is_white():
-        lasting = timeless(chosen.iterated)
-        run.skip((*others, *(name for name in chosen.iterated if name not in lasting), *chosen.resonant), WHITE)
-        chosen, others = Candidates((first,), lasting), []
-        if not run.overfits():
-            run.skip(chosen.iterated, WHITE)
+        tried = Candidates((first,), timeless(chosen.iterated) if run.overfits() else ())
+        run.skip([name for name in chosen.names if name not in tried.names], WHITE)
+        chosen, others = tried, []
+        if not chosen.iterated:
             return
-    if still := run.is_white_at_one_pace():
-        kept = Candidates((first, *timeless(others)), timeless(chosen.iterated))
-        run.skip([name for name in chosen.names if name not in kept.names], WHITE)
-        chosen, others = kept, kept.closed[1:]
+    if still := run.is_white(paced=True):
+        run.skip([name for name in others if name not in timeless(others)], WHITE)
+        others = timeless(others)
     waiting = run.looked_at(others)
     if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
         run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
         waiting = run.looked_at(others)
     waiting = run.after_next(waiting)
     found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
-    rings, iterated = _rings(run), chosen.iterated
-    found, reason = dataclasses.replace(found, falls=falls(run.data)), "the search found no term that depends on time"
-    if still or (found.timed and run.one_pace and run.is_white()):
-        found, reason = dataclasses.replace(found, lag=0.0, creep=False, rate=0), BEATEN
-    if not (white or rings or delay or found.timed):
-        iterated = timeless(chosen.iterated)
-        run.skip([name for name in chosen.iterated if name not in iterated], reason)
-    if not white and run.shows_no_loop(iterated):
-        run.skip(iterated, NO_LOOP)
-        iterated = ()
+    found, rings = dataclasses.replace(found, falls=falls(run.data)), _rings(run)
+    if still or (run.one_pace and run.is_white()):
+        found = dataclasses.replace(found, lag=0.0, creep=False, rate=0)
+    if not (rings or delay or found.timed):
+        chosen = chosen.timed_late()
+    if not white and run.shows_no_loop(chosen.iterated):
+        run.skip((*chosen.iterated, *chosen.late), NO_LOOP)
+        chosen = dataclasses.replace(chosen, iterated=(), late=())
     if not rings:
         run.skip(chosen.resonant, "the response shows no resonance")
-    chosen = dataclasses.replace(chosen, iterated=iterated, resonant=chosen.resonant if rings else ())
+        chosen = dataclasses.replace(chosen, resonant=())
     chosen = chosen.beside(found, delay)
     turns = (*chosen.closed, *chosen.resonant), chosen.iterated
     for number, names in enumerate(turns if rings else [sum(turns, ())]):
@@ -92,7 +90,13 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if chosen.last and not run.is_white() and _rough(run, closed):
+    if still or run.is_white(paced=None):
+        run.skip(chosen.late, LATE)
+        return
+    late = [name for name in chosen.late if run.may_win(name)]
+    run.skip([name for name in chosen.late if name not in late], NO_GAIN)
+    run.run(late)
+    if chosen.last and _rough(run, closed):
         run.run(chosen.last)
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 from hystfit.outcome import Column, Status, Table, fragment
 from hystfit.quality.held_out import Scheme
+from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
 
 SCHEMA = "hystfit.compare/1"
@@ -66,6 +67,7 @@ class Row:
         in_sample_percent, max_error_percent: on the samples fitted.
         parameters: number of free ones.
         family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
+        leaves_noise: whether it leaves nothing but noise, see `hystfit.fitting.remains.leaves_noise`.
         paced: whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike.
         hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
         effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
@@ -90,6 +92,7 @@ class Row:
     family_inverts: bool = True
     effective: float | None = None
     hysteretic: bool = True
+    leaves_noise: bool = False
     paced: bool = False
 
     @property
@@ -157,6 +160,29 @@ class Comparison:
     fits: Mapping[str, FitResult]
     scheme: Scheme
     purpose: Purpose = "prediction"
+
+    @property
+    def reason(self) -> str:
+        """Why the winner was chosen, in words."""
+        best, count = self.rows[0], sum(row.fitted for row in self.rows)
+        score = (
+            "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
+        )
+        first = min(self.rows, key=lambda row: row.score)
+        reason = "is the only candidate for these data"
+        if len(self.rows) > 1:
+            reason = "leaves nothing but noise" if best.leaves_noise else "is the only model that was fitted"
+        if count > 1:
+            reason = f"is the best of {count} models by cross-validation"
+        if first.score != best.score:
+            reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
+            if first.paced and not best.paced:
+                reason = (
+                    f"is taken before {first.name} ({first.score_percent:.3g} %), which depends on time: at one pace it could stand for "
+                    "the hysteresis, and a record at another pace tells them apart"
+                )
+        pace = "; another pace is not tested" if paces(self.winner.problem.data) == 1 else ""
+        return f"{best.name} {reason}{score}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
 
     def table(self) -> Table:
         """The ranking."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -251,6 +250,7 @@ class ComparisonRun:
             result = with_left_out(result, float(score))
             score = ranking_error(result, float(score), most * self.span / 100)
         stopped = np.isfinite(most) and np.isposinf(score)
+        effective = one.solved.estimate.effective or float(len(result.free_names))
         one.result = result.with_notes(*one.choices)
         one.row = Row(
             name=name if ".py:" in name else result.name,
@@ -266,7 +266,8 @@ class ComparisonRun:
             family_inverts=result.model.has_inverse,
             hysteretic=result.model.hysteretic,
             paced=self._paced(result.model),
-            effective=one.solved.estimate.effective or float(len(result.free_names)),
+            leaves_noise=bool(np.isfinite(score)) and leaves_noise(result, effective),
+            effective=effective,
         )
 
     def _excluded_row(self, one: Candidate) -> Row | None:
@@ -334,17 +335,15 @@ class ComparisonRun:
         samples = sum(int(record.used.sum()) for record in self.data)
         return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
 
-    def is_white(self) -> bool:
-        """Whether the residuals of the best model are white, its loop stands out of them, and no model without time describes it alike."""
+    def is_white(self, *, paced: bool | None = False) -> bool:
+        """Whether the best model leaves nothing but noise, and is `paced` or not, or either."""
         best = self.best_row
-        if best is None or math.isinf(best.score) or best.paced:
-            return False
-        return leaves_noise(self.fits[best.asked])
+        return best is not None and best.leaves_noise and paced in (None, best.paced)
 
-    def is_white_at_one_pace(self) -> bool:
-        """Whether the residuals of the best model are white, and it depends on time at one pace."""
-        best = self.best_row
-        return best is not None and best.paced and leaves_noise(self.fits[best.asked])
+    def may_win(self, name: str) -> bool:
+        """Whether a model that leaves nothing but the noise of the output could win."""
+        noise = max((fit.baselines.noise or 0.0 for fit in self.fits.values()), default=0.0)
+        return 100 * noise / self.span < self._most(Status.OK, make_model(name))
 
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
@@ -361,8 +360,8 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        self._equations, self._known = None, Known()
-        known, result = self.fits[name], self._solved[name].judged()
+        self._equations, self._known, known = None, Known(), self.fits[name]
+        result = self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
         return result.with_notes(

@@ -1,31 +1,26 @@
-"""`check`: the data-quality report, with what a competition of models with a closed form shows: the one to try first, and a drift."""
+"""`check`: the data-quality report, with the model that a fit without one takes, what the loops show, and a drift."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import math
 from typing import Any
 
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.candidates import candidates, timeless
-from hystfit.fitting.fit_model import solve_model
-from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.compare import compare
+from hystfit.fitting.comparison import Comparison
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.fit_warnings import drift_note
-from hystfit.fitting.remains import residuals_of
-from hystfit.fitting.screening import Screened, best_screened, screen
-from hystfit.fitting.thinning import coarse, thinned
+from hystfit.fitting.thinning import coarse
 from hystfit.fitting.traits import traits
-from hystfit.models.registry import judged, judged_as, make_model
-from hystfit.models.starting import output_range
-from hystfit.outcome import Code, Note
+from hystfit.models.registry import judged, judged_as
+from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
 from hystfit.quality.determination import Verdict, count
-from hystfit.quality.held_out import equal_errors, held_out
+from hystfit.quality.held_out import equal_errors
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
 
@@ -35,7 +30,7 @@ _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 @verb
 def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityReport:
-    """Data-quality report of records, of a data frame or of arrays, which models the data determine, and which to try first.
+    """Data-quality report of records, of a data frame or of arrays, which models the data determine, and which one a fit takes.
 
     Args:
         data: a record, several, or a data frame; or the input, shape (T,).
@@ -49,84 +44,71 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None) -> QualityR
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
     charge = any(note.option == _INTEGRATED for note in report.findings)
-    short = coarse(without_faults(records))
-    every = () if charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER) else _screened(short)
-    shown = _traits(short, every) if every else ()
-    screened = () if all(record.single_valued for record in report.records) else every
-    best = _best(short, screened) if screened else None
-    advice = None if best is None else _advice(short, screened, best)
-    damaged = has(report.findings, Code.DEGRADING)
-    if damaged and advice is not None and not make_model(advice.model).degrades:
-        advice, screened = None, ()
-    explained = has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
-    more = [_no_better(len(screened))] if screened and advice is None and not explained else []
-    drift = None
-    if best is not None and not has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
-        drift = _drift(short, best)
+    without = charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
+    found = None if without else _compared(records)
+    shown = () if found is None else _traits(records, found)
+    advice, more = None, list[Note]()
+    if found is not None and not all(record.single_valued for record in report.records):
+        if not _is_curve(found):
+            advice = Advice(found.winner.name, found.reason)
+            followed = has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS)
+            more = [note for note in found.winner.notes if note.code is Code.DRIFT and not followed]
+        elif not has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT):
+            more = [_no_loop(found)]
+    findings = report.findings
+    if found is not None and advice is not None and not found.winner.model.degrades:
+        if found.rows[0].leaves_noise:
+            findings = tuple(note for note in findings if note.code is not Code.DEGRADING)
+        elif has(findings, Code.DEGRADING):
+            advice = None
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(
         report,
-        findings=(*report.findings, *more, *([drift] if drift else [])),
+        findings=(*findings, *more),
         advice=advice,
         traits=shown,
         determines=tuple(sorted(report.determines, key=rank)),
     )
 
 
-def _screened(records: Dataset) -> tuple[Screened, ...]:
-    """The models with a closed form and their errors; none where the records drive none."""
+def _compared(records: Dataset) -> Comparison | None:
+    """What a fit without a model takes; None where the records drive none."""
     try:
-        return tuple(screen(records))
+        return compare(records)
     except HystfitError:
-        return ()
+        return None
 
 
-def _no_better(models: int) -> Note:
+def _is_curve(found: Comparison) -> bool:
+    """Whether a single-valued curve describes the records as well as the best model, or its fit without time shows no loop."""
+    winner = found.winner
+    samples = sum(int(record.used.sum()) for record in winner.problem.data)
+    fitted = [row.score for row in found.rows if row.status is Status.NO_LOOP and not row.hysteretic]
+    curve = min(100 * winner.baselines.curve / winner.baselines.span, *fitted, math.inf)
+    as_well = found.rows[0].score * equal_errors(samples) >= curve
+    return as_well or winner.model.memoryless or (winner.status is Status.NO_LOOP and winner.model.rate_independent)
+
+
+def _no_loop(found: Comparison) -> Note:
+    tried = count(sum(row.fitted for row in found.rows), "model")
     text = (
-        f"none of the {count(models, 'model')} with hysteresis that were tried describes these data better than a single-valued curve: "
+        f"none of the {tried} that were tried describes these data better than a single-valued curve: "
         "there is no loop, or it is too narrow for the noise and the sampling, or of a kind that they do not describe"
     )
     return warn(Code.SINGLE_VALUED, text)
 
 
-def _traits(records: Dataset, screened: Sequence[Screened]) -> tuple[Trait, ...]:
+def _traits(records: Dataset, found: Comparison) -> tuple[Trait, ...]:
     """What the loops show; nothing where a single-valued curve describes them."""
-    baselines = Baselines.of(records)
+    data = coarse(without_faults(records))
+    baselines = Baselines.of(data)
+    best = found.winner.model
+    if is_noise(baselines.curve, baselines) or (
+        best.rate_independent and not best.degrades and found.rows[0].leaves_noise
+    ):
+        return ()
     try:
-        return () if is_noise(baselines.curve, baselines) else traits(records, screened, baselines)
+        return traits(data, found.rows, baselines)
     except HystfitError:
         return ()
-
-
-def _drift(records: Dataset, best: Screened) -> Note | None:
-    """A drift that the residuals of the best model show: those of another one may hide it."""
-    if best.found is not None:
-        return drift_note(best.found.residuals(), records, output_range(records).width)
-    short = thinned(records)
-    try:
-        fit = solve_model(best.name, short, FitOptions()).unjudged
-    except HystfitError:
-        return None
-    return drift_note(residuals_of(fit), fit.problem.data, output_range(records).width)
-
-
-def _best(records: Dataset, screened: Sequence[Screened]) -> Screened | None:
-    """The best of the models with a closed form; None where none of them describes a loop."""
-    baselines = Baselines.of(records)
-    samples = sum(int(record.used.sum()) for record in records)
-    best = best_screened(screened, samples, baselines.span)
-    # A single-valued curve describes them.
-    as_well = best.error * equal_errors(samples) >= baselines.curve or make_model(best.name).memoryless
-    return None if as_well else best
-
-
-def _advice(records: Dataset, screened: Sequence[Screened], best: Screened) -> Advice:
-    """What to try first."""
-    percent = 100 * best.error / Baselines.of(records).span
-    reason = f"cross-validation error {percent:.2g} % of the range; it {held_out(list(records)).scheme.tested}"
-    if any(one.leaves_noise for one in screened):
-        return Advice(best.name, reason)
-    searched = (*(one.asked for one in screened if one.searches and one is not best), *candidates(records).iterated)
-    of_time = any(one.found is None or not one.found.model.rate_independent for one in screened[:1])
-    return Advice(best.name, reason, searched if of_time else timeless(searched))

@@ -11,12 +11,11 @@ from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
 from hystfit.fitting.compare import compare
-from hystfit.fitting.comparison import Comparison, Purpose
+from hystfit.fitting.comparison import Purpose
 from hystfit.fitting.estimate import AbstractEstimator
 from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
 from hystfit.fitting.registry import is_sequential
-from hystfit.fitting.remains import leaves_noise
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss
@@ -132,27 +131,7 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
     winner = comparison.winner
     if options.noise != "auto":
         winner = _under_noise(winner, data, options)
-    return winner.with_notes(_choice(comparison), *left_out, first=True)
-
-
-def _choice(comparison: Comparison) -> Note:
-    """Why the winner was chosen."""
-    best, count = comparison.rows[0], sum(row.fitted for row in comparison.rows)
-    score = "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
-    first = min(comparison.rows, key=lambda row: row.score)
-    reason = "is the only candidate for these data"
-    if len(comparison.rows) > 1:
-        reason = "leaves only noise" if leaves_noise(comparison.winner) else "is the only model that was fitted"
-    if count > 1:
-        reason = f"is the best of {count} models by cross-validation"
-    if first.score != best.score:
-        reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
-        if first.paced and not best.paced:
-            reason = (
-                f"is preferred to {first.name} ({first.score_percent:.3g} %), which depends on time: at a single speed, such a model can "
-                "imitate hysteresis; a record at another speed separates them"
-            )
-    return Note(Code.CHOICE, f"{best.name} {reason}{score}; hystfit compare shows the ranking")
+    return winner.with_notes(Note(Code.CHOICE, comparison.reason), *left_out, first=True)
 
 
 def _under_noise(winner: FitResult, data: Dataset, options: FitOptions) -> FitResult:

@@ -19,9 +19,9 @@ def residuals_of(fit: FitResult) -> list[np.ndarray]:
     return [row[used] for row, used in zip(fit.problem.residuals(fit.x), fit.problem.used, strict=True)]
 
 
-def leaves_noise(fit: FitResult) -> bool:
-    """Whether the residuals of a fit are white, and its loop stands out of them."""
-    return residuals_are_white(residuals_of(fit), fit.baselines.curve, len(fit.free_names))
+def leaves_noise(fit: FitResult, parameters: float) -> bool:
+    """Whether the residuals of a fit are white, and its loop stands out of them, worth the parameters that the data determine."""
+    return residuals_are_white(residuals_of(fit), fit.baselines.curve, parameters)
 
 
 def without_loop(fit: FitResult, parameters: int) -> bool:

@@ -124,12 +124,6 @@ class Terms:
             self.scores[structure] = np.inf if against else float(fitted.score)
         return self.scores[structure]
 
-    def residuals(self, structure: Structure) -> tuple[np.ndarray, ...]:
-        """Prediction less measurement at the samples of each record that count [y], 0 where the structure tells nothing."""
-        system, kept, rows = self.system(structure), self._kept(structure), np.zeros(self.samples)
-        rows[kept] = (system.columns @ fit_ridge(system, _COARSE).weights - system.target) / np.sqrt(system.weight)
-        return tuple(np.split(rows, np.cumsum([int(record.used.sum()) for record in self.data])[:-1]))
-
     def lag_between(self, structure: Structure) -> float:
         """The lag near that of a structure at which the error is least [samples]: where a parabola through three squared errors is.
 

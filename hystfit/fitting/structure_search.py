@@ -6,9 +6,8 @@ Plays or stops, one envelope or three, the degree of the single-valued part, a l
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -49,7 +48,6 @@ class Found:
         structure: its terms.
         plays: number of thresholds.
         score: root mean square error on left-out blocks, output units.
-        residuals: computes prediction less measurement at the samples of each record that count, output units.
         tried: number of candidates.
         trail: each step taken, in words.
     """
@@ -58,7 +56,6 @@ class Found:
     structure: Structure
     plays: int
     score: float
-    residuals: Callable[[], tuple[np.ndarray, ...]]
     tried: int
     trail: tuple[str, ...]
 
@@ -140,8 +137,7 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
         if resized.score(structure) < (1.0 if other in few else GAIN) * score:
             trail.append(_resized(resized, chosen, structure, score))
             chosen, score = resized, resized.score(structure)
-    model, residuals = build(structure, data, chosen.plays), functools.partial(chosen.residuals, structure)
-    return Found(model, structure, chosen.plays, score, residuals, tried, tuple(trail))
+    return Found(build(structure, data, chosen.plays), structure, chosen.plays, score, tried, tuple(trail))
 
 
 def _steps(path: Sequence[Structure], terms: Terms) -> list[str]:

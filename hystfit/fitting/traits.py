@@ -11,9 +11,9 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.fitting.candidates import candidates
+from hystfit.fitting.comparison import Row
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.ridge import LinearSystem, fit_ridge, linear_positions
-from hystfit.fitting.screening import Screened
 from hystfit.fitting.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -35,21 +35,22 @@ _STATIC = (
 )  # scored beside what the search took
 
 
-def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) -> tuple[Trait, ...]:
+def traits(data: Dataset, rows: Sequence[Row], baselines: Baselines) -> tuple[Trait, ...]:
     """The trait of the best model, if its error is smaller than those of all models without that trait and of a curve.
 
     The difference must be larger than what as many errors as the records have branches leave open. Traits of time need branches of several
     durations.
 
     Args:
-        screened: models already scored, see `screen`.
+        rows: of a comparison.
     """
-    if any(one.leaves_noise and _kind(make_model(one.name)) == "" for one in screened):
-        return ()
     short = thinned(without_faults(data))
-    scores = _of(screened)
+    validated = [row for row in rows if row.score_percent is not None]
+    scores: list[_Score] = [
+        (row.score * baselines.span / 100, row.name, _kind(make_model(row.name))) for row in validated
+    ]
     scores.append((baselines.curve, "a single-valued curve", ""))
-    known = {name for one in screened for name in (one.name, one.asked)}
+    known = {name for row in validated for name in (row.name, row.asked)}
     for name in dict.fromkeys((*_STATIC, *candidates(data).closed)):
         if name != SEARCH and name not in known:
             scores += _scored(name, short)
@@ -68,10 +69,6 @@ def traits(data: Dataset, screened: Sequence[Screened], baselines: Baselines) ->
 
 
 _Score = tuple[float, str, str | None]  # error on held-out samples, name and trait of a model
-
-
-def _of(screened: Sequence[Screened]) -> list[_Score]:
-    return [(one.error, one.name, _kind(make_model(one.name))) for one in screened]
 
 
 def _first_two(scores: Sequence[_Score], left_out: set[str | None]) -> tuple[_Score, _Score]:

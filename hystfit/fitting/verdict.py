@@ -46,7 +46,7 @@ def turns_back(data: Iterable[Record]) -> bool:
     return any(clear_reversals(record.u[record.first : record.last + 1]).size for record in data)
 
 
-def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
     """Whether the residuals are white and the loop is significant: no other model can then do better, however large they are.
 
     `plain` is the RMSE of the best single-valued curve, with which the model is compared by the Bayesian information criterion.
@@ -59,7 +59,7 @@ def are_white(rows: Sequence[np.ndarray]) -> bool:
     return min(row.size for row in rows) >= _ENOUGH and not any(is_correlated(row) for row in rows)
 
 
-def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: int) -> bool:
+def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
     """Whether the loop is significant for this number of parameters (BIC); arguments as for `residuals_are_white`."""
     count = sum(row.size for row in rows)
     rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
@@ -106,7 +106,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         text = f"hysteresis accounts for only {100 * share:.2g} % of the dissipation: the data show viscous damping, but no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     # If the noise level is unknown, white residuals may also be model errors.
-    white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, parameters)
+    effective = fitted.estimate.effective or parameters
+    white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, effective)
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white

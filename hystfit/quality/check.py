@@ -14,7 +14,7 @@ from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
-from hystfit.outcome.wrapping import listed, shortened
+from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
@@ -30,18 +30,15 @@ _MOST_RECORDS, _MOST_FINDINGS = 8, 40  # shown in the text
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """The model to try first.
+    """The model that a fit without one takes.
 
     Attributes:
         model: as an expression such as "lag+prandtl-ishlinskii+creep".
-        reason: why, in words.
-        searched: models that a fit tries beside it, whose parameters it has to search for; it takes one that predicts held-out
-            samples better.
+        reason: why, and what these data do not test, in words.
     """
 
     model: str
     reason: str
-    searched: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,7 +74,7 @@ class QualityReport:
         records: what was measured on each record.
         findings: faults and noteworthy properties of the data.
         determines: which models the data determine, the recommended one first.
-        advice: which model to try first; None where the data determine none.
+        advice: the model that a fit takes; None where the data determine none.
         traits: what the loops show.
     """
 
@@ -137,12 +134,7 @@ class QualityReport:
         if self.traits:
             lines += ["", "What the loops show", *(f"  - {trait}" for trait in self.traits)]
         if self.advice is not None:
-            lines += ["", f"Try first: {self.advice.model} ({self.advice.reason})"]
-            if self.advice.searched:
-                lines.append(
-                    f"A fit without a model also searches for the parameters of {listed(self.advice.searched)}, and takes the model "
-                    "that predicts held-out samples best"
-                )
+            lines += ["", f"Try first: {self.advice.reason}"]
         return "\n".join(lines)
 
     def __str__(self) -> str:

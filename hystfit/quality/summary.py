@@ -259,19 +259,18 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     return motion, turns, cycles, loops
 
 
-@_once
-def speeds_of(record: Record) -> tuple[float, ...]:
-    """Different speeds of the branches, see `Motion`."""
-    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))))
+def speeds_of(record: Record, least: float = _WAY) -> tuple[float, ...]:
+    """Different speeds of the branches, see `Motion`, longer than a part of the input's range."""
+    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))), least)
 
 
-def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
+def _speeds(record: Record, branches: np.ndarray, least: float = _WAY) -> tuple[float, ...]:
     """Different speeds of the branches, see `Motion`; none without time."""
     if record.t is None:
         return ()
     a, b = branches.T
     way, time = np.abs(record.u[b] - record.u[a]), record.t[b] - record.t[a]
-    moved = (way > _WAY * np.ptp(record.u)) & (time > 0)
+    moved = (way > least * np.ptp(record.u)) & (time > 0)
     return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
 
 

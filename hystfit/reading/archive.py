@@ -17,6 +17,7 @@ _DOCUMENTS = {
     "word/document.xml": "a Word document (export the numbers as CSV)",
     "ppt/presentation.xml": "a presentation (export the numbers as CSV)",
     "xl/workbook.bin": "a binary Excel file (save it as .xlsx)",
+    "data.ndc": "a file of a Neware cycler (export it from BTSDA as CSV or Excel)",
     "content.xml": "an OpenDocument text or drawing (save the numbers as a spreadsheet)",
 }
 _BESIDE = frozenset({".md", ".pdf", ".png", ".jpg", ".jpeg", ".gif", ".tif", ".tiff", ".svg", ".docx", ".pptx"})

@@ -27,9 +27,6 @@ _TERMINAL = re.compile(
     r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Rr]ead|[Ww]rite|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
     r"|(V)[DSBdsb]\d?"
 )
-_OF_DRAIN = re.compile(
-    r"I[DdSs]\d?"
-)  # currents of a drain and a source, beside the voltage of a gate: else ID is a number
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 # Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
@@ -55,8 +52,6 @@ def column_quantity(name: str, unit: str = "") -> str:
         return "temperature"  # T or Ta in degrees Celsius without their sign
     if by_unit == "stress" and re.fullmatch(r"p(?: ?c(?:ap)?)?", without_role(name)):
         return "pressure"  # whose unit is that of a stress, also the capillary one
-    if re.fullmatch(r"(?i)theta_?(?:[vw]|c?m3_?c?m3)", base):
-        return "loading"  # the water in soil, and no angle
     base = _field(base)
     if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]
@@ -122,11 +117,6 @@ def is_terminal(name: str) -> bool:
     return _TERMINAL.fullmatch(split_unit(name)[0]) is not None
 
 
-def is_drain(name: str) -> bool:
-    """Whether a column of a transistor is the current of its drain or source."""
-    return _OF_DRAIN.fullmatch(split_unit(name)[0]) is not None
-
-
 @_of_names
 def column_role(name: str) -> str:
     """Whether the name of a column says that it is the "input" or the "output" of a device; "" for other names."""
@@ -144,10 +134,11 @@ def column_role(name: str) -> str:
     if {*told} == {"in"} and others and not others.intersection(WORDS):
         return ""  # radiation that comes in: sw_in
     roles = {ROLES[word] for word in told}
-    if roles == {"input"} and _MEASURED.intersection(words):
+    gauge = "hall" in told and quantity(split_unit(name)[1]) == "induction"  # of the field that is applied
+    if gauge or (roles == {"input"} and _MEASURED.intersection(words)):
         return ""  # what supplies a controller that reports its input voltage
-    if roles == {"output"} and _DRIVERS.intersection(words):
-        return "input"
+    if roles == {"output"} and _DRIVERS.intersection(_words(split_unit(name)[0].replace(".", "_"))):
+        return "input"  # source.y of a model too
     return roles.pop() if len(roles) == 1 else ""
 
 

@@ -130,6 +130,7 @@ def choose(
     if clock is not None and clock in given.values():
         raise DataError(f"{table.source}: column {table.names[clock]!r} cannot be time and input or output at once")
     free = [k for k in free if k != clock and k not in table.stamps]
+    kinds.update({k: "" for k in free if clock is not None and kinds[k] == "time" and not _is_clock(table, k)})  # T_in
     numbers = lambda k: table.names[k] == f"column {k}" and table.counts(k)
     if table.named and clock is not None:  # that which a program wrote before the columns that it had names for
         free = [k for k in free if not numbers(k)]

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from hystfit.reading import cells
 from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity
+from hystfit.reading.dialect import split as cells_of
 from hystfit.reading.limits import FEW, LONGEST
 from hystfit.reading.names_with_units import is_unit, split_unit
 from hystfit.reading.unit_case import in_case, is_symbol
@@ -81,13 +82,13 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
 def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     """Split a header line into `width` cells, by the delimiter of the data or by another one; None if none does."""
     for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line), _LABEL.sub("", line)):
-        for mark in (delimiter, ",", ";", "\t", "|", "  ", None):
+        for mark in (delimiter, "  ", ",", ";", "\t", "|", None):
             parts = _cut(text, mark)
             while len(parts) > width and not parts[-1]:
                 parts.pop()
             if len(parts) == width and any(parts):
                 units = parts[0] in ("%", "#") and _are_units(_bare(parts), parts)
-                if units or not re.fullmatch(_COMMENT, parts[0]):
+                if units or mark in (",", ";") or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None
 
@@ -95,12 +96,12 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
 def _cut(text: str, mark: str | None) -> list[str]:
     if mark is None:  # a bracketed unit belongs to the word before it
         text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
-        parts = re.findall(r"\"[^\"]*\"|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
+        parts = re.findall(r"(?:\"[^\"]*\"[^\s\"]*)+|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
         parts = [part[1:-1] if part.startswith("{") and part.endswith("}") else part for part in parts]
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:
-        parts = text.split(mark)
+        parts = cells_of(text, mark)
     return [cells.clean(part) for part in parts]
 
 
@@ -214,9 +215,10 @@ def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
 
 
 def _mostly_units(bare: Sequence[str]) -> bool:
-    """Whether at least two cells of a line and half of those that are filled are units; the others are words such as "segments"."""
-    count = sum(map(is_unit, bare)) + sum(not is_unit(cell) and is_symbol(cell) for cell in bare)
-    return count > 1 and 2 * count >= len(list(filter(None, bare)))
+    """Whether two cells of a line and half of those that are filled are units; "NO." and "Time" count on neither side."""
+    count = sum(is_unit(cell) or is_symbol(cell) for cell in bare)
+    others = [cell for cell in bare if cell and (is_unit(cell) or column_quantity(cell) not in ("index", "time"))]
+    return count > 1 and 2 * count >= len(others)
 
 
 def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> list[str]:

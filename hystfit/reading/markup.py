@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.limits import FEWEST
+from hystfit.reading.limits import FEW, FEWEST
 from hystfit.reading.raw_table import Table
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import TextFile
@@ -91,12 +91,13 @@ def _xml_lines(text: TextFile) -> list[str]:
     (_, tag), count = counts.most_common(1)[0] if counts else ((0, ""), 0)
     if count < FEWEST:
         return []
-    lines: list[str] = []
-    for parent in root.iter():
-        rows = [child for child in parent if child.tag == tag]
-        if len(rows) >= FEWEST:
-            lines += [*([""] if lines else []), *_rows(rows)]
-    return lines
+    groups = [[child for child in parent if child.tag == tag] for parent in root.iter()]
+    tables = [_rows(rows) for rows in groups if len(rows) >= FEWEST]
+    if len(kinds := {rows[0] for rows in tables}) > FEW:
+        raise DataError(
+            f"{text.source} is XML with tables of {len(kinds)} kinds: export what was measured as CSV, from the program that wrote it"
+        )
+    return "\n\n".join("\n".join(rows) for rows in tables).split("\n") if tables else []
 
 
 def _local(tag: str) -> str:

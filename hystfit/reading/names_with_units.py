@@ -119,7 +119,7 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
     known = not _NODE.fullmatch(unit) and bool(is_unit(unit) or in_case(base, unit))
     closed = known or not re.search(r"[\])>]", unit)
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and not known:
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and (not known or unit == "in"):  # the node "in"
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None
@@ -136,9 +136,10 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
 
 
 def _before_label(name: str) -> tuple[str, str] | None:
-    """Position (m) Run #1; None for names without a unit in brackets and a label of the run behind it."""
-    match = re.fullmatch(r"(\w.*?)\s*[(\[]([^()\[\]]+)[)\]](\s.*)", name)
-    return (match[1] + match[3], match[2]) if match and is_unit(match[2]) and quantity(match[2]) else None
+    """Position (m) Run #1, "Temp, degC (LGR S/N: 20)"; None for names without a unit and a label of the run or the sensor behind it."""
+    match = re.fullmatch(r"(\w.*?)(?:\s*[(\[]([^()\[\]]+)[)\]](\s.*)|,\s*(\S+)(\s\(.*\)))", name)
+    base, unit, label = (match[1], match[2] or match[4], match[3] or match[5]) if match else ("", "", "")
+    return (base + label, unit) if is_unit(unit) and (quantity(unit) or "/" in unit) else None
 
 
 def _quotient_in_words(name: str) -> tuple[str, str] | None:
@@ -158,11 +159,11 @@ def _quotient_in_words(name: str) -> tuple[str, str] | None:
 
 
 def _behind_mark(name: str) -> tuple[str, str] | None:
-    """H_kA/m, Moment / A m2, "Force, kN", "Field in kA/m"; None for other names."""
+    """H_kA/m, Moment / A m2, "Force, kN", Force|kN, "Field in kA/m"; None for other names."""
     # Of a quotient that is no quantity, the first part belongs to the name: U_A/V is U_A in V.
     if (match := re.fullmatch(r"([^/]+)[_ ]([^_/\s]+/[^_/\s]+)", name)) and is_unit(match[2]) and quantity(match[2]):
         return match[1], match[2]
-    if (match := re.fullmatch(r"(.+?)(?:\s*/\s*|\s*,\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
+    if (match := re.fullmatch(r"(.+?)(?:\s*[/,|]\s*|\s+in\s+)(\S(?:.*\S)?)", name)) and is_unit(match[2]):
         return match[1].strip(), match[2]
     return None
 

@@ -208,10 +208,6 @@ def _uneven(text: Text, block: Block, place: int) -> tuple[list[str], int]:
     numbered = [block.rows[k][0].strip(' "') for k in range(first, min(first + 2, len(block.rows))) if block.rows[k]]
     if len(row) == width - 1 and (numbered in (["0", "1"], ["1", "2"]) or dialect.kinds[0] == cells.TEXT):
         return ["", *row], 1
-    if len(row) == width + 1 and re.fullmatch(r"[#%!]+\w*", row[0]):  # a word of the program before the names
-        return row[1:], 1
-    if dialect.delimiter is not None and width < len(row) <= width + BESIDE and not all(map(is_unit, row[1:])):
-        return row[:width], 1
     return [""] * width, 0
 
 

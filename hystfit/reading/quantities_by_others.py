@@ -8,14 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hystfit.reading.column_names import (
-    RELATIVE_PRESSURE,
-    column_quantity,
-    column_role,
-    has_terminals,
-    is_drain,
-    parts_of,
-)
+from hystfit.reading.column_names import RELATIVE_PRESSURE, column_quantity, column_role, parts_of
 from hystfit.reading.limits import MAJORITY
 from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
@@ -29,7 +22,11 @@ _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by 
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
-_RETENTION = (("h", "theta"), ("s", "w"))  # suction of a soil and its water, as a part of its volume or mass
+_RETENTION = (
+    ("h", "theta"),
+    ("psi", "theta"),
+    ("s", "w"),
+)  # suction of a soil and its water, as a part of its volume or mass
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
@@ -46,10 +43,11 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         many: whether there are more columns than a pair.
     """
     among = lambda *names: any(kinds[k] in names for k in free)
+    bases = {k: split_unit(table.names[k])[0].strip() for k in free}
     if among("stress", "pressure"):  # of the water in a soil, by its saturation or its content
         kinds.update({k: "loading" for k in free if table.names[k] == "Sr"})
     for names in _RETENTION:
-        pair = [k for name in names for k in free if table.names[k] == name]
+        pair = [k for name in names for k in free if bases[k] == name]
         if len(pair) == 2 and 0 <= np.nanmin(table.columns[pair[1]]) < np.nanmax(table.columns[pair[1]]) <= 1:
             kinds.update(zip(pair, ("pressure", "loading"), strict=True))
     relative = [k for k in free if RELATIVE_PRESSURE.search(table.names[k])]
@@ -63,20 +61,15 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "pressure" for k in free if kinds[k] == "stress"})
     if among("strain"):
         kinds.update({k: "velocity" for k in free if kinds[k] == "shear rate"})
-    if among("displacement"):  # v beside x is a velocity
-        kinds.update({k: "velocity" for k in free if table.names[k] == "v" and kinds[k] == ""})
     if not among(
         "field", "induction", "voltage", "electric field"
     ):  # q beside a torque or current is an angle of a joint
         kinds.update({k: "force" for k in free if kinds[k] == "moment" and not table.units[k]})
         if among("force", "current"):
             kinds.update({k: "displacement" for k in free if kinds[k] == "charge" and not table.units[k]})
-    bases = {k: split_unit(table.names[k])[0].strip() for k in free}
     if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
         kinds.update(dict.fromkeys(parts, ""))
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
-    if among("voltage") and has_terminals(table.names):
-        kinds.update({k: "current" for k in free if is_drain(table.names[k])})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
@@ -133,6 +126,12 @@ def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
+    rates = [
+        k for k in free if kinds[k] == "velocity"
+    ]  # of displacements, such as mass.s beside mass.v, and of no stress
+    for k in [k for k in free if kinds[k] == "stress" and not table.units[k]]:
+        if any(_is_rate(table.columns[rate], table.columns[k]) for rate in rates):
+            kinds[k] = "displacement"
     bare = {table.names[k]: k for k in free if not table.units[k]}
     if {"D", "V"} <= bare.keys() and _is_rate(table.columns[bare["V"]], table.columns[bare["D"]]):
         kinds |= {bare["D"]: "displacement", bare["V"]: "velocity"}

@@ -18,12 +18,12 @@ RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
-    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8, "volume": 0.8,
-    "diameter": 1.8, "concentration": 1.8,
+    "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "flux": 2.5, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
+    "volume": 0.8, "diameter": 1.8, "concentration": 1.8,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 LOADS = ("force", "stress")
-_MAGNETIC, _SENSED = ("moment", "magnetization", "induction"), ("wavelength", "capacitance", "inductance")
+_MAGNETIC, _SENSED = ("moment", "magnetization", "induction", "flux"), ("wavelength", "capacitance", "inductance")
 # Points of pairs that belong together, besides those of each column.
 PAIRS: Mapping[tuple[str, str], float] = (
     dict.fromkeys(itertools.product(["field"], _MAGNETIC), 4.0)
@@ -35,7 +35,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
     | dict.fromkeys(
         [
             ("voltage", "displacement"), ("electric field", "strain"), ("voltage", "strain"),
-            ("current", "displacement"), ("current", "induction"), ("induction", "moment"), ("pressure", "diameter"),
+            ("current", "displacement"), ("current", "induction"), ("current", "flux"), ("induction", "moment"), ("pressure", "diameter"),
             ("induction", "magnetization"), ("pressure", "displacement"), ("current", "force"),
             *itertools.product(["field", "induction"], ["displacement", "strain", ""]), ("field", "voltage"),
             ("displacement", "moment"), ("volume", "stress"),

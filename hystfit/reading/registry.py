@@ -38,6 +38,7 @@ from hystfit.reading.sections import read_sections
 from hystfit.reading.side_by_side import stacked
 from hystfit.reading.snapshots import read_snapshots
 from hystfit.reading.specimens import divided
+from hystfit.reading.spice_raw import read_spice
 from hystfit.reading.star_loops import read_star
 from hystfit.reading.successive_tables import read_tables
 from hystfit.reading.text import plain_text
@@ -158,6 +159,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_console_log,
     read_igor,
     read_star,
+    read_spice,
     read_wrapped_blocks,
     read_sections,
     read_tables,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 
@@ -12,12 +13,12 @@ _OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|
 _RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
 _INTERVAL = (
     rf"{_OF_SAMPLES}[ _.-]*(?:interval|period|increment|step|intervall)|sampl(?:e|ing)[ _.-]*time|time[ _.-]*(?:increment|step|interval)"
-    r"|abtastintervall|delta[ _]?[xt]|dt|wf_increment|x[ _]?incr?(?:ement)?|horizontal interval|采样间隔|采样周期"
+    r"|abtastintervall|delta[ _]?[xt]|dt|wf_increment|[tx][ _]?incr?(?:ement)?|horizontal interval|采样间隔|采样周期"
 )
 _NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _LINE = re.compile(
     rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])])?"
-    rf"\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
+    rf"\"?\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
 )
@@ -42,8 +43,10 @@ def _interval(line: str) -> float | None:
     match = _LINE.fullmatch(line)
     if match is None:
         return None
-    parts = re.findall(_NUMBER, match["numbers"])
-    values = {float(part.replace(",", ".")) for part in parts}
+    pieces = (piece.split(",") for piece in re.split(r"[\s;]+", match["numbers"]))
+    # Equal numbers between commas are those of several channels; another comma is a decimal mark
+    parts = {",".join(piece if len({*piece}) > 1 else piece[:1]) for piece in pieces}
+    values = {float(part.replace(",", ".")) if re.fullmatch(_NUMBER, part) else math.nan for part in parts}
     unit = (match["unit"] or match["after"] or "").strip()
     if len(values) != 1 or not (value := values.pop()) > 0:
         return None

@@ -21,7 +21,6 @@ from hystfit.reading.dialect import Dialect, sniff, split
 from hystfit.reading.header import read_header, sample_properties, setting_of
 from hystfit.reading.limits import ABOVE, FEWEST, MAJORITY, MOST_CURVES
 from hystfit.reading.raw_table import Part, Table, below_each_other, one_loop
-from hystfit.reading.signal_evidence import clock_goes_on
 from hystfit.reading.stated_results import result_of
 from hystfit.reading.text import plain_text
 from hystfit.reading.text_file import HEAD, TextFile
@@ -29,7 +28,6 @@ from hystfit.reading.text_file import HEAD, TextFile
 _BLANK, _NUMBERS, _WORDS = 0, 1, 2  # what a line begins with
 _LOOKED_AT = 20  # rows of a table by which a first column is seen to go on
 _TITLE = 60  # characters of a title
-_NUMBERED = "table="  # name of a table without a title of its own, before its number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,20 +72,7 @@ def read_tables(text: TextFile) -> Table | None:
         return dataclasses.replace(loop, notes=tuple(notes), metadata=common | loop.metadata)
     table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
     table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
-    return _one_test(table) or table
-
-
-def _one_test(table: Table) -> Table | None:
-    """Tables without titles and results of their own as blocks of one record; None where its clock does not go on from each to the next."""
-    clocks = (k for k, name in enumerate(table.names) if column_quantity(name, table.units[k]) == "time")
-    if table.part is None or any(part.stated or not part.name.startswith(_NUMBERED) for part in table.parts):
-        return None
-    if (clock := next(clocks, None)) is None:
-        return None
-    if not clock_goes_on(table.columns[clock], np.flatnonzero(np.diff(table.part)) + 1):
-        return None
-    notes = tuple(note for note in table.notes if note.code is not Code.CURVES)
-    return dataclasses.replace(table, curve=table.part, part=None, parts=(Part(),), notes=notes)
+    return table
 
 
 def _alike(tables: dict[int, Table]) -> list[int]:
@@ -215,7 +200,7 @@ def _with_names(parts: Sequence[Part]) -> list[Part]:
     titles = [part.name for part in parts]
     if len({*titles, ""}) == len(parts) + 1:
         return [*parts]
-    return [dataclasses.replace(part, name=f"{_NUMBERED}{k}") for k, part in enumerate(parts, start=1)]
+    return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
 
 
 def _with_summary(text: TextFile, parts: Sequence[Part], others: Sequence[_Piece]) -> list[Part]:

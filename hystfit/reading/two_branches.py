@@ -21,6 +21,7 @@ from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.raw_table import Table
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
+_BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, also beside a column without such a word
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
 _OF_MATRIX = re.compile(r"\[\d+\]$")  # column of a matrix
@@ -78,9 +79,9 @@ def _pairs(table: Table) -> list[_Pair]:
     split = {k: _branch(table.names[k]) for k in numbers if not is_channel(table.names[k])}
     found = []
     for (i, (base, word)), (j, (other, word2)) in itertools.combinations(split.items(), 2):
-        if not (word and word2) or base != other or table.units[i] != table.units[j]:
+        if base != other or table.units[i] != table.units[j]:
             continue
-        if word in RISING and word2 in FALLING:
+        if (word in RISING and word2 in FALLING) or (not word and word2 in _BACK):
             found.append(_Pair(base, (i, j), word))
         elif word in FALLING and word2 in RISING:
             found.append(_Pair(base, (j, i), word2))

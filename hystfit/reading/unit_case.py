@@ -9,7 +9,7 @@ import functools
 import re
 
 from hystfit.params.units import quantity
-from hystfit.reading.vocabulary import ROLES, WORDS
+from hystfit.reading.vocabulary import WORDS
 
 # Symbols of units in lower case, and how they are written.
 _SYMBOLS = {
@@ -41,7 +41,6 @@ _SYMBOLS_OF = {"v": "voltage", "u": "voltage", "i": "current", "h": "field", "b"
 _TERMINAL = re.compile(r"([uvi])(?:[gds]|[gd][sdb]|in|out|rms|cell|meas|set)?\d?")
 _TORQUE = frozenset({"torque", "moment", "torsion", "couple", "drehmoment", "tau"})
 _MOMENTS = {"n/m": "N*m", "kn/m": "kN*m", "n/mm": "N*mm", "kn/mm": "kN*mm"}  # of names whose underscores join factors
-_VOLTAGE = frozenset({"bias", "drive", "potential", "ocv", "emf", "signal"})
 _SURE = frozenset("kpa mpa gpa hpa oe koe khz ka/m kv/cm kv/mm uc/cm2 knm".split())  # whatever the name
 # Units that no loop is measured in, of columns whose names are in capitals or whose unit has a capital as a sentence has.
 _HUGE = frozenset({"MA", "MV", "MT"})
@@ -95,10 +94,6 @@ def _agrees(name: str, unit: str) -> bool:
     if unit.endswith(("Nm", "kgf*cm", "kgf*m")):
         return not _TORQUE.isdisjoint(words)
     of_unit = quantity(unit)
-    if of_unit == "voltage" and not _VOLTAGE.isdisjoint(words):
-        return True
-    if of_unit == "voltage" and not kinds and any(word in ROLES for word in words):
-        return True  # output_v
     return bool(kinds & ({of_unit} | _STATED.get(of_unit, set())))
 
 
