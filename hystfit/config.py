@@ -1,4 +1,4 @@
-"""Process-wide settings: precision, device and compiler of JAX, threads of linear algebra. Its import needs no numerical library."""
+"""Process-wide settings: precision, device and compiler of JAX, threads of linear algebra. Importing it loads no numerical library."""
 
 import contextlib
 import ctypes
@@ -16,25 +16,27 @@ from hystfit.errors import ParameterError, PrecisionError
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
-# XLA compiles a scan on a CPU into one native loop only while its body is below a threshold of about 1 kB, and dispatches every
-# operation of every step otherwise: 3 to 10 times slower for the larger models, measured on their fits.
+# On a CPU, XLA compiles a scan into one native loop only if its body is below a threshold of about 1 kB. Otherwise it dispatches every
+# operation of every step, which made fits of the larger models 3 to 10 times slower.
 _whole_loops_wanted = True
-PROGRAM_FOLDER = "HYSTFIT_PROGRAM_FOLDER"  # variable with the folder of traced programs; the command sets it
+PROGRAM_FOLDER = (
+    "HYSTFIT_PROGRAM_FOLDER"  # environment variable with the folder of traced programs; the command line sets it
+)
 _WHOLE_LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000"
-# Loops over lanes with the widest vectors of the processor: XLA uses half of them by default. A pass of Bouc-Wen over 16 lanes took 0.6 of
-# the time, and passes over one lane 0.85 to 1.
+# Use the full width of the vector registers; the default of XLA is half of it. A pass of Bouc-Wen over 16 lanes took 0.6 of the time, over
+# one lane 0.85 to 1.
 _WIDE_VECTORS = "--xla_cpu_prefer_vector_width=512"
-# The emitters of jaxlib 0.10 that use MLIR take 30 % longer to compile our programs, which are no faster with them. XLA ends a process
-# at a flag that it does not know, and jaxlib 0.12 does not know this one.
+# The MLIR emitters of jaxlib 0.10 take 30 % longer to compile our programs, which are no faster with them. XLA ends the process at an
+# unknown flag, and jaxlib 0.12 no longer has this one.
 _LLVM_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
 _HAS_LLVM_EMITTERS = "0.10."
 
 
 def set_compiler_flags() -> None:
-    """Have XLA compile scan loops whole, however large their body, and sooner, unless the user has set XLA_FLAGS.
+    """Set XLA_FLAGS for scans compiled as whole loops, wide vectors and fast compilation, unless the user has set XLA_FLAGS.
 
-    XLA reads the flags when JAX computes for the first time in a process; they have no effect after that. The first model that is
-    imported sets them, so that they are there for those who switch JAX to double precision themselves.
+    XLA reads the flags at the first computation of a process. Importing the first model sets them too, for users who switch JAX to double
+    precision without `enable_x64`.
     """
     if os.environ.get("XLA_FLAGS") or not _whole_loops_wanted:
         return
@@ -44,14 +46,14 @@ def set_compiler_flags() -> None:
     os.environ["XLA_FLAGS"] = " ".join(flags)
 
 
-# Settings of `mallopt` by number: bytes of arrays that get pages of their own (M_MMAP_THRESHOLD), free bytes from which memory goes back to
-# the system (M_TRIM_THRESHOLD), and heaps for threads (M_ARENA_MAX). With a normal matrix of 29 MB for each group of samples a fit of 1891
-# weights took 5.9 s of system time without them and 2.2 s with them, and 892 and 924 MB.
+# Settings of `mallopt` by number: bytes from which an array gets pages of its own (M_MMAP_THRESHOLD), free bytes above which memory is
+# returned to the system (M_TRIM_THRESHOLD), and number of heaps (M_ARENA_MAX). In a fit of 1891 weights, with a normal matrix of 29 MB per
+# group of samples, they reduced the system time from 5.9 to 2.2 s; memory rose from 892 to 924 MB.
 _MEMORY = {-3: 2**26, -1: 2**28, -8: 1}
 
 
 def keep_freed_memory() -> None:
-    """Let arrays use memory that others have freed, which glibc would give back to the system and fetch again page by page."""
+    """Make glibc keep freed memory for later arrays, instead of returning it to the system and fetching it again page by page."""
     set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if set_option is not None:
         for number, value in _MEMORY.items():
@@ -62,8 +64,8 @@ def enable_x64(*, whole_loops: bool = True) -> None:
     """Switch JAX to double precision for this process; call it before any computation.
 
     Args:
-        whole_loops: also compile scan loops whole, see `set_compiler_flags`; False, before the first model is imported, leaves all
-            flags to XLA.
+        whole_loops: compile scans as whole loops, see `set_compiler_flags`. False leaves all flags to XLA, if no model has been imported
+            before.
     """
     global _whole_loops_wanted
     import jax
@@ -81,8 +83,8 @@ def require_x64() -> None:
         raise PrecisionError("hystfit computes in double precision: call hystfit.enable_x64() before anything else")
 
 
-# A fit is hundreds of small programs that wait for each other. On one H100 a fit took 6 times as long as on its host's CPU, `sample` and
-# small batches 3 to 4 times, so that a processor for many lanes is left to the batches that fill it.
+# "auto" uses a GPU for large batches only. A fit consists of hundreds of small sequential programs: on an H100 it took 6 times as long as
+# on the CPU of its host, `sample` and small batches 3 to 4 times.
 _platform = "auto"
 
 
@@ -90,8 +92,8 @@ def use_device(platform: str) -> None:
     """Choose the device on which hystfit computes in this process, whatever the default device of JAX is.
 
     Args:
-        platform: "auto", the default: the CPU, which is the fastest for single fits, and a GPU for 1024 loops or more that are solved
-            together; "cpu", "gpu" or "tpu" for everything; "jax": the default device of JAX.
+        platform: "auto" (default): a GPU for 1024 or more loops that are solved together, and the CPU, which is faster for single fits, for
+            everything else; "cpu", "gpu" or "tpu" for everything; "jax": the default device of JAX.
 
     Raises:
         ParameterError: JAX finds no such device.
@@ -103,7 +105,7 @@ def use_device(platform: str) -> None:
 
 
 def device_of_many() -> Any:
-    """The device for many loops that are solved together: the one chosen, else a GPU; None where that is the CPU."""
+    """The device for many loops that are solved together: the one chosen, by default a GPU; None for the CPU."""
     if _platform == "jax":
         device = _default_device()
         return None if device.platform == "cpu" else device
@@ -123,7 +125,7 @@ def first_device(platform: str) -> Any:
 
 
 def on_device() -> AbstractContextManager[Any]:
-    """A context in which JAX computes on the device of hystfit; it has no effect where that is the default device anyway."""
+    """Context in which JAX computes on the device chosen by `use_device`."""
     import jax
 
     device = None if _platform == "jax" else first_device("cpu" if _platform == "auto" else _platform)
@@ -162,11 +164,11 @@ def verb(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 @contextlib.contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """A context in which the linear algebra of this process runs in one thread, until the last of several such contexts ends.
+    """Context in which the linear algebra of this process runs in one thread, until the last of overlapping contexts ends.
 
-    NumPy and SciPy bring a pool of threads each, which only wait for each other between small products and factors: on two busy cores
-    a search for the terms of 3000 samples took 17 to 24 s of processor time with them and 2.7 s without, a fit of Bouc-Wen 2.8 and 1.8 s.
-    Their number also changes the last digit of sums.
+    On small matrices the thread pools of NumPy and SciPy waste time: on two busy cores a structure search on 3000 samples took 17 to 24 s
+    of processor time with them and 2.7 s without, a fit of Bouc-Wen 2.8 and 1.8 s. The number of threads also changes the last digit of
+    sums.
     """
     global _one_thread_users, _limits
     with _one_thread:

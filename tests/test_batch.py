@@ -312,7 +312,7 @@ def test_what_no_loop_could_be_fitted_with_is_an_error(loops, options, error, me
 
 
 def test_auto_refuses_settings_of_a_chosen_model():
-    with pytest.raises(ParameterError, match="chosen model"):
+    with pytest.raises(ParameterError, match="explicit model"):
         hf.fit_many("auto", [measured(1, 100)], fix={"rho": 0.1})
 
 

@@ -368,7 +368,7 @@ def test_advice_for_many_records_is_one_note(count: int) -> None:
     loops = [Record(u=np.linspace(0.0, 1.0 + 0.1 * k, 5), y=np.zeros(5), name=name) for k, name in enumerate(names)]
     notes = notes_of_model(Dataset(tuple(loops)), BoucWen(tau=2.0, rho=0.5))
     assert len(notes) == (2 if count == 2 else 1)
-    assert (f"'curve=0', and {count - 1} other records alike" in notes[0].text) == (count > 2)
+    assert (f"'curve=0', and likewise {count - 1} other records" in notes[0].text) == (count > 2)
 
 
 def test_samples_before_those_that_count_are_not_advised_on() -> None:

@@ -335,7 +335,7 @@ def test_the_report_names_the_user_own_files(folder, loop, fitted, tmp_path, cap
     assert html.unescape(rows["Next"]).splitlines()[1] == f"hystfit invert '{out}' REFERENCE"
     capsys.readouterr()
     assert run(["fit", str(loop), "--time=0", "--model", "bouc-wen", "--starts", "1"]) == 0
-    assert "the same command with --out fit keeps this fit" in " ".join(capsys.readouterr().out.split())
+    assert "repeat the command with --out fit to save this fit" in " ".join(capsys.readouterr().out.split())
     saved = load_fit(out)
     (tmp_path / "again").mkdir()
     saved.save(tmp_path / "again" / "x")

@@ -167,7 +167,7 @@ def test_what_cannot_be_determined_is_named():
         hf.fit("bouc-wen", both, covariates=["T_degC:c", "load:mu"])
     with pytest.raises(ParameterError, match="a value for each record"):
         hf.fit("bouc-wen", records, covariates="T_degC:offset")
-    with pytest.raises(ParameterError, match="needs a chosen model"):
+    with pytest.raises(ParameterError, match="needs an explicit model"):
         hf.fit("auto", records, covariates="T_degC:c")
     with pytest.raises(ModelError, match="Preisach"):
         hf.fit("preisach", records, covariates="T_degC:w")

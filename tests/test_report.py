@@ -205,7 +205,7 @@ def test_page_is_whole_and_self_contained(result):
         assert str(note) in text
     for cells in (*report.metrics_table(result).cells(), *report.parameter_table(result, meaning=True).cells()):
         assert all(cell in text for cell in cells)  # the page and the text show the same tables
-    assert "part of the slope that the hysteresis takes at a reversal" in text
+    assert "fraction of the slope c that is lost at a reversal" in text
     assert 'name="viewport"' in page
     assert '<div class="next"><dt>Next</dt>' in page  # commands have a line of their own, in a monospaced font
 

@@ -130,5 +130,5 @@ def test_the_report_says_what_the_loops_show() -> None:
     t, u = growing(200)
     trait = Trait("viscoelastic", "linear+viscoelastic", 1.2, "prandtl-ishlinskii", 4.5)
     report = dataclasses.replace(examine(hf.Record(u=u, y=u, t=t)), traits=(trait,))
-    assert "viscoelastic: linear+viscoelastic errs by 1.2 %" in report.text()
+    assert "viscoelastic: linear+viscoelastic has an error of 1.2 %" in report.text()
     assert report.to_dict()["traits"][0]["other_percent"] == 4.5

@@ -325,7 +325,7 @@ def test_points_sorted_along_the_input_are_no_loop() -> None:
 
 
 def test_curves_from_one_input_are_of_no_family() -> None:
-    """Tensile tests of three specimens: reversal curves begin each at a reversal of its own."""
+    """Tensile tests of three specimens: each reversal curve must begin at its own reversal."""
     u = np.linspace(0.0, 1.0, 40)
     tests = [hf.Record(u, size * np.sin(1.4 * u), name=f"specimen {size}") for size in (1.0, 1.3, 1.9)]
     result = hf.fit("auto", hf.Dataset(tests))

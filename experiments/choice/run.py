@@ -96,7 +96,7 @@ def main() -> None:
     results.add("share of right choices", right / len(rows))
     results.add("share of right choices, all amplitudes", elsewhere / len(rows))
     about = (__doc__ or "").partition("\n")[0]
-    page = f"# Left-out schemes on simulated devices\n\n{about} Written by `run.py`.\n\n{table(HEAD, rows)}"
+    page = f"# Cross-validation schemes on simulated devices\n\n{about} Written by `run.py`.\n\n{table(HEAD, rows)}"
     complete = not (options.quick or options.out)
     (folder if complete else results.out).joinpath("RESULTS.md").write_text(page, encoding="utf-8")
     results.finish()

@@ -220,7 +220,7 @@ def main() -> None:
         "A hard magnet in a magnetometer": table(
             ["quantity", "value", "stderr", "branches, laws", "unit"], data_sheet(results)
         ),
-        "Beside the results of the instruments": table(
+        "Comparison with the results of the instruments": table(
             ["file", "quantity", "value", "instrument", "unit"], instruments(results)
         ),
         "Jiles-Atherton on the largest loops": table(

@@ -135,7 +135,7 @@ def main() -> None:
         "Simulated coupons with their true parameters, by `hystfit population` (`sd of these` is compared with `true sd`)": table(
             HEAD_COUPONS, coupons(results)
         ),
-        f"Coverage of intervals of 90 % over {populations} populations with normal errors of the fits": table(
+        f"Coverage of 90 % intervals over {populations} populations with normal errors of the fits": table(
             HEAD_COVERAGE, covered
         ),
         "Simulation-based calibration of Preisach weights, `hystfit sample --sampler weights`": table(
@@ -143,8 +143,8 @@ def main() -> None:
         ),
     }
     if not results.quick:
-        tables["Samples of measured loops that were left out, in bands of 90 %"] = left_out_loops(results)
-        tables["Samples of simulated loops that were left out, in bands of 90 %"] = simulated_loops(results)
+        tables["Held-out samples of measured loops in 90 % bands"] = left_out_loops(results)
+        tables["Held-out samples of simulated loops in 90 % bands"] = simulated_loops(results)
     results.publish("Populations", "experiments/populations/run.py", tables)
     results.finish()
 

@@ -73,8 +73,8 @@ def coverages(results: Results) -> dict[str, str]:
     titles = {
         "coverage": "Coverage of 95 % intervals, % (least of the four parameters in brackets)",
         "width": "Median standard error over the standard deviation of the estimates",
-        "none": "Parameters without an error bar, replicates with a warning of recurring error, and intervals without a warning that do "
-        "not hold the truth, %",
+        "none": "Parameters without an error bar, replicates with a warning of recurring error, and intervals without a warning that "
+        "miss the true value, %",
     }
     return {title: tables[name] for name, title in titles.items() if name in tables}
 

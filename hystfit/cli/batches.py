@@ -53,9 +53,9 @@ def batch(
 ) -> int:
     """Fit a model to each of many loops and tabulate the parameters.
 
-    Exit status 1: some loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (one row per loop),
+    Exit status 1: a loop could not be fitted, or its fit is not usable. With --out, the folder holds fits.csv (one row per loop),
     overview.html (the distribution of each parameter, and the loops that need attention) and reports of some loops. The same command
-    resumes after an interruption, and loops may be added to it.
+    resumes after an interruption, and includes loops that were added.
 
     Args:
         model: name (see hystfit models), my_model.py:MyModel, or auto: the winner of hystfit compare on each loop.

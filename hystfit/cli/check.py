@@ -70,20 +70,20 @@ def check(
 
 
 def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
-    """The command that follows, which reads the file as its notes propose."""
-    found = dict(note.option for note in remarks if note.option is not None)
+    """The command that follows, with the reading options that the notes propose."""
+    reading_options = dict(note.option for note in remarks if note.option is not None)
     changed = dict(note.option for note in report.findings if note.option is not None)
-    options = {name: True if value == "true" else value for name, value in (found | changed).items()}
+    options = {name: True if value == "true" else value for name, value in (reading_options | changed).items()}
     command = command_words(loops, dataclasses.replace(reading, **options))
     if report.advice is None and not changed and (part := _sound_part(report)) is not None:
         return f"\n\nNext: fit the part before the {part[0]}\nhystfit fit {command} --window=:{part[1]:.10g}"
-    if changed or report.advice is None:  # the advice is for the output as it was read
-        return f"\n\nNext: look at the records as they are proposed above\nhystfit check {command}"
+    if changed or report.advice is None:  # the advice is for the record before the proposed change
+        return f"\n\nNext: check the records with the changes proposed above\nhystfit check {command}"
     return f"\n\nNext: fit this model\nhystfit fit {command} --model {report.advice.model}"
 
 
 def _sound_part(report: QualityReport) -> tuple[str, float] | None:
-    """What ends the part of a single damaged record that can be fitted, in a word, and where."""
+    """The end of the undamaged part of a single record: its cause ("failure" or "damage") and its place; None where nothing is damaged."""
     ends = {"failure": report.records[0].fails_at, "damage": report.records[0].whole_until}
-    found = [(what, end) for what, end in ends.items() if end is not None]
-    return found[0] if found and len(report.records) == 1 else None
+    known = [(cause, end) for cause, end in ends.items() if end is not None]
+    return known[0] if known and len(report.records) == 1 else None

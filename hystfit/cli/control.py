@@ -56,8 +56,8 @@ def invert(
 
     Args:
         reference: file with the desired output (--output names its column) and, where the model needs it, the time.
-        rest: input at which the device was in equilibrium before the reference, such as 0. Default: the input on which the model, in
-            equilibrium, gives the first sample.
+        rest: input at which the device was in equilibrium before the reference, such as 0. Default: the input at which the model in
+            equilibrium gives the first sample.
     """
     from hystfit.control.inverse import invert as solve
 
@@ -209,7 +209,7 @@ def export(
     covariates: Covariates = None,
     trust: Trust = False,
 ) -> int:
-    """Write a fitted model and its inverse as C99 with fixed memory, and a test program; the fit as a MATLAB file or for OpenSees.
+    """Write a fitted model and its inverse as C99 code with a test program, or the fit for MATLAB, OpenSees, field or circuit programs.
 
     Args:
         c: folder for the C files.
@@ -217,7 +217,7 @@ def export(
         mat: .mat file for parameters, errors and predictions.
         opensees: folder for the uniaxialMaterial line (Tcl and openseespy) and the covariance.
         magnetic: folder for files of field and circuit programs (COMSOL, Flux, Ansys, JMAG, ngspice, LTspice, SPICE, Modelica).
-        tag: of the material.
+        tag: tag of the OpenSees material.
         name: prefix of files and functions.
     """
     from hystfit.control.export import export_c

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def sheet(width: float = 5.6, height: float = 4.0) -> Figure:
-    """An empty figure, in inches, which no global state of matplotlib knows."""
+    """An empty figure, its size in inches, outside the global state of matplotlib."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

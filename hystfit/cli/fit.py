@@ -59,12 +59,12 @@ def fit(
     With --out, the folder holds the fit, its report (report.html) and the pictures.
 
     Args:
-        model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (that family's terms are
-            chosen by cross-validation), or auto: the winner of hystfit compare, with --starts in every fit, and fitted under --noise.
+        model: name (see hystfit models; join several by +), my_model.py:MyModel, prandtl-ishlinskii-search (chooses the terms of that
+            family by cross-validation), or auto (the winner of hystfit compare; --starts applies to every fit, --noise to the winner).
         method: auto (suits the model), {methods}; or sequential, in one pass over the samples: {sequential}.
         at: starting value of a parameter, as NAME=VALUE, in place of the one estimated from the data; repeatable.
-        covariate: parameters that are linear in a constant of each record (its temperature, current, preload), as T_degC:c,tau; repeatable.
-            The value is that of a constant column or of the header of the file, or stands in the name of the record.
+        covariate: parameters that depend linearly on a constant of each record (temperature, current, preload), as T_degC:c,tau;
+            repeatable. The value is read from a constant column, the header of the file, or the name of the record.
     """
     output.check("hystfit.fit")
     if at and fitting.start == "model":
@@ -102,7 +102,7 @@ def fit(
 
 
 def _wording(loops: Sequence[str], reading: Reading, split: Split, folder: Path | None) -> Wording:
-    """Places and options as the user wrote them; without a folder the fit is not saved."""
+    """Files and options as the user wrote them; without a folder the fit is not saved."""
     from hystfit.results.report import Wording
     from hystfit.results.report.answer import option_words
 
@@ -112,7 +112,7 @@ def _wording(loops: Sequence[str], reading: Reading, split: Split, folder: Path 
 
 
 def _after_comparison(winner: FitResult, wording: Wording) -> list[str]:
-    """Commands that make sense after a comparison: with its winner, or one that fits it again where it was not saved."""
+    """Next commands after a comparison: those for its winner, or the one that fits and saves it."""
     from hystfit.results.report.answer import next_commands
 
     if wording.saved and winner.usable:
@@ -153,8 +153,8 @@ def compare(
     With --out, the folder holds the ranking (comparison.txt, report.html) and the fit of the winner (winner/).
 
     Args:
-        models: names, repeated or separated by commas; default: every family that the records can drive, of which models that
-            cannot win are stopped early.
+        models: names, repeated or separated by commas; default: every family that suits the records; models that cannot win are stopped
+            early.
         left_out: what is held out of each fit: by default what the records allow (whole records, amplitudes, cycles or scattered
             samples; the report names it), or the future: later parts of each record are predicted from a fit to the earlier part.
         seed: random seed for the starting points.

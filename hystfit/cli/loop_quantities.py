@@ -36,7 +36,7 @@ class SampleOptions:
         mass: mass in mg.
         density: density in g/cm3.
         demagnetization: demagnetizing factor, 0 in a closed circuit; default: that of the prism.
-        image_factor: number by which the moment is divided for its images in the poles of the magnet.
+        image_factor: divisor of the moment that corrects for its images in the poles of the magnet.
         correct: corrections to apply besides volume, image and demagnetization: drift, offset, slope.
     """
 
@@ -83,12 +83,12 @@ def quantities(
 ) -> int:
     """Read coercivity, remanence, loss, stiffness or (BH)max off measured loops, with standard errors and without a model.
 
-    Of magnetic loops also the numbers of data sheets (HcJ, HcB, Br, Js, (BH)max, permeability), after corrections that are listed in their
-    order. A moment becomes a polarization by the size or volume of the sample, or by its mass and density.
+    For magnetic loops, also the quantities of data sheets (HcJ, HcB, Br, Js, (BH)max, permeability), after the corrections that are listed.
+    If the output is a moment, give the size or volume of the sample, or its mass and density.
 
-    Of a force and a displacement also energy, stiffness and damping of each cycle, the backbone and the failure. With --out, the folder
-    holds result.json and quantities.csv, and of forces cycles.csv, backbone.csv and backbone.png. Exit status 1: no record has a loop or
-    a demagnetization curve.
+    For a force against a displacement, also energy, stiffness and damping of each cycle, the backbone and the failure. With --out, the
+    folder holds result.json and quantities.csv, and for forces cycles.csv, backbone.csv and backbone.png. Exit status 1: no record has a
+    loop or a demagnetization curve.
     """
     from hystfit.results.force_loops import force_loops
     from hystfit.results.loop_values import quantities as of_loops

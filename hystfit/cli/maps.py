@@ -39,19 +39,19 @@ def fit_loops(
 ) -> int:
     """Fit a model to every loop of an array, such as that of a scan over a sample, and draw the map of each parameter.
 
-    The file is read part by part. Exit status 1: some loop has no usable fit. With --out, the folder holds maps.nc (every parameter, its
+    The file is read part by part. Exit status 1: a loop has no usable fit. With --out, the folder holds maps.nc (every parameter, its
     standard error, the status and the notes, over the axes of the array) and a picture of each parameter. The same command resumes
     after an interruption.
 
     Args:
         model: name (see hystfit models) or my_model.py:MyModel.
-        input: data set of the input; recognized by default, as the others are.
+        input: data set of the input; recognized by default, like the following.
         output_name: data set of the outputs; default: the one with the most axes.
         time: data set of the time; "none" reads without it.
         units: units of input and output, such as V,nm; others of the same quantity in the file are converted.
         method: auto (suits the model), {methods}.
         workers: threads; default: one for each core.
-        table: form of the maps besides netCDF: zarr, or parquet with one row a loop; repeatable.
+        table: form of the maps besides netCDF: zarr, or parquet with one row per loop; repeatable.
     """
     from hystfit.batch.fit_map import fit_map
     from hystfit.reading.cubes import open_cube

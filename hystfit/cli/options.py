@@ -33,14 +33,16 @@ Trust = Annotated[
 Loop = Annotated[
     str,
     Parameter(
-        help="file, pattern ('loops/*.csv'), input+output files (u.csv+y.csv) or name of a data set; several make several records"
+        help="file, pattern ('loops/*.csv'), input+output files (u.csv+y.csv) or name of a data set; several arguments are several records"
     ),
 ]
 Number = Annotated[float | None, Parameter(group=FILE)]
 Setting = Annotated[float | None, Parameter(group=SEQUENTIAL)]
 Device = Annotated[
     Literal["auto", "cpu", "gpu"],
-    Parameter(help="where to compute: auto takes a GPU for 1024 or more loops that are solved together, else the CPU"),
+    Parameter(
+        help="where to compute: auto uses a GPU for 1024 or more loops that are solved together, otherwise the CPU"
+    ),
 ]
 Limits = Annotated[
     str | None, Parameter(help="lowest and highest input as low:high; default: the range of the fitted input")
@@ -73,16 +75,16 @@ def lists(**registries: Iterable[str]) -> Callable[[F], F]:
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Reading:
-    """Options for reading a file. That of a reference has no input, and an excitation no output: their options are refused.
+    """Options for reading a file. A reference has no input and an excitation no output: these options are refused there.
 
     Args:
         time: column of the time, by name or number from 0; "none" reads without time. Recognized by name or unit by default.
         input: column of the input.
-        output: column of the output, or of the reference: by default the one like the fitted output.
-        sigma: column with the standard deviation of the output of each sample, which gives the weights.
+        output: column of the output, or of a reference; default for a reference: the column that matches the fitted output.
+        sigma: column with the standard deviation of each output sample, by which the samples are weighted.
         rate: sampling rate in Hz, for a file without a usable clock.
         dt: sampling interval in seconds, instead of --rate.
-        units: units of input and output, such as V,um (,um of a reference); other units of the same quantity in the file are converted.
+        units: units of input and output, such as V,um (for a reference ,um); other units of the same quantity in the file are converted.
         by: column whose values separate several curves in one file.
         only: which curves: values (3,4) or positions from 0 (1::4).
         where: rows to read, as column=value.
@@ -90,10 +92,10 @@ class Reading:
         delimiter: column delimiter; recognized by default.
         decimal: decimal mark, "." or ",".
         encoding: text encoding.
-        adjusted: take the columns that the instrument adjusted, for a slope or an offset, in place of the raw ones.
+        adjusted: use the columns that the instrument adjusted for a slope or an offset, instead of the raw ones.
         integrate: replace the output by its integral over time (the charge of a current).
         smooth: smooth the input by a zero-phase filter of this many samples (odd).
-        gaps: "split" makes a record of each piece where the input is missing, "drop" joins the pieces; "error" refuses.
+        gaps: where the input is missing, "split" makes a record of each piece, "drop" joins the pieces, "error" refuses the file.
     """
 
     time: Text = None
@@ -244,8 +246,8 @@ class Fitting:
         fix: parameter that is not fitted, as NAME or NAME=VALUE; repeatable.
         free: parameter to fit that the model fixes by default; repeatable.
         tie: parameter that follows from another one, as NAME=NUMBER*NAME+NUMBER ("k2=2*k1", "gamma[1]=gamma[0]"); repeatable.
-        noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors where the residuals are autocorrelated, iid
-            does not; the other noise models refine the fit by their likelihood.
+        noise: auto, {noises}, or my_file.py:MyNoise. auto widens the standard errors if the residuals are autocorrelated, iid does not; the
+            others refit the parameters by maximum likelihood.
         starts: number of starting points.
         seed: random seed for the starting points.
     """

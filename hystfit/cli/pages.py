@@ -126,7 +126,7 @@ def sample_page(posterior: Posterior, folder: Path) -> Page:
         ("Parameters", [posterior.summary(), CHECKS]),
         ("Derived quantities (median and 95 % interval)", [posterior.derived_table()]),
         ("Plots", [shown]),
-        ("What the answer rests on", _sensitivity_blocks(posterior)),
+        ("Sensitivity of the posterior", _sensitivity_blocks(posterior)),
         ("Notes", [notes_of(posterior.notes)]),
         ("Priors", [[f"{name}: {text}" for name, text in posterior.priors.items()]]),
     ]
@@ -138,12 +138,12 @@ def _sensitivity_blocks(posterior: Posterior) -> list[Block]:
     """Prior against data, influence of records, and checks by replicated data."""
     found = posterior.sensitivity
     text = (
-        "Contraction: 1 where the data decide, 0 where the prior does. Shifts of the mean, in posterior standard deviations: if the prior "
-        "or the data counted twice, and if a record is left out."
+        "Contraction: 1 where the data determine a parameter, 0 where the prior does. Shifts of the mean, in posterior standard "
+        "deviations: if the prior or the data are counted twice, and if a record is left out."
     )
     blocks: list[Block] = [text, found.table()]
     if found.checks:
-        blocks += ["Measured loops beside 100 sets of replicated data:", found.checks_table()]
+        blocks += ["Measured loops and 100 sets of replicated data:", found.checks_table()]
     return [*blocks, notes_of(found.notes)] if found.notes else blocks
 
 

@@ -41,8 +41,8 @@ def population(
     Args:
         loops: files, or patterns in quotes ('loops/*.csv'); every curve of a file is a device.
         model: name, or my_model.py:MyModel.
-        covariate: property in the files' headers or names on which the mean depends linearly; repeatable.
-        device: regular expression whose first group in a loop's name is its device, where a device has several loops.
+        covariate: property, from the header or the name of a file, on which the mean depends linearly; repeatable.
+        device: regular expression for the names of loops, whose first group is the device; for several loops per device.
         draws: draws per chain.
         chains: chains.
         next_measurement: also rank what to measure next, a new device or one of these again, and with which input (next.csv).

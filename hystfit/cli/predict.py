@@ -75,7 +75,8 @@ def predict(
 ) -> int:
     """Simulate a fitted model on the input of a record, and compare it with the measured output where there is one.
 
-    With --out, the folder holds prediction.csv and a picture. The folder of `hystfit sample` adds bands in which 90 % of measurements lie.
+    With --out, the folder holds prediction.csv and a picture. With a folder of `hystfit sample`, it adds bands that contain 90 % of
+    measurements.
 
     Args:
         input_only: the file has no output: predict it (give --input, and --time).

@@ -40,15 +40,15 @@ def forc(
 ) -> int:
     """Draw the FORC diagram of reversal curves and compute its key numbers.
 
-    The file holds one curve for each reversal (--by names the column that separates them). Drift between calibration points and first
-    points that had not settled are corrected where the curves show them, and printed. With --out, the folder holds pictures (forc.png,
-    profiles.png, curves.png), the density (forc.csv, forc.npz), the profiles (profiles.csv) and a page (report.html).
+    The file holds one curve for each reversal (--by names the column that separates them). Drift of the calibration points and unsettled
+    first points are corrected if the curves show them, and reported. With --out, the folder holds pictures (forc.png, profiles.png,
+    curves.png), the density (forc.csv, forc.npz), the profiles (profiles.csv) and a page (report.html).
 
     Args:
         smoothing: the factor SF of the regression: second-degree polynomials over (2 SF + 1) x (2 SF + 1) points.
-        density: by local regression on the curves; fitted: a Preisach density whose smoothness is chosen by curves left out; or sampled:
-            the posterior of such a density, which gives every number a credible error and takes minutes. A picture (compared.png) then
-            shows it beside the regression.
+        density: regression (local, on the curves); fitted (a Preisach density whose smoothness is chosen by cross-validation); or sampled
+            (the posterior of such a density, which gives every number a standard deviation and takes minutes). A picture (compared.png)
+            then shows it beside the regression.
     """
     from hystfit.models.preisach.forc_numbers import forc_numbers
     from hystfit.quality.reversal_curves import corrected_curves, reversal_curves

@@ -29,7 +29,7 @@ _WORDS = {0: "usable", 1: "not usable", 2: "failed", INTERRUPTED: "interrupted",
 
 
 def run(study: Path, /, *, dry_run: bool = False, json: bool = False) -> int:
-    """Run the steps of a study from one file; steps that are done with unchanged inputs are not run again.
+    """Run the steps of a study from one file, except those whose inputs have not changed.
 
     Relative paths are relative to the file. Exit status: that of the worst step; a step whose input failed is not run.
 
@@ -37,7 +37,7 @@ def run(study: Path, /, *, dry_run: bool = False, json: bool = False) -> int:
         study: TOML file. [steps.NAME] calls the verb NAME (or verb = "...") with its options as keys, without dashes; positional
             arguments are loops, fitdir, reference, what; "{NAME}" in a value is the folder of another step. Above the steps:
             out (folder of all steps; default: the name of the file), seed (for verbs that take one), and [sha256] with
-            "FILE" = "DIGEST", which is compared before the first step.
+            "FILE" = "DIGEST", which is checked before the first step.
         dry_run: check the file and print the commands.
         json: print run.json instead of the text.
     """

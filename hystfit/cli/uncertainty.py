@@ -45,13 +45,13 @@ def sample(
     chains (run/): the same command resumes after an interruption, and continues a finished run with more --draws.
 
     Args:
-        sampler: auto (weights for weights of cells or plays beside few other parameters, and independence for the others; nuts where
-            a setting of it is given), {samplers}, or my_file.py:MySampler. independence leaves posteriors that it does not cover to
-            nuts; emcee is for up to ten parameters; nested also for several modes.
+        sampler: auto (weights if most parameters are weights of cells or plays, otherwise independence; nuts if one of its settings is
+            given), {samplers}, or my_file.py:MySampler. If independence cannot cover the posterior, nuts takes over; emcee is for up to ten
+            parameters; nested is also for several modes.
         noise: auto (chosen from the residuals), {noises}, or my_file.py:MyNoise.
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
-        prior_from: folder written by `hystfit population --out`, whose next device is the prior, with its correlations (nested and weights
-            take none); --prior replaces single ones.
+        prior_from: folder written by `hystfit population --out`: its distribution of a new device is the prior, with correlations (not for
+            nested and weights); --prior replaces single ones.
         draws: draws per chain of independence and nuts (500, up to 16 times as many until the chains have converged) or weights (300, up
             to 8 times); per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of independence, nuts or weights (4); runs of nested (2).
@@ -147,8 +147,7 @@ def errors(
 ) -> int:
     """Standard errors of a saved least-squares fit by several methods: its own, i.i.d. residuals, sandwich, block bootstrap.
 
-    For weights of cells or plays beside few other parameters, also by their posterior (as `hystfit sample` draws it), which has an error
-    for every weight that acts on the data.
+    If most parameters are weights of cells or plays, also the standard deviations of their posterior, as drawn by `hystfit sample`.
 
     With --out, the folder holds errors.txt. result.json has every parameter.
 
@@ -191,7 +190,7 @@ def calibrate(
     from which the same command resumes.
 
     Args:
-        noise: noise model of the simulated data, of the size of the residuals of the fit: {noises}.
+        noise: noise model of the simulated data, scaled to the residuals of the fit: {noises}.
         assumed: noise model of the inference; default: that of the simulation.
         method: laplace (least squares), {samplers}.
         replicates: number of simulated data sets.

@@ -1,4 +1,4 @@
-"""The verbs of the command line, and messages of the library in their words."""
+"""The verbs of the command line, and the translation of Python options in messages to shell options."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ VERBS = {
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
     "run": (
         "run_file:run",
-        "Run the steps of a study from one file, and only those whose inputs have changed.",
+        "Run the steps of a study from one file, except those whose inputs have not changed.",
     ),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
     "completion": ("catalog:completion", "Set up completion with the Tab key in bash, zsh or fish."),
 }
-# A value that is not quoted is left alone: records are called by column=value, too; --name=value is an option already.
+# Unquoted values are left unchanged: names of records also have the form column=value, and --name=value is already an option.
 _ARGUMENT = re.compile(r"(?<!-)\b([a-z_]+)=(?:'([^']*)'|(False)\b|True\b|(?![\w'\"({\[.+-]))")
 # Options in parentheses, without other words.
 _OPTIONS = re.compile(r" \((?:--[\w-]+(?: [^\s,()-][^\s,()]*)?(?:, )?)+\)")
 
 
 def place(verb: str) -> str:
-    """Where the function of a verb is, as "module:function"."""
+    """The function of a verb, as "module:function"."""
     return f"hystfit.cli.{VERBS[verb][0]}"
 
 
@@ -78,7 +78,7 @@ def _parameters(verb: str) -> Mapping[str, inspect.Parameter]:
 
 
 def as_options(message: str) -> str:
-    """A message of the library in the words of the shell: gaps='split' is --gaps split, time=False --time none, trust=True --trust."""
+    """A message of the library with options as at the shell: gaps='split' is --gaps split, time=False --time none, trust=True --trust."""
 
     def option(match: re.Match[str]) -> str:
         if match[1] not in option_names():

@@ -76,7 +76,7 @@ def _winding(material: Material) -> str:
     if material.law is None:
         raise ModelError(material.lacking)
     if material.law.air < 0 or material.law.mu <= 0:
-        raise ModelError("the line beside the law falls, with which no winding is stable: refit without linear")
+        raise ModelError("the straight line falls, which makes any winding unstable: refit without linear")
     return winding(material.law)
 
 

@@ -175,7 +175,7 @@ class Material:
         model = result.model if parts is None else parts.slow
         if not model.rate_independent:
             raise ModelError(
-                "these programs read static loops, or jiles-atherton-dynamic without terms of time beside it: refit with --model"
+                "these programs take static models, or jiles-atherton-dynamic without other time-dependent terms: refit with --model"
             )
         if parts is not None and parts.dynamic and float(parts.static.slope) == 0.0:
             raise ModelError("the dynamic fields act on the polarization: fit B over H with --units A/m,T")
@@ -205,9 +205,7 @@ def _with_gap(h: np.ndarray, flux: np.ndarray, gap: float) -> tuple[np.ndarray, 
     """Fields and branches of a material in a circuit with a gap, at fields that both branches share."""
     outside = h + gap * flux
     if (np.diff(outside) <= 0).any():
-        raise ModelError(
-            "the line beside the law makes the field fall while the flux density rises: refit without linear"
-        )
+        raise ModelError("with the straight line, the field falls while the flux density rises: refit without linear")
     common = np.linspace(outside[:, 0].max(), outside[:, -1].min(), POINTS)
     return common, np.stack([np.interp(common, *branch) for branch in zip(outside, flux, strict=True)])
 

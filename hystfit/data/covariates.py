@@ -64,7 +64,7 @@ def dependences(given: Mapping[str, str | Sequence[str]] | Sequence[str] | str) 
     for name, one in pairs:
         if not one or not re.fullmatch(r"\w+", name):
             raise ParameterError(
-                f"a dependence reads COVARIATE:PARAMETER, such as T_degC:c, got {f'{name}:{one}'!r}; the name of a covariate consists "
+                f"write a dependence as COVARIATE:PARAMETER, such as T_degC:c, got {f'{name}:{one}'!r}; the name of a covariate consists "
                 "of letters, digits and underscores"
             )
         if pairs.count((name, one)) > 1:

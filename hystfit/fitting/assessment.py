@@ -27,7 +27,7 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
     """Notes on the estimates: parameters at bounds, undetermined parameters, and how the standard errors were computed."""
     notes = [*estimate.notes, *notes_on_time(problem.data)]
     if (stated := problem.data[0].sigma) is not None:
-        text = f"the residuals are {errors.sigma / stated:.2g} times the standard deviations given; only their ratios are used"
+        text = f"the residuals are {errors.sigma / stated:.2g} times the given standard deviations, of which only the ratios are used"
         notes.append(Note(Code.WEIGHTED, text))
     notes += notes_of_model(problem.data, model)
     unknown = Unknown(errors.inactive, errors.directions, errors.reaching, errors.rank)
@@ -51,7 +51,7 @@ def notes_on_time(data: Dataset) -> list[Note]:
         notes.append(Note(Code.NO_TIME, f"the data have no usable time: {WITHOUT_TIME}"))
     coarse = [record.name for record in data if record.t is not None and CoarseClock.of(record.t)]
     if coarse:
-        text = f"time stamps of {coarse[0]!r} repeat, and the model was driven with these steps: Record.sampled gives even ones"
+        text = f"time stamps of {coarse[0]!r} repeat, and the model was driven with these time steps: Record.sampled makes them even"
         notes.append(warn(Code.COARSE_CLOCK, text))
     return notes
 
@@ -65,7 +65,7 @@ def notes_of_model(data: Dataset, model: AbstractHysteresis) -> list[Note]:
         return [
             warn(Code.MODEL_ADVICE, line) for line in dict.fromkeys(line for lines in said.values() for line in lines)
         ]
-    others = f"{speaking[0]!r}, and {len(speaking) - 1} other records alike"
+    others = f"{speaking[0]!r}, and likewise {len(speaking) - 1} other records"
     return [warn(Code.MODEL_ADVICE, f"{others}: {line}") for line in said[speaking[0]]]
 
 
@@ -107,7 +107,7 @@ def _bounds_reached(space: ParameterSpace, sides: Sequence[Side | None]) -> list
     notes = [
         warn(
             Code.AT_BOUND,
-            f"{name} is at its {side} bound: it has no standard error, and those of the others take the bound as prior information",
+            f"{name} is at its {side} bound: it has no standard error, and those of the others treat the bound as prior information",
         )
         for name, side, is_linear in reached
         if side and not is_linear

@@ -62,8 +62,8 @@ class BoundedDescent(AbstractEstimator):
         costs = np.array([cost if np.isfinite(cost) else np.inf for _, cost, _, _ in solutions])
         x, cost, error, _ = solutions[int(np.argmin(costs))]
         converged = error <= 10 * self.tolerance
-        message = "converged" if converged else f"projected gradient {error:.1e} after its steps: try method='trf'"
-        text = f"jaxopt does not import ({missing}): L-BFGS-B of scipy took its place"
+        message = "converged" if converged else f"projected gradient {error:.1e} after the last step: try method='trf'"
+        text = f"jaxopt cannot be imported ({missing}): L-BFGS-B of SciPy was used instead"
         notes = (Note(Code.CHOICE, text),) if missing else ()
         return Estimate(x, cost, converged, message, sum(steps for *_, steps in solutions), costs, notes=notes)
 

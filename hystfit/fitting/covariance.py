@@ -23,9 +23,9 @@ from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, REACH, relative_size
 from hystfit.params.space import ParameterSpace
 
-_TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar;
-_MOVED = 0.5  # where two bounds limit the direction: standard error that it adds, over the parameter's size, above which it has none
-_PART = 0.25  # components of a direction that its description includes
+_TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
+_MOVED = 0.5  # the same for a direction limited by two bounds: standard error that it adds, over the parameter's size
+_PART = 0.25  # smallest component in the description of a direction, relative to the largest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Uncertainty:
 
     Attributes:
         covariance: of the free parameters in physical units, shape (p, p); NaN where it is undefined.
-        joint: the same with the parameters that the data do not determine, whose variances are large; 0 at a
-            bound where parameters there are held, NaN where inactive.
+        joint: the same including undetermined parameters, whose variances are large; 0 for parameters fixed at a bound, NaN for inactive
+            ones.
         determined: whether the data determine each parameter, shape (p,), bool.
         inactive: parameters without any influence on these data, shape (p,), bool.
         directions: parameters that the data cannot separate, a text for each such direction.
@@ -63,7 +63,7 @@ class Uncertainty:
 
     @classmethod
     def unknown(cls, problem: Problem, estimate: Estimate) -> Uncertainty:
-        """That of a fit whose standard errors nobody has asked for: a candidate in a comparison."""
+        """Placeholder for a fit without standard errors, such as a candidate in a comparison."""
         p, known = estimate.x.size, estimate.linearized
         residual = problem.misfit(estimate.x) if known is None else known.misfit
         nothing, never = np.full((p, p), np.nan), np.zeros(p, dtype=bool)
@@ -78,14 +78,14 @@ def uncertainty(
 ) -> Uncertainty:
     """Covariance at an estimate, to first order.
 
-    Autocorrelated residuals carry less information than their number suggests: with `correlated` the covariance of a least-squares
-    estimate is the one under slow and independent noise with their statistics (`inference.noise.slow_likelihood`). For hundreds of
-    weights, or where such noise would have to be far larger than the residuals, it grows by their integrated autocorrelation time.
-    Parameters on a bound and directions that the data do not determine have no finite error. Those of the others treat the
-    bounds as prior information where up to 60 parameters are near theirs (`near_bounds`); for more, those at bounds are held there.
+    With `correlated`, the covariance is that of least squares under slow and independent noise estimated from the residuals
+    (`inference.noise.slow_likelihood`). For hundreds of weights, or if this noise would be far larger than the residuals, the covariance is
+    multiplied by their integrated autocorrelation time instead. Parameters at a bound and undetermined directions have no finite error. The
+    errors of the others treat the bounds as prior information if at most 60 parameters are near theirs (`near_bounds`); otherwise
+    parameters at a bound are fixed there.
 
     Args:
-        estimate: where it ended.
+        estimate: the estimate.
         correlated: allow for autocorrelated residuals.
         root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
     """
@@ -124,7 +124,7 @@ def uncertainty(
             information = information._replace(ridge=share[0] * information.ridge)
     determined = determine(problem.space, x, relative, information, live, inside)
     if inside is not None and determined["condition"] is not None:
-        # Weights at a bound vary with the others, which they replace: both together leave the output as it is.
+        # Weights at a bound and the others compensate each other in the output: keep their covariance.
         determined["joint"] = np.where(acts & acts[:, None], inside, np.nan)
     else:
         determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
@@ -151,7 +151,7 @@ def _correlated_root(
 
 
 def ridge_shares(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Float[np.ndarray, "N p"]:
-    """Part of the ridge of each parameter that counts as prior information, one for the weights of an array."""
+    """Fraction of the ridge of each parameter that counts as prior information, equal for all weights of an array."""
     share = np.ones((len(near.x), acts.size))
     arrays = np.array([name.split("[")[0] for name in names])
     share[:, acts] = near.share(np.unique(arrays[acts], return_inverse=True)[1])
@@ -161,13 +161,13 @@ def ridge_shares(near: NearBounds, names: Sequence[str], acts: np.ndarray) -> Fl
 def _factor(
     problem: Problem, x: np.ndarray, linear: Linearization, at_bound: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A root of the normal matrix of the derivatives, triangular for few parameters, and which ones act on the data, shape (p,), bool.
+    """A square root of the normal matrix, triangular for few parameters, and which parameters affect the data, shape (p,), bool.
 
-    Of hundreds of weights few may be live: columns of the others, of which the errors make no use then, are zero in the factor.
+    If few of hundreds of weights are off their bounds, the columns of the others, which are not needed, are zero.
     """
     offsets = problem.space.offsets
     if x.size <= FEW or not at_bound.any() or linear.root is not None:
-        # Of hundreds of weights any root will do: what it is for squares it.
+        # For hundreds of weights any square root will do, because only its square is used.
         factor = linear.triangle() if x.size <= FEW or linear.root is None else linear.root[:, :-1]
         return factor, _acting(problem, x, np.linalg.norm(centered(factor, offsets)[0], axis=0))
     acts = _acting(problem, x, centered_lengths(linear, offsets))
@@ -221,7 +221,7 @@ def determine(
     reaching = ~touched & (REACH * np.sqrt(np.diag(full)) > room[live])
     touched |= reaching
     nonlinear = ~space.linear[live]
-    # Where most nonlinear parameters are unknown, their other values may change the rest too, far from the estimate.
+    # If most nonlinear parameters are undetermined, the linearization does not hold for the others either.
     if 2 * np.count_nonzero(nonlinear & ~touched) < np.count_nonzero(~space.linear):
         touched |= nonlinear
     covariance[np.ix_(at, at)] = np.where(touched | touched[:, None], np.nan, full)
@@ -239,7 +239,7 @@ def determine(
 
 
 def _wide_axes(deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Variances above `OPEN` squared, rising, (m,), and their directions, (k, m), of a covariance D D' in relative coordinates."""
+    """Eigenvalues above `OPEN` squared, rising, (m,), and eigenvectors, (k, m), of a covariance D D' in relative coordinates."""
     covariance = deviations @ deviations.T
     below = -covariance
     below[np.diag_indices_from(below)] += OPEN**2
@@ -254,11 +254,12 @@ def _spectrum(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Singular values and inverse of the root of the information about live parameters, centered and with columns of unit length.
 
-    Neither the unit of a parameter nor the place of zero in input and output may decide what the data determine.
+    Scaling and centering make the rank independent of units and of the zero of input and output.
 
     Returns:
-        Singular values, falling, (k,); a square root of the covariance, (k, k), whose columns are the directions with their standard
-        deviations as lengths where some values are tiny: these are large but finite; and the matrix that takes it to parameters, (k, k).
+        Singular values, falling, (k,); a square root of the covariance, (k, k); and the matrix that transforms it to parameters, (k, k).
+        If some values are tiny, the columns of the square root are the singular directions, with large but finite standard deviations as
+        lengths.
     """
     rows, ridge = information.root[:, live], information.ridge[live]
     if ridge.any() and (ridge.size <= FEW or ridge[offsets].any()):
@@ -280,10 +281,8 @@ def _spectrum(
 def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Singular values of rows R and a diagonal `ridge`, falling, and a square root of the inverse of the normal matrix R'R + ridge.
 
-    Its columns are directions where values are tiny.
-
-    In a tenth of the time of a decomposition of R where none is tiny, else in a third; values as small as `RANK` of the largest are
-    still told from zero.
+    If some values are tiny, its columns are the singular directions. Takes a tenth of the time of a decomposition of R if no value is tiny,
+    else a third. Values down to `RANK` of the largest are distinguished from zero.
     """
     gram = rows.T @ rows
     gram[np.diag_indices_from(gram)] += ridge
@@ -299,9 +298,9 @@ def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.n
 def _touched(open_axes: np.ndarray, spreads: np.ndarray, two_sided: np.ndarray) -> np.ndarray:
     """Parameters with a large component in an undetermined direction, shape (k,), bool.
 
-    A direction among parameters with two bounds is limited by these: there the standard error that it adds decides.
+    A direction among parameters with two bounds is limited by these, so it counts only if it adds a large standard error.
 
-    The directions are columns, in relative coordinates, (k, m); `spreads` are the variances along the first of them, those along
+    The directions are columns, in relative coordinates, (k, m); `spreads` are the variances along the first of them. The variances along
     the others are unknown.
     """
     limited = np.array([two_sided[_main(axis)].all() for axis in open_axes.T], bool)

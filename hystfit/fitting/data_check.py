@@ -95,7 +95,7 @@ def _no_loop(found: Comparison) -> Note:
     tried = count(sum(row.fitted for row in found.rows), "model")
     text = (
         f"none of the {tried} that were tried describes these data better than a single-valued curve: "
-        "there is no loop, or it is too narrow for the noise and the distance of the samples, or of a kind that they do not describe"
+        "there is no loop, or it is too narrow for the noise and the sampling, or of a kind that they do not describe"
     )
     return warn(Code.SINGLE_VALUED, text)
 

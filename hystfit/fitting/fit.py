@@ -1,4 +1,4 @@
-"""`hystfit.fit`: records from what the user has, the model that is meant, and its fit."""
+"""`hystfit.fit`: convert the data to records, choose the model, and fit it."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from hystfit.reading.in_memory import records_of
 from hystfit.reading.read import read
 from hystfit.results.result import FitResult
 
-_OF_SEQUENTIAL = "duhem"  # the model that "auto" means where an identifier runs over the samples
-_OF_READ = signature(read).parameters
+_SEQUENTIAL_MODEL = "duhem"  # the model for "auto" with a sequential identifier
+_READ_OPTIONS = signature(read).parameters
 
 
 @verb
@@ -57,38 +57,38 @@ def fit(
     `fit(model, record)`, `fit(model, frame)` and `fit(model, u, y, t)` are the same for records, data frames and arrays.
 
     Args:
-        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`, with `starts` starting points in
-            every fit, and fitted again under `noise` where that is not "auto"; of the other options it takes `seed` and `test`.
-            "prandtl-ishlinskii-search" searches that family for the terms that predict left-out data best, and the result names them.
+        model: a model, its class, its name (see `hystfit models`), or "auto": the winner of `compare`, refitted under `noise` unless that
+            is "auto"; the other options that apply are `starts`, `seed` and `test`. "prandtl-ishlinskii-search" chooses the terms of that
+            family by cross-validation.
         data: a record, several, or a data frame (pandas, polars, a dictionary of columns); or the input, shape (T,). Windows are set
             by `Record.window`.
-        y: output, shape (T,); of a data frame the name or number of its column, guessed by default.
+        y: output, shape (T,); or its column in a data frame, by name or number, recognized by default.
         t: time of each sample [s], shape (T,), or a column of a data frame; models that depend on time need it.
-        u: column of the input in a data frame; or the input, where it is given by name.
+        u: column of the input in a data frame; or the input itself, shape (T,), as a keyword.
         method: "lm", "dogleg" (optimistix), "trf" (scipy, bounded), "lbfgsb" (jaxopt, bounded), "convex"
-            (weights in closed form), "preisach" (the same on distinct relay states, smooth), my_method.py:MyEstimator, or an
-            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". "rls", "gradient-correction" and
-            "ukf" (or a user's own) run once over the samples; they take `seed`, `test` and their own settings only.
-        fix: parameters that are not fitted, at a given value ({"c": 0.15}); without a value, at that of the model, or at the one estimated
-            from the records if `start` is "data" and the model is given by name.
+            (weights in closed form), "preisach" (the same for smooth Preisach weights), my_method.py:MyEstimator, or an
+            estimator; "auto" takes "preisach" or "convex" for many linear weights, else "lm". The sequential methods "rls",
+            "gradient-correction" and "ukf" (or your own) take only `seed`, `test` and their own settings.
+        fix: parameters that are not fitted: names with values ({"c": 0.15}), or names alone, which keep the value of the model, or the one
+            estimated from the records if `start` is "data" and the model is given by name.
         free: parameters to fit that the model fixes by default.
         start: "data" estimates starting values from the records, "model" takes the model's own; values by name ({"tau": 0.01}) replace
             those estimated from the records.
         starts: number of starting points: the data-driven one, and a Latin hypercube about it; for a model that estimates several
             starting points from the records, the largest number of these.
-        seed: of the starting points.
+        seed: random seed of the starting points.
         loss: "linear", or a robust loss ("huber", "soft-l1", "cauchy") that reduces the influence of errors above 1 % of the range.
         noise: "auto" keeps the least-squares estimate; where its residuals are autocorrelated, its standard errors are those under
             slow (Ornstein-Uhlenbeck) and independent noise estimated from them. "iid" treats residuals as independent. "ou" (slow and
             independent noise), "ar1", "student-t", "discrepancy" (model error that recurs every loop), my_noise.py:MyNoise or a
-            class refine the fit by the likelihood of that noise model: "ou" is the more precise estimate under slow noise, and
-            standard errors with recurring errors need "discrepancy" (the notes say when).
-        covariates: parameters that are linear in a constant of the records, {"T_degC": ["kappa_x", "c"]} or "T_degC:kappa_x,c". Its value
-            comes from the metadata of each record (constant columns of a file are among them) or from the record's name; see
+            class refit by maximum likelihood under that noise model: "ou" is more precise under slow noise, and "discrepancy" is needed if
+            errors recur every loop (a note says so).
+        covariates: parameters that depend linearly on a constant of each record, {"T_degC": ["kappa_x", "c"]} or "T_degC:kappa_x,c". Its
+            value comes from the metadata of the record, which include constant columns of its file, or from its name; see
             `hystfit.models.Varying`. The result has the parameters at the mean of the covariate, and their slopes ("kappa_x/T_degC").
         tie: parameters that follow from others: a number times a parameter plus a number ({"k2": "2*k1", "gamma[1]": "gamma[0]"}).
-        test: records to report the error on, never fitted; or a data frame with the same columns.
-        **settings: of a sequential identifier, see `hystfit.identify`.
+        test: records, or a data frame with the same columns, on which the error is reported; they are not fitted.
+        **settings: settings of a sequential identifier, see `hystfit.identify`.
 
     Returns:
         A result with a status; check `usable` and `notes` before using its numbers.
@@ -99,7 +99,7 @@ def fit(
     if isinstance(data, str | AbstractHysteresis) and not isinstance(model, str | type | AbstractHysteresis):
         name = repr(data) if isinstance(data, str) else type(data).__name__ + "()"
         raise ParameterError(f"the model comes first, then the data: hystfit.fit({name}, data)")
-    if of_read := [name for name in settings if name in _OF_READ and not is_sequential(method)]:
+    if of_read := [name for name in settings if name in _READ_OPTIONS and not is_sequential(method)]:
         raise ParameterError(
             f"{of_read[0]}= is an option of hystfit.read, which takes files and data frames: "
             f"hystfit.fit(model, hystfit.read(data, {of_read[0]}=...))"
@@ -108,7 +108,7 @@ def fit(
     tested = None if test is None else records_of(test, y, t, u=u) if is_frame(test) else records_of(test)
     options = FitOptions(method, fix, free, start, starts, seed, loss, noise, covariates, tie)
     if isinstance(model, str) and model == "auto" and is_sequential(method):
-        model = _OF_SEQUENTIAL
+        model = _SEQUENTIAL_MODEL
     if isinstance(model, str) and model == "auto":
         options.check_search(settings)
         result = best_model(records, options)
@@ -135,7 +135,7 @@ def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Pu
 
 
 def _under_noise(winner: FitResult, data: Dataset, options: FitOptions) -> FitResult:
-    """The winner fitted again, from its own values, under the noise of the options; its size, terms and cross-validation error stay."""
+    """The winner refitted from its own values under the noise of the options; it keeps its structure and cross-validation error."""
     result = fit_model(winner.model, data, dataclasses.replace(options, start="model"))
     result = result if winner.left_out is None else with_left_out(result, winner.left_out)
     choices = [note for note in winner.notes if note.code is Code.CHOICE and note not in result.notes]

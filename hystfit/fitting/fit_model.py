@@ -77,7 +77,7 @@ def solve_model(
 ) -> Solved:
     """Fit one model to records without its standard errors; arguments and errors as for `fit_model`, apart from identifiers.
 
-    A fit with an rms error above `worth` [y] where samples are held out need not be finished; `ready` is what `set_up_fit` would give.
+    The fit may stop early if its rms error on held-out samples exceeds `worth` [y]. `ready` is the result of `set_up_fit`, if it is known.
     """
     named, notes = not isinstance(model, AbstractHysteresis), list[Note]()
     watch = Stopwatch()
@@ -99,7 +99,7 @@ def solve_model(
 
 @dataclasses.dataclass(frozen=True)
 class Solved:
-    """A solved fit: in a comparison, only those that are looked at need standard errors, which take longer than many a solve."""
+    """A solved fit. Standard errors, which often take longer than the solve, are computed on demand: few fits of a comparison need them."""
 
     setup: FitSetup
     estimate: Estimate
@@ -108,7 +108,7 @@ class Solved:
 
     def judged(self) -> FitResult:
         """The result with standard errors."""
-        with one_blas_thread():  # a comparison judges a fit when it is looked at
+        with one_blas_thread():  # may be called after the comparison has ended
             return judge(self.setup, self.estimate, self.options, self.watch)
 
     @functools.cached_property
@@ -167,7 +167,7 @@ def _with_noise(
 
 
 def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: Problem) -> list[Note]:
-    """Findings about the residuals that errors of this kind do not allow for."""
+    """Notes on properties of the residuals that these standard errors do not account for."""
     if errors.sigma < ROUNDED * problem.scales.y:
         return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
     diagnosis = diagnose(errors.residuals)
@@ -181,7 +181,7 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: 
 
 
 def _outweighed(note: Note) -> Note:
-    """A finding with the loss under which large errors count less, where it asks for that."""
+    """The note, with a robust loss as remedy if it reports heavy tails."""
     if note.code is not Code.HEAVY_TAILS:
         return note
     return dataclasses.replace(

@@ -63,7 +63,7 @@ class FitOptions:
         if refused := [*(name for name in self.changed() if name not in OF_SEARCH), *others]:
             accepted = ", ".join(f"{name}=" for name in OF_SEARCH)
             raise ParameterError(
-                f"{refused[0]}= needs a chosen model, such as model='bouc-wen' (compare ranks the models); without one, fit takes "
+                f"{refused[0]}= needs an explicit model, such as model='bouc-wen' (compare ranks the models); without one, fit takes "
                 f"{accepted} and seed= only"
             )
 

@@ -25,7 +25,7 @@ from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import saturated_samples
 from hystfit.quality.summary import outliers_of
 
-_MANY = 4  # weights on a bound from which the convex solve is the default
+_MANY = 4  # non-negative weights from which the convex solve is the default
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,9 +36,9 @@ class FitSetup:
         problem: what is fitted.
         method: an estimator or its name.
         points: models to start from, the best first.
-        notes: of choices made on the way.
-        candidates: problems that differ in the state before the record, of which `problem` leaves the least left-out error; empty
-            without a choice. The first of equal ones is taken.
+        notes: notes on the choices made.
+        candidates: problems with different initial states, of which `problem` has the smallest cross-validation error; empty without
+            a choice.
     """
 
     problem: Problem
@@ -54,9 +54,9 @@ def set_up_fit(
     """Set up a fit: the problem, its estimator and starting points.
 
     Args:
-        options: of the fit. Isolated outliers of the output are fitted where a noise model or a robust loss has a place for them.
-        held: parameters in `fix` without a value keep that of the model where starting values are read off the data.
-        notes: on choices made before.
+        options: options of the fit. Isolated outliers of the output are fitted only with a noise model or a robust loss.
+        held: whether parameters in `fix` without a value keep that of the model, instead of one estimated from the data.
+        notes: notes on earlier choices.
     """
     check_fittable(model, data)
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
@@ -83,20 +83,20 @@ def set_up_fit(
 def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
     """Records in which the samples of a saturated sensor, and isolated outliers of the output, have no weight.
 
-    Where weights differ, as those of stated standard deviations do, no sample is an outlier: the weights describe the noise.
+    If the weights differ, as for stated standard deviations, they describe the noise, and no sample counts as an outlier.
 
     Args:
         keep_outliers: whether outliers keep their weights.
     """
 
-    def free(record: Record) -> Record:
-        found = saturated_samples(record.u, record.y)
+    def cleaned(record: Record) -> Record:
+        faulty = saturated_samples(record.u, record.y)
         stated = np.ptp(record.weight[record.used]) > 0 if record.used.any() else False
-        found[[] if keep_outliers or stated else outliers_of(record)] = True
-        found &= record.used
-        return record.replace(weight=np.where(found, 0.0, record.weight)) if found.any() else record
+        faulty[[] if keep_outliers or stated else outliers_of(record)] = True
+        faulty &= record.used
+        return record.replace(weight=np.where(faulty, 0.0, record.weight)) if faulty.any() else record
 
-    return data.map(free)
+    return data.map(cleaned)
 
 
 def started_problem(
@@ -109,7 +109,7 @@ def started_problem(
 
 
 def _fixed_values(model: AbstractHysteresis, fix: Sequence[str] | Mapping[str, Any]) -> Mapping[str, Any]:
-    """`fix` with the model's own values where it gives none: starting values read off the data must not replace them."""
+    """`fix` with the model's own values where it gives none, so that values estimated from the data do not replace them."""
     values = dict(fix) if isinstance(fix, Mapping) else dict.fromkeys(fix)
     return {name: ParameterSpace.of(model).value(name) if value is None else value for name, value in values.items()}
 
@@ -132,10 +132,9 @@ def solve(
     points: Sequence[AbstractHysteresis] = (),
     worth: float = np.inf,
 ) -> Estimate:
-    """Run one estimator from several models, or from the values of one and a hypercube about them.
+    """Run an estimator from `points`, the best first, or from the problem's model and a Latin hypercube about it.
 
-    It starts from `points`, the best first, or from the problem's model; `seed` is that of the hypercube. A fit with an rms error above
-    `worth` [y] where samples are held out need not be finished.
+    `seed` is that of the hypercube. The fit may stop early if its rms error on held-out samples exceeds `worth` [y].
 
     Raises:
         ParameterError: nothing is free.
@@ -147,7 +146,7 @@ def solve(
 def _choose_rest(
     problem: Problem, fix: Sequence[str] | Mapping[str, Any], common: Mapping[str, Any]
 ) -> tuple[Problem, tuple[Problem, ...], list[Note]]:
-    """Whether the device rested at zero input or on the record's first one before it: whichever predicts left-out blocks better."""
+    """Choose the input at which the device rested before the records, zero or the first one, by cross-validation."""
     span = 2 * problem.scales.u
     if all(abs(record.u[0]) <= SLACK * span for record in problem.data):
         return problem, (), []

@@ -48,10 +48,10 @@ def warnings_of(fitted: Fitted) -> list[Note]:
 
 
 def _of_time_alone(fitted: Fitted) -> Note | None:
-    """That the model has no hysteresis, where its loop is that of a lag, a delay or a force of the rate."""
+    """A note that the model has no hysteresis, only a lag, a delay or a rate-dependent force."""
     if fitted.model.hysteretic or fitted.model.memoryless:
         return None
-    text = "the model has no hysteresis: a lag, a delay or a force of the rate alone opens the loop, and slow cycles close it"
+    text = "the model has no hysteresis: its loop is due to a lag, a delay or a rate-dependent force, and closes in slow cycles"
     return Note(Code.SPEED_DEPENDENT, text)
 
 
@@ -77,19 +77,19 @@ def _followed_drift(fitted: Fitted) -> Note | None:
             size = f"{drift.total:.3g} {record.y_unit}".rstrip()
             return warn(
                 Code.DRIFT,
-                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if the "
-                "sensor drifts, subtract it before the fit; else a longer record shows how the creep goes on",
+                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if this "
+                "is sensor drift, subtract it before the fit; if it is creep, a longer record determines it better",
             )
     return None
 
 
 def _at_one_rate(data: Dataset) -> Note | None:
-    """A warning where currents against voltages were measured at one rate, or nobody knows at which."""
+    """A warning where currents against voltages were measured at one rate, or at an unknown one."""
     if not conducts(data.units) or paces(data) > 1:
         return None
     text = (
-        "a current against a voltage at one scan rate: charging and slow reactions open such loops, so that this one holds for that rate "
-        "alone; measure at rates a factor of three apart"
+        "current against voltage at one scan rate: charging and slow reactions open such loops, so the fit is valid at this rate only; "
+        "measure at rates a factor of three apart"
     )
     return warn(Code.RATE, text)
 
@@ -105,8 +105,8 @@ def _failed(fitted: Fitted) -> Note | None:
     for record, quality in zip(fitted.parts, fitted.qualities, strict=True):
         if (end := fails_at(record, quality)) is not None:
             text = (
-                f"{record.name!r} fails at {place_of(end, quality)}: {AFTER_FAILURE}. The fit includes them, though no model describes a "
-                "fracture: fit the part before (window=)"
+                f"{record.name!r} fails at {place_of(end, quality)}: {AFTER_FAILURE}. The fit includes these strokes, but no model "
+                "describes a fracture: fit the part before it (window=)"
             )
             # A window holds for all records, and counts from the first sample.
             alone = len(fitted.data) == 1 and len(record) == len(fitted.data[0])
@@ -120,7 +120,7 @@ def _clipped(data: Dataset) -> Note | None:
     if saturated:
         text = (
             f"{saturated} samples of a saturated sensor (the output stays at its limit while the input moves) are left out of the fit: "
-            "there the loop and its quantities are the model's alone, and their errors leave out those of the model"
+            "there, the loop and its quantities come from the model only, and their standard errors do not include model errors"
         )
         return warn(Code.CLIPPED, text)
     count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
@@ -295,7 +295,7 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         note = warn(
             Code.SPIKES,
             f"most of the squared error of {record.name!r} lies in {place} of {len(record)}, where the error "
-            f"is {ratio:.2g} times that of the others: if the sensor was disturbed there, {remedy}",
+            f"is {ratio:.2g} times as large as elsewhere: if the sensor was disturbed there, {remedy}",
         )
         return note if robust else dataclasses.replace(note, option=ROBUST_LOSS)
     return None

@@ -1,8 +1,8 @@
-"""Levenberg-Marquardt for many lanes at once: pairs of a record and a start, of problems that differ in their numbers alone.
+"""Levenberg-Marquardt for many lanes at once. A lane is one start of one problem; the problems differ only in the values of their arrays.
 
-On a GPU, lanes take their steps side by side in one program, some steps a round, and those that have ended leave between two rounds.
-On a CPU they take their steps on the host, and a program linearizes them: some side by side where there are many, as the numbers of one
-vector of the processor, else one after another, which takes less time to compile.
+On a GPU, one program advances all lanes by a few steps per round, and lanes that have ended are removed between rounds. On a CPU, the host
+takes the steps and a compiled program linearizes the lanes: several at a time, to fill the vector registers, if there are many lanes, and
+otherwise one after another, which compiles faster.
 """
 
 from __future__ import annotations
@@ -24,24 +24,26 @@ from hystfit.inference.objective import Objective
 from hystfit.params.coordinates import REAL
 from hystfit.params.host_arrays import compiled
 
-MANY = 1024  # lanes from which a GPU is worth its programs and copies
-# Lanes that take their steps on the host at once, few or many: interrupts come through between steps, and arrays stay small.
+MANY = 1024  # lanes from which a GPU saves more time than its programs and copies cost
+# Lanes per call on the host, for few and for many lanes: this keeps arrays small and allows interrupts between steps.
 _CHUNK = 64, 256
-BESIDE = 16  # lanes side by side on a CPU: 0.5 of the time of one after another (Bouc-Wen), 0.4 (Duhem), 0.9 (LuGre)
-_BLOCK = 256  # samples of lanes side by side that are in the cache together: 0.92 of the time of 10 000 (Bouc-Wen)
-_PAYS = 2**18  # samples of all lanes from which the program that linearizes some side by side pays
-_FEW = 64  # part of the lanes on a GPU that the CPU takes over: the next smaller program would take longer to compile
-_SAMPLES = 2**19  # of all lanes of such a call, at most
-_TOGETHER = 2**30  # numbers of the data of the lanes that a GPU holds at once
-_UNROLL = 8  # samples in one turn of the scan: 4096 lanes took 5 ms a pass on an H100, and 22 ms at one sample a turn
-_ROUND = 6  # steps of lanes that go together, before those that have ended leave
+BESIDE = (
+    16  # lanes linearized together on a CPU, in 0.5 (Bouc-Wen), 0.4 (Duhem) or 0.9 (LuGre) of the time of single lanes
+)
+_BLOCK = 256  # samples per block of these lanes, which then fits in the cache: 0.92 of the time of blocks of 10 000 (Bouc-Wen)
+_PAYS = 2**18  # total samples of all lanes from which linearizing several together repays its compilation
+_FEW = 64  # the CPU takes over the last 1/64 of the lanes of a GPU: a smaller GPU program would take longer to compile
+_SAMPLES = 2**19  # most samples of all lanes of a call on the host
+_TOGETHER = 2**30  # most numbers in the data of the lanes that a GPU holds at once
+_UNROLL = 8  # samples per iteration of the scan: 4096 lanes took 5 ms per pass on an H100, and 22 ms with one sample per iteration
+_ROUND = 6  # steps per round on a GPU
 
 
 class Stack(eqx.Module):
-    """Objectives of one structure as one: arrays that differ have a leading axis of N records, the others have none.
+    """Objectives of N records as one pytree: arrays that differ between records have a leading axis of N, the others are shared.
 
     Attributes:
-        objective: with these arrays.
+        objective: the objective with these arrays.
         own: for each leaf of the objective, whether it has that axis.
     """
 
@@ -50,7 +52,7 @@ class Stack(eqx.Module):
 
     @classmethod
     def of(cls, objectives: Sequence[Objective]) -> Stack:
-        """Of separate objectives; every array of several gets the axis."""
+        """Stack separate objectives. With more than one, every array gets the leading axis."""
         leaves, treedef = zip(*(jax.tree_util.tree_flatten(one) for one in objectives), strict=True)
         if len(objectives) == 1:
             return cls(objectives[0], (False,) * len(leaves[0]))
@@ -67,7 +69,7 @@ class Stack(eqx.Module):
         return treedef.unflatten([leaf[k] if own else leaf for leaf, own in zip(leaves, self.own, strict=True)])
 
     def side_by_side(self, function: Callable[[Objective, Any], Any]) -> Callable[[Stack, Any], Any]:
-        """A function of an objective and of something that belongs to it, of stacks like this one and rows of such things."""
+        """Vectorize `function(objective, rows)` over the records of a stack like this one, and over the leading axis of rows."""
         axes = jax.tree_util.tree_structure(self).unflatten([0 if own else None for own in self.own])
         return jax.vmap(lambda one, rows: function(one.objective, rows), in_axes=(axes, 0))
 
@@ -79,7 +81,7 @@ class Stack(eqx.Module):
 
     @property
     def count(self) -> int:
-        """Records; 1 where nothing differs."""
+        """Number of records; 1 if all arrays are shared."""
         leaves = jax.tree_util.tree_leaves(self.objective)
         return next((len(leaf) for leaf, own in zip(leaves, self.own, strict=True) if own), 1)
 
@@ -95,11 +97,11 @@ class Ends(NamedTuple):
     Attributes:
         normal: normal equations there.
         converged: whether the predicted decrease of the cost fell below the tolerance.
-        steps: linearizations.
-        cost: half the sum of squared misfits, shape (L,). Of a lane that was given up: what its linear model promises, which is above the
-            least cost of the lanes of its record that converged.
-        beaten: which were given up, because they approached no lower cost than another lane of their record.
-        damping: of the step that would be next, shape (L,).
+        steps: number of linearizations.
+        cost: half the sum of squared misfits, shape (L,); for a lane that was given up, the prediction of its linear model, which is above
+            the cost of the best converged lane of its record.
+        beaten: which lanes were given up because another lane of their record has a lower cost than they can reach.
+        damping: damping of the next step, shape (L,).
     """
 
     normal: Normal
@@ -124,13 +126,13 @@ def descend_lanes(
     """Minimize half the sum of squared misfits from every lane.
 
     Args:
-        records: which of them each lane is of, shape (L,), those of one record side by side.
+        records: number of the record of each lane, shape (L,); lanes of one record are adjacent.
         z: starts, unconstrained.
-        gain: decrease of the cost that the linear model promises, relative to the cost, below which a lane has converged.
-        steps: linearizations of a lane at most.
-        damping: of the first steps; that of other descents which the lanes continue.
-        device: where; by default a GPU for many lanes where there is one, else the CPU.
-        beside: lanes of an earlier call, whose program is there.
+        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
+        steps: most linearizations per lane.
+        damping: damping of the first steps, to continue earlier descents.
+        device: device of JAX; by default a GPU for many lanes if there is one, else the CPU.
+        beside: number of lanes of an earlier call, whose program can be reused.
     """
     device = device_for(len(z)) if device is None else device
     lane, numbers = Lane.at(np.array(z, float), damping), np.asarray(records)
@@ -153,13 +155,13 @@ def device_for(lanes: int) -> Any:
 
 
 def _chunk(samples: int, many: bool) -> int:
-    """Lanes that take their steps on the host at once, of many a multiple of those that go side by side."""
+    """Lanes per call on the host; for many lanes a multiple of `BESIDE`."""
     most = max(1, min(_CHUNK[many], _SAMPLES // samples))
     return most - most % BESIDE if many and most > BESIDE else most
 
 
 def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
-    """Numbers of the lanes of each call."""
+    """Split lanes into groups of at most `size`, one per call."""
     for begin in range(0, len(lanes), size):
         yield lanes[begin : begin + size]
 
@@ -167,7 +169,7 @@ def _parts(lanes: np.ndarray, size: int) -> Iterator[np.ndarray]:
 def _on_host(
     stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, many: bool
 ) -> tuple[Lane, np.ndarray]:
-    """Lanes at their ends, and which were given up; their program has room for any number of lanes of a chunk."""
+    """Lanes at their ends, and which were given up. Arrays are padded to a chunk, so that one program serves any number of lanes."""
     room_for, samples, bounded = _chunk(stack.samples, many), stack.samples, stack.bounded
     linearized = _linearized_beside if many else _linearized
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
@@ -177,7 +179,7 @@ def _on_host(
     while going.size:
         where, points = padded(place[going]), padded(lane.trial[going])
         new = Normal(*_first(linearized(data, where, points, np.int64(going.size)), going.size))
-        with np.errstate(all="ignore"):  # of simulations that are not finite, whose steps are rejected
+        with np.errstate(all="ignore"):  # from simulations that are not finite, whose steps are rejected
             lane.put(going, advanced(lane.rows(going), new, gain, samples, bounded, np))
         given_up |= beaten(lane, records)
         going = np.flatnonzero(~lane.ended & ~given_up & (lane.steps < steps))
@@ -185,15 +187,15 @@ def _on_host(
 
 
 def _of_records(stack: Stack, records: np.ndarray, most: int) -> tuple[Stack, np.ndarray]:
-    """The problems of some records on the CPU, of a number that few calls differ in, and the place of each record among them.
+    """The problems of some records on the CPU, padded to a power of two, and the place of each record among them.
 
     Args:
-        records: numbers of some, which may repeat.
-        most: the largest number of problems that are placed.
+        records: numbers of the records, which may repeat.
+        most: largest number of problems, padding included.
     """
     among, place = np.unique(records, return_inverse=True)
     size = min(most, room(among.size))
-    if among[-1] - among[0] < among.size <= size <= stack.count:  # side by side: arrays are not copied
+    if among[-1] - among[0] < among.size <= size <= stack.count:  # contiguous: arrays are not copied
         begin = min(among[0], stack.count - size)
         return placed(stack.take(slice(begin, begin + size)), first_device("cpu")), records - begin
     rows = among[np.minimum(np.arange(size), among.size - 1)]
@@ -213,7 +215,7 @@ def _linearized(stack: Stack, records: Array, z: Float[Array, "L p"], count: Arr
 
 @compiled
 def _linearized_beside(stack: Stack, records: Array, z: Float[Array, "L p"], count: Array) -> tuple[Array, ...]:
-    """`_linearized`, some lanes side by side where that takes less time."""
+    """`_linearized`, several lanes at a time for models that suit this."""
     if not suits_lanes(stack.at(0)):
         return _linearized(stack, records, z, count)
     lanes, p = z.shape
@@ -235,11 +237,11 @@ def _no_rows(lanes: int, p: int) -> Normal:
 
 
 def _together(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, device: Any) -> Lane:
-    """Lanes at their ends, or after some steps, side by side on a device, where the data lie all the while; the last few are left."""
+    """Advance all lanes together on a device, which keeps the data; the last few lanes are left unfinished."""
     among, place = np.unique(records, return_inverse=True)
     rows = stack.take(among[np.minimum(np.arange(room(among.size)), among.size - 1)])
     data, going, most = placed(rows, device), np.arange(len(records)), room(len(records))
-    sizes = [-(-most // part) for part in (_FEW, 8, 1)]  # each is a program
+    sizes = [-(-most // part) for part in (_FEW, 8, 1)]  # each is compiled as a program of its own
     while going.size > most // _FEW:
         capacity = next(size for size in sizes if size >= going.size)
         at = going[np.minimum(np.arange(capacity), going.size - 1)]
@@ -257,7 +259,7 @@ def _first(rows: Any, count: int) -> Any:
 
 
 def room(count: int) -> int:
-    """The next power of two: arrays of few lengths need few programs."""
+    """The next power of two, so that few array lengths, and so few programs, occur."""
     return 1 << max(count - 1, 0).bit_length()
 
 
@@ -268,7 +270,7 @@ def placed(tree: Any, device: Any) -> Any:
 
 @functools.partial(jax.jit, static_argnums=(4, 5))
 def _advance_all(stack: Stack, records: Array, lane: Lane, gain: Array, most: int, unroll: int) -> Lane:
-    """All lanes after at most `most` steps, side by side."""
+    """All lanes after at most `most` steps."""
     in_scan = functools.partial(normal_in_scan, unroll=unroll)
     normal = in_scan if suits_one_scan(stack.at(0)) else normal_at
     samples, bounded = stack.samples, stack.bounded

@@ -20,29 +20,27 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
-ROUGH = 1e-6  # decrease of the cost that the linear model promises, relative to it, which is left to the polish
+ROUGH = 1e-6  # relative decrease of the cost, predicted by the linear model, below which the polish takes over
 _TOLERANCES = 1e-8, 1e-10  # of the dogleg: relative and absolute, on z and on the cost
-# Steps of every start, and how many times as many more for the best and the first: of 90 starts of 18 simulated steel coupons 92 % reach
+# Steps of a round, and number of further rounds for the best and the first start. Of 90 starts on 18 simulated steel coupons, 92 % reach
 # the best basin in 30 steps, 89 % in 25.
 ROUND, ROUNDS = 30, 4
-# Error after the first round over the most that can win, above which a first look ends: of 69 first looks at 11 measured files further
-# rounds left 0.65 of the error in one, and 0.95 to 1 in the others.
+# Error after the first round, relative to `most`, above which a first look ends. In 69 first looks at 11 measured files, further rounds
+# reduced the error to 0.65 in one, and to 0.95 to 1 in the others.
 _FAR = 2.0
 
 
 class LeastSquares(AbstractEstimator):
     """Levenberg-Marquardt, or Powell's dogleg by optimistix, with forward-mode Jacobians, from several starts.
 
-    Every start gets a few steps, in which most reach their basin; the best and the first continue for some rounds of as many. Where
-    the records are long, all this happens on a short form of them (`hystfit.fitting.thinning`). The best one is polished on all
-    samples, by a solver that no offset, scale or correlation of parameters slows down. A parameter that drifts to its bound never
-    converges in unconstrained coordinates: the bounded trust region then finishes the fit.
+    Every start gets one round of steps, in which most reach their basin; the best and the first start get further rounds. Long records are
+    thinned for this (`hystfit.fitting.thinning`). The best point is then polished on all samples (`hystfit.fitting.polish`). A parameter at
+    its bound does not converge in unconstrained coordinates: the bounded trust region then finishes the fit.
 
     Attributes:
         method: "lm" or "dogleg".
-        brief: a first look at a model: no polish, and no trust region for what has not converged.
-        most: error where samples are held out [y], above which a start that converged is not polished, and far above which a first look
-            takes no second round.
+        brief: whether this is a first look at a model, without polish and trust region.
+        most: error on held-out samples [y] above which a converged start is not polished; a first look far above it ends after one round.
     """
 
     needs_starts: ClassVar[bool] = True
@@ -60,7 +58,7 @@ class LeastSquares(AbstractEstimator):
         short = thin(problem)
         objective = problem.objective if short is None else short
         ended = self._run(objective, starts)
-        # The first start continues too: another basin may be ahead after few steps.
+        # The first start continues too, because a worse basin may lead after a few steps.
         total, thinned = (float(np.asarray(of.batch.weight).sum()) for of in (problem.objective, objective))
         error = problem.scales.y * np.sqrt(2 * float(ended.cost.min()) / thinned)
         if not (self.brief and error > _FAR * self.most):

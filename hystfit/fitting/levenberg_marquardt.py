@@ -1,7 +1,7 @@
-"""The rule of Levenberg and Marquardt for lanes, which are descents of problems of one structure: NumPy on the host, JAX in programs.
+"""The Levenberg-Marquardt step for many lanes (descents of similar problems) at once, in NumPy on the host or in JAX.
 
-A point is its normal equations, so that a lane needs no memory for its samples. The condition of the Jacobian is squared: the last steps
-of a fit are those of `hystfit.fitting.polish`.
+A lane stores normal equations instead of a Jacobian, which saves memory but squares the condition number. The last steps of a fit are
+therefore left to `hystfit.fitting.polish`.
 """
 
 from __future__ import annotations
@@ -15,44 +15,44 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.normal import Normal
 
-# Relative size of rounding errors: of the output, whose square no cost can fall below for each sample, and of what is left of a column of
-# the Jacobian, or of the information, once the others are taken out of it.
+# Relative rounding error of the output, whose square bounds the cost per sample from below, and of a column of the Jacobian or the
+# information with the other columns projected out.
 ROUNDING = 1e-14
 LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10  # relative to the columns of the Jacobian
-LONGEST_STEP = 4.0  # step in z of parameters with bounds, infinity norm
-# Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds stays.
+LONGEST_STEP = 4.0  # longest step in z, infinity norm over the parameters with bounds
+# Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds is not moved.
 NOTHING = 1e-8
-# Rms change of the output by a step of one in z, in half ranges, up to which damping holds a parameter as if it had this effect: relative
-# damping alone sends parameters of little effect far away. Of 40 descents of five models that do not describe the data, the best ended
-# lowest with 0.1, of 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
+# Parameters with a smaller rms effect on the output, in half ranges for a step of one in z, are damped as if they had this effect: damping
+# relative to their own effect would allow huge steps. In 40 descents of five models that do not describe the data, 0.1 led to the lowest
+# cost, among 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
 _LITTLE = 0.1
-ON_BOUND = 1e-6  # relative distance below which a bounded solver decides whether a parameter is on its bound: z would not converge
-_FIRST = 1e-3  # damping
-_EQUAL = 1e-12  # relative difference of two costs that rounding may cause, below which the linear model decides
-# At a crease of the cost, as the limits of a branch make them, no step is shorter than what the linear model promises. A hundredth of a
-# standard error may be left, which is this part of the cost times the number of samples.
-_CREASE, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step is short
-_CLOSE = 0.5  # excess of the cost over that of a converged start, within which the linear model shows whether a start can do better
-# Part of the tolerance that the next step may leave by the decrease that the last one left, where it is taken without looking: steps of
-# Bouc-Wen left up to 0.06 times the tolerance where 0.01 was expected.
+ON_BOUND = 1e-6  # relative distance from a bound below which a bounded solver takes over, because z does not converge
+_FIRST = 1e-3  # damping of the first step
+_EQUAL = 1e-12  # relative difference of two costs that rounding errors may cause; below it the linear model decides
+# At a kink of the cost, such as the limits of a branch cause, even a short step does not achieve the predicted decrease. The descent then
+# ends if that decrease, times the number of samples and relative to the cost, is at most 1e-4: a hundredth of a standard error.
+_KINK, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step counts as short
+_CLOSE = 0.5  # relative excess over the cost of a converged lane, within which the linear model shows whether a lane can do better
+# The last step is taken without evaluating the cost if the decrease expected to remain after it is below this fraction of the tolerance.
+# Steps of Bouc-Wen left up to 0.06 of the tolerance where 0.01 was expected.
 _EXPECTED = 0.01
-# The longest step that is taken so: along a direction that noise alone determines, the linear model promises as little of any step, and one
-# of a hundred took the slope of a loop to 1e116.
+# The longest such step. In a direction that only noise determines, the linear model predicts a tiny decrease for a step of any length: a
+# step of 100 took the slope of a loop to 1e116.
 _SURE_STEP = 0.02
-_BETTER = 1e-4  # a lower cost, relative to that of the converged start, that is worth further steps
+_BETTER = 1e-4  # relative decrease below the cost of a converged lane that is worth further steps
 
 
 class Lane(NamedTuple):
     """The state of descents, with any leading axes.
 
     Attributes:
-        best: the best point.
-        trial: the next to try, (..., p).
-        damping: of the step to it.
-        promised: decrease of the cost below that of the best point that the linear model promises.
+        best: normal equations at the best point.
+        trial: the next point to evaluate, (..., p).
+        damping: damping of the step to it.
+        promised: decrease of the cost from the best point, as predicted by the linear model.
         last: whether the next point is the last.
-        ended: whether the descent has.
-        steps: linearizations.
+        ended: whether the descent has ended.
+        steps: number of linearizations.
     """
 
     best: Normal
@@ -69,7 +69,7 @@ class Lane(NamedTuple):
 
         Args:
             z: where they start.
-            damping: of their first step, that of descents which they continue.
+            damping: damping of their first step, to continue earlier descents.
         """
         count, p = z.shape
         none, no = np.zeros(count), np.zeros(count, bool)
@@ -88,7 +88,7 @@ class Lane(NamedTuple):
 
     @property
     def converged(self) -> np.ndarray:
-        """Which have: the linear model promises next to nothing, and the last step has shown it."""
+        """Which lanes have converged: the predicted decrease is negligible, and the last step has confirmed it."""
         return np.asarray(self.last & self.ended & np.isfinite(self.best.cost))
 
 
@@ -97,18 +97,18 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
 
     Args:
         lane: before.
-        gain: decrease of the cost that the linear model promises, relative to the cost, below which a lane has converged.
+        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
         samples: of each problem.
         bounded: which parameters have bounds, shape (p,).
         xp: `numpy` or `jax.numpy`.
     """
-    # The last step may change the cost by less than rounding does.
+    # The last step may change the cost by less than rounding errors do.
     better = new.cost < xp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)
     softer = xp.where(xp.isinf(lane.best.cost), lane.damping, xp.maximum(0.1 * lane.damping, LEAST_DAMPING))
     damping = xp.where(better, softer, 10.0 * lane.damping)
     chosen = lambda a, b: xp.where(better.reshape(better.shape + (1,) * (a.ndim - better.ndim)), a, b)
     best = Normal(*(chosen(a, b) for a, b in zip(new, lane.best, strict=True)))
-    # Damping holds the directions that the data hardly determine: what is left to gain shows without it.
+    # The undamped step gives the possible decrease: damping suppresses directions that the data hardly determine.
     floor = ROUNDING**2 * samples
     system = _scaled(best, samples, bounded, xp)
     step = _step(best, *system, damping, samples, xp)
@@ -116,16 +116,16 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     promised = -((best.gradient * whole).sum(-1) + 0.5 * xp.einsum("...i,...ij,...j->...", whole, best.matrix, whole))
     near = promised <= xp.maximum(gain, _EQUAL) * best.cost + floor
     settled = ~better | (promised <= gain * best.cost + floor)
-    crease = ~better & (damping >= _SHORT_STEP) & (promised <= _CREASE / samples * best.cost)
-    # What one step leaves of the promised decrease, the next one leaves of it, or less: damping falls.
+    kink = ~better & (damping >= _SHORT_STEP) & (promised <= _KINK / samples * best.cost)
+    # The next step reduces the predicted decrease by at least the same factor as the last one, because damping falls.
     expected = promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised)
     sure = better & near & expected & (_longest(whole, bounded, xp) <= _SURE_STEP)
     best = best._replace(z=xp.where(sure[..., None], best.z + whole, best.z))
-    ended = (lane.last & settled) | sure | crease | (damping >= MOST_DAMPING) | xp.isinf(best.cost)
+    ended = (lane.last & settled) | sure | kink | (damping >= MOST_DAMPING) | xp.isinf(best.cost)
     way = xp.where(near[..., None], whole, step)
     shorter = LONGEST_STEP / xp.maximum(_longest(way, bounded, xp), 1e-300)
     trial = best.z + way * xp.minimum(1.0, shorter)[..., None]
-    return Lane(best, trial, damping, promised, lane.last | near | crease, ended, lane.steps + 1)
+    return Lane(best, trial, damping, promised, lane.last | near | kink, ended, lane.steps + 1)
 
 
 def _longest(step: Array, bounded: np.ndarray, xp: ModuleType) -> Array:
@@ -134,7 +134,7 @@ def _longest(step: Array, bounded: np.ndarray, xp: ModuleType) -> Array:
 
 
 def _scaled(point: Normal, samples: int, bounded: np.ndarray, xp: ModuleType) -> tuple[Array, Array]:
-    """The normal matrix with a diagonal of ones, and the factors that make it; 0 for a parameter that stays."""
+    """The normal matrix with a diagonal of ones, and the scale factors of its columns; 0 for a parameter that is not moved."""
     diagonal = xp.diagonal(point.matrix, axis1=-2, axis2=-1)
     largest = xp.max(diagonal, axis=-1, keepdims=True, initial=0.0)
     scale = 1 / xp.sqrt(xp.maximum(diagonal, 1e-24 * largest + 1e-300))
@@ -150,7 +150,7 @@ def _step(point: Normal, scaled: Array, scale: Array, damping: Array, samples: i
 
 
 def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
-    """Which lanes approach no lower cost than the best converged lane of the same problem, shape (L,).
+    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,).
 
     Args:
         problems: the number of the problem of each.
@@ -161,7 +161,7 @@ def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
 
 
 def approached(lane: Lane, problems: np.ndarray) -> np.ndarray:
-    """The cost that the linear model of each lane promises, above that of the best converged lane of its problem, shape (L,)."""
+    """The cost predicted by the linear model of each lane, kept above that of the best converged lane of its problem, shape (L,)."""
     return np.maximum(np.asarray(lane.best.cost - lane.promised), (1 + _BETTER) * _rival(lane, problems))
 
 

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt driven from the host, for the last steps of a fit on all samples.
 
-It needs no program but that of residuals and Jacobian, which the standard errors use as well: a compiled solver for each length of
-the records would cost about 2 s of compilation.
+It uses only the compiled residuals and Jacobian, which the standard errors need too. A compiled solver would take about 2 s of
+compilation for each record length.
 """
 
 from __future__ import annotations
@@ -15,17 +15,20 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
-NEAR, EXACT = 1e-3, 3e-7  # standard errors from the minimum, in the linear model, at which a fit has converged
-# Linearizations of a fit at most. Refits of `steel-02` to five parts of a coupon took 120 to 207; stopped at 40, near the values that the
-# held-out samples had helped to find, they erred 2.5 % instead of 3.1 %.
+NEAR, EXACT = (
+    1e-3,
+    3e-7,
+)  # distance from the minimum, in standard errors of the linear model, at which a fit has converged
+# Most linearizations of a fit. Refits of `steel-02` to five parts of a coupon needed 120 to 207. Stopped at 40, they were still near their
+# start, which had been fitted to the held-out samples too, so that the cross-validation error was 2.5 % instead of 3.1 %.
 STEPS = 250
-_BLUR = 0.01  # rounding error of an output over ROUNDING
+_BLUR = 0.01  # rounding error of an output, relative to ROUNDING
 
 
 class Polished(NamedTuple):
     """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations.
 
-    `linearized` is `Problem.linearization` there, None where another point was linearized last. `beaten` says that the start was the end.
+    `linearized` is `Problem.linearization` at z, None if another point was linearized last. `beaten`: no step was taken, see `most`.
     """
 
     z: np.ndarray
@@ -47,15 +50,15 @@ def polish(
 ) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
-    The Jacobian enters by its triangular factor, not by normal equations, which would square its condition. Offsets of records are
-    solved for in each step: where an input or output is far from zero, damping would hold them, and with them all others.
+    It factorizes the Jacobian, because normal equations would square its condition. Offsets of records are not damped: if an input or
+    output is far from zero, damped offsets would slow down all other parameters.
 
     Args:
         z: start, unconstrained, shape (p,).
-        steps: linearizations at most.
-        within: standard errors from the minimum, in the linear model, at which the fit has converged.
-        held: which parameters stay, shape (p,), bool; None for none.
-        most: error of the start where samples are held out [y], above which it is the end.
+        steps: most linearizations.
+        within: distance from the minimum, in standard errors of the linear model, at which the fit has converged.
+        held: which parameters are not moved, shape (p,), bool; None for none.
+        most: error of the start on held-out samples [y] above which no step is taken.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
@@ -76,11 +79,11 @@ def polish(
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
-        at, linearized = at._replace(linearized=None), None  # of a long record there is no room for two
+        at, linearized = at._replace(linearized=None), None  # two linearizations of a long record may not fit in memory
         new, evaluations = _linearize(problem, at.z + step, order, samples, held), evaluations + 1
         blurred = _BLUR * np.sqrt(
             2 * at.cost * floor
-        )  # where a smaller decrease cannot be seen, the linear model decides
+        )  # smaller decreases are lost in rounding errors, so the linear model decides
         if new.cost < at.cost + (blurred if decrease < blurred else 0.0):
             at, linearized = new, new.linearized
             damping = max(0.1 * damping, LEAST_DAMPING)
@@ -91,7 +94,7 @@ def polish(
 
 
 def gain_within(errors: float, samples: int) -> float:
-    """Decrease of the cost, relative to it, that some standard errors from the minimum are worth: the Newton decrement in these units."""
+    """Relative decrease of the cost to the minimum (Newton decrement) at a distance of some standard errors."""
     return errors**2 / samples
 
 
@@ -110,9 +113,9 @@ def _largest_output(problem: Problem) -> float:
 
 
 def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> float:
-    """Decrease of the cost below rounding errors, which are those of the largest numbers that add up to an output.
+    """Rounding error of the cost, from the largest numbers that add up to an output.
 
-    Infinite where an offset has run away, as in a refit whose samples do not determine it.
+    Infinite if an offset has diverged, as in a refit to samples that do not determine it.
     """
     largest = float(np.abs(x)[problem.space.offsets].max(initial=largest))
     with np.errstate(over="ignore"):
@@ -122,10 +125,10 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
 def _linearize(
     problem: Problem, z: np.ndarray, order: np.ndarray, samples: int, held: np.ndarray | None
 ) -> _Linearized:
-    """The problem about a point, with the columns of J in an order; the factor is empty where the cost is not finite."""
+    """Linearize the problem at z, with the columns of J in the given order; the factor is empty if the cost is not finite."""
     x, bounded = problem.space.physical(z), problem.space.kinds != REAL
     linear = problem.linearization(x)
-    with np.errstate(over="ignore", invalid="ignore"):  # a step too far is taken back
+    with np.errstate(over="ignore", invalid="ignore"):  # such a step is rejected
         cost = 0.5 * float(linear.misfit @ linear.misfit)
         if not np.isfinite(cost):
             return _Linearized(z, x, cost, np.empty((0, 0)), None)
@@ -139,12 +142,12 @@ def _linearize(
 
 
 def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:
-    """Step from [J, r] = Q R, damped but for its first entries, and the decrease of the cost that an undamped one predicts.
+    """Step from [J, r] = Q R, damped except for its first entries, and the decrease of the cost predicted for the undamped step.
 
     Args:
         triangle: R, shape (p + 1, p + 1).
         offsets: number of the first columns of J, whose entries are not damped.
-        damping: relative to the columns of the others, less what the first ones explain of them.
+        damping: relative to the norms of the other columns, with the first columns projected out.
     """
     p = len(triangle) - 1
     R, q = triangle[offsets:p, offsets:p], triangle[offsets:p, p]

@@ -52,7 +52,7 @@ class SmoothWeights(AbstractEstimator):
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
         if problem.model.estimator != "preisach":
             raise ModelError(
-                f"{type(problem.model).__name__} has no smooth weights: use method='convex', or 'lm' without linear weights"
+                f"{type(problem.model).__name__} has no smooth weights: use method='convex', or method='lm' if it has no linear weights"
             )
         # Reversal curves start from saturation, and are checked to be such.
         family = reversal_curves(list(problem.data)) if problem.model.from_saturation else None

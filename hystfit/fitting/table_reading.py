@@ -34,7 +34,7 @@ class TableReading(AbstractEstimator):
                 "method='auto' for other models"
             )
         if held := [name for name, *_ in problem.space.fixed() if name.partition("[")[0] in ("w", "slopes")]:
-            raise ModelError(f"a table is read as a whole, and {held[0]} is fixed: fix none of w and slopes")
+            raise ModelError(f"the table is read as a whole, but {held[0]} is fixed: leave all of w and slopes free")
         table = EverettTable.from_descending(records, np.asarray(model.levels))
         notes = [
             f"the values of the table on {table.levels.size} levels are read off the curves, not fitted by least squares"

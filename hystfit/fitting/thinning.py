@@ -107,8 +107,8 @@ def _means(record: Record, step: int) -> Record:
         weight=total / step,
     ).noted(
         Code.PREPARED,
-        f"means of {step} samples at a time: models were compared on these, as straight lines over them describe the {len(record)} "
-        "samples but for noise; --model NAME (model=NAME) fits one to all samples",
+        f"models were compared on means of {step} samples, because straight lines between the means describe the {len(record)} samples "
+        "except for noise; --model NAME (model=NAME) fits a model to all samples",
     )
 
 

@@ -36,7 +36,7 @@ _STATIC = (
 
 
 def traits(data: Dataset, rows: Sequence[Row], baselines: Baselines) -> tuple[Trait, ...]:
-    """The trait of the best model, where it errs less than all models without that trait and than a curve.
+    """The trait of the best model, if its error is smaller than those of all models without that trait and of a curve.
 
     The difference must be larger than what as many errors as the records have branches leave open. Traits of time need branches of several
     durations.

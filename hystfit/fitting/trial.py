@@ -116,7 +116,7 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
         return result
     text = (
         f"the cross-validation error is {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit "
-        "does not predict samples that were left out of it"
+        "does not predict held-out samples"
     )
     return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)
 

@@ -36,9 +36,9 @@ from hystfit.results.accuracy import (
 from hystfit.results.loop_values import quantities
 from hystfit.results.metrics import Metrics
 
-_LEAST_SHARE = 0.01  # of hysteresis in the dissipated energy, below which its parameters follow the noise
+_LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
 _ENOUGH = 30  # residuals of a record needed to call them white
-_CYCLED = 4  # reversals: the half cycles after the first one that show whether the model describes the loop
+_CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
 def turns_back(data: Iterable[Record]) -> bool:
@@ -47,10 +47,9 @@ def turns_back(data: Iterable[Record]) -> bool:
 
 
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
-    """Whether residuals are white and the loop stands out of them: however large they are, no other model would leave less.
+    """Whether the residuals are white and the loop is significant: no other model can then do better, however large they are.
 
-    `plain` is the RMSE of the best single-valued curve. The loop must be worth the model's number of parameters by the Bayesian
-    information criterion.
+    `plain` is the RMSE of the best single-valued curve, with which the model is compared by the Bayesian information criterion.
     """
     return are_white(rows) and stands_out(rows, plain, parameters)
 
@@ -61,7 +60,7 @@ def are_white(rows: Sequence[np.ndarray]) -> bool:
 
 
 def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
-    """Whether a loop stands out of residuals that is worth a number of parameters; arguments as for `residuals_are_white`."""
+    """Whether the loop is significant for this number of parameters (BIC); arguments as for `residuals_are_white`."""
     count = sum(row.size for row in rows)
     rmse = float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
     return 0 < rmse < plain and bool(2 * count * np.log(plain / rmse) > parameters * np.log(count))
@@ -83,7 +82,7 @@ def _error(code: Code, text: str, option: tuple[str, str] | None = None) -> list
 
 
 def _whole_part(fitted: Fitted) -> tuple[str, str] | None:
-    """The window of a single damaged record in which no damage is seen, as an option."""
+    """The option for a window of a single damaged record, before the damage."""
     part, *others = fitted.parts
     if others or len(part) < len(fitted.data[0]) or not _shows_damage(fitted):
         return None
@@ -96,7 +95,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not (fitted.model.from_saturation or turns_back(data)):
         return Status.NO_LOOP, [_no_loop(data)]
     parameters = fitted.estimate.x.size
-    # Smooth weights may outnumber the samples: their penalty was chosen on left-out data, which test them.
+    # Smooth weights may outnumber the samples: the cross-validation that chose their penalty tests them.
     smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None
     if train.n < FEWEST_SAMPLES or (train.n <= parameters and not smooth):
         text = f"{train.n} samples for {parameters} parameters: too few samples to test the fit"
@@ -104,19 +103,21 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     shares = (fitted.model.hysteretic_share(record.u, record.dt) for record in data)
     share = max((share for share in shares if share is not None), default=1.0)
     if percent <= POOR and share < _LEAST_SHARE:
-        text = f"hysteresis accounts for {100 * share:.2g} % of the dissipation: the data show damping, but no hysteresis of the spring"
+        text = f"hysteresis accounts for only {100 * share:.2g} % of the dissipation: the data show viscous damping, but no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    # Where nobody knows the noise, errors of the model are as white.
+    # If the noise level is unknown, white residuals may also be model errors.
     effective = fitted.estimate.effective or parameters
     white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, effective)
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
-    one_way = fitted.model.from_saturation  # without branches to compare, and so without a known noise
+    one_way = fitted.model.from_saturation  # without branches to compare, so that the noise is unknown
     single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
     on_one_line = len(data) > 1 and percent <= VISIBLE and unexplained  # one branch alone is always a curve
     if single_valued or (on_one_line if one_way else _branches_coincide(fitted)):
-        text = "a single-valued curve describes the data as well: hysteresis, if there is any, lies below the noise of single samples"
+        text = (
+            "a single-valued curve describes the data equally well: any hysteresis is below the noise of single samples"
+        )
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
@@ -125,15 +126,15 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if not fitted.estimate.converged:
         return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}")
     if fitted.model.memoryless and (white or not exceeded_limits(train, _settled_rows(fitted), baselines)):
-        text = "a single-valued curve describes these data: there is no hysteresis, or none that they show"
+        text = "a single-valued curve describes these data: they show no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
     if white:
         return Status.OK, _noise_notes(fitted)
     rough = [warn(Code.ROUGH_FIT, text) for text in exceeded_limits(train, _settled_rows(fitted), baselines)]
     if rough and not unexplained and train.rmse <= NOISY * (change := _change_by_input_noise(fitted)):
         text = (
-            f"the error is {fitted.percent:.3g} % of the range, and another noise of the input, as large as that of these data, changes "
-            f"the output of the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
+            f"the error is {fitted.percent:.3g} % of the range, and noise as large as that of the measured input changes the output of "
+            f"the model by {100 * change / baselines.span:.3g} %: measure the input with less noise"
         )
         return Status.OK, [Note(Code.MEASUREMENT_NOISE, text), *_damaged(fitted)]
     status = Status.ROUGH if rough else Status.OK
@@ -155,7 +156,7 @@ def _change_by_input_noise(fitted: Fitted) -> float:
 
 
 def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
-    """Errors of each record after the first half cycle, in which the unknown initial state dies out; of a few cycles, all of them."""
+    """Errors of each record after the first half cycle, in which the unknown initial state decays; all errors of a record of few cycles."""
     rows = []
     for row, record in zip(fitted.rows, fitted.data, strict=True):
         turns = clear_reversals(record.u)
@@ -165,7 +166,7 @@ def _settled_rows(fitted: Fitted) -> list[np.ndarray]:
 
 
 def _records_apart(fitted: Fitted) -> Note | None:
-    """The objection to records of which most are not described, beside the range of each, or which differ at equal inputs."""
+    """An error note if the model does not describe most of the records, relative to their ranges, or if they differ at equal inputs."""
     if len(fitted.rows) < 2:
         return None
     ranges = [float(np.ptp(record.y[record.used])) for record in fitted.data]
@@ -181,8 +182,9 @@ def _records_apart(fitted: Fitted) -> Note | None:
     if 2 * len(missed) <= len(errors):
         return None
     text = (
-        f"{len(missed)} of {len(errors)} records, such as {missed[0]!r}, are not described: the error of one is {max(errors):.3g} % of its "
-        "range. If they are of different samples or devices, fit each alone (only=), or all of them by hystfit batch"
+        f"the model does not describe {len(missed)} of {len(errors)} records, such as {missed[0]!r} (largest error {max(errors):.3g} % "
+        "of the range of the record). If they come from different samples or devices, fit each one separately (only=), or all of them "
+        "with hystfit batch"
     )
     return Note(Code.RECORDS_DIFFER, text, Severity.ERROR)
 
@@ -193,7 +195,7 @@ def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -
 
 
 def _branches_coincide(fitted: Fitted) -> bool:
-    """Whether no loop is open beyond the noise, and the fit errs as much as the samples scatter about a curve of any shape."""
+    """Whether no loop is open beyond the noise, and the error of the fit is as large as the scatter of the samples about a smooth curve."""
     scatter = curve_scatter(fitted.parts)
     if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
         return False
@@ -205,7 +207,7 @@ def _branches_coincide(fitted: Fitted) -> bool:
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:
     """Status and reason where the model does not describe the loop.
 
-    The usual method has run from several starts; another one that did not converge says nothing about the model.
+    Only the usual method, which runs from several starts, shows that the model is unsuitable; another one may not have converged.
     """
     baselines, percent = fitted.baselines, fitted.percent
     code, text = Code.POOR_FIT, ""
@@ -213,14 +215,14 @@ def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[No
         text = f"the error is {percent:.3g} % of the range: the model does not describe this loop"
     elif percent > USABLE and unexplained:
         share = 100 * fitted.train.rmse / baselines.curve
-        text = f"the error is {share:.0f} % of that of a single-valued curve without hysteresis: the loop itself is not described"
+        text = f"the error is {share:.0f} % of that of a single-valued curve: the model does not describe the loop"
     elif percent > USABLE and not fitted.model.degrades and _shows_damage(fitted):
         code = Code.MODEL_MISMATCH
         text = f"{_damage(fitted)}, and the error is {percent:.3g} % of the range: the model has no term for it (see hystfit check)"
     if not text:
         return None
     if fitted.method != fitted.usual:
-        text = f"{text}; this is where {fitted.method} ended, and method='{fitted.usual}' may reach a lower error"
+        text = f"{text}; {fitted.method} stopped here, and method='{fitted.usual}' may reach a lower error"
         if not fitted.estimate.converged:
             return Status.NOT_CONVERGED, _error(Code.SOLVER, f"{fitted.method}: {fitted.estimate.message}: {text}")
     return Status.POOR, _error(code, text, _whole_part(fitted) if code is Code.MODEL_MISMATCH else None)
@@ -230,7 +232,11 @@ def _damaged(fitted: Fitted) -> list[Note]:
     """A warning where the device degrades more than the model does."""
     if not _shows_damage(fitted):
         return []
-    lacks = "its terms for this do not describe all of it" if fitted.model.degrades else "the model has no term for it"
+    lacks = (
+        "the damage terms of the model describe only part of it"
+        if fitted.model.degrades
+        else "the model has no term for it"
+    )
     text = f"{_damage(fitted)}: {lacks} (see hystfit check)"
     return [dataclasses.replace(warn(Code.MODEL_MISMATCH, text), option=_whole_part(fitted))]
 
@@ -263,7 +269,7 @@ def _no_loop(data: Dataset) -> Note:
     read = [one.label for values in quantities(data).rows.values() for one in values]
     if family is None and read:
         listed = ", ".join(dict.fromkeys(read))
-        text = f"a curve in one direction, without a loop to fit: {listed} are read off the curve itself, see below"
+        text = f"the data are a curve in one direction, without a loop to fit; for {listed}, read directly from the curve, see below"
     elif family is None:
         text = "the input has no reversal of more than 2 % of its range: there is no loop in these data"
     else:

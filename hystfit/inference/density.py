@@ -64,7 +64,7 @@ class Density(eqx.Module):
         return self._of_residual(self.noise.assemble(x[self.p :]), self.objective.residual(x[: self.p]))
 
     def _of_residual(self, noise: AbstractNoise, r: Float[Array, "R T"]) -> Array:
-        # Constant residuals, such as those of broken simulations, would be very likely under a repeating error.
+        # Otherwise the constant residuals of simulations that are not finite would be likely under a recurring error.
         return jnp.where(self.objective.broken(r), -jnp.inf, noise.log_density(self.setting, r))
 
     def integrated(
@@ -72,7 +72,7 @@ class Density(eqx.Module):
     ) -> tuple[Scalar, Float[Array, " k"], Float[Array, "k k"]]:
         """`AbstractNoise.integrated` over w, for a model whose output is linear in w at the physical parameters x(z) + w moves."""
         x = self.objective.coordinates.physical(z[: self.p])
-        # Differences of outputs, not derivatives: their own derivatives are compiled in half the time.
+        # Differences of outputs instead of derivatives: differentiating these again compiles in half the time.
         r = jax.vmap(self.objective.residual)(jnp.concatenate([x[None], x + moves]))
         signals = jnp.moveaxis(r[0] - r[1:], 0, -1)
         value, shift, root = self.noise.tree(z[self.p :]).integrated(self.setting, r[0], signals, precision)
@@ -143,7 +143,7 @@ class Density(eqx.Module):
 
     def slope(self, z: Float[Array, " d"]) -> tuple[Scalar, Float[Array, " d"]]:
         """`log_density` and its gradient: a forward pass through the model, a backward one through the noise."""
-        # One pass that only sums is faster for few parameters; the derivatives by many would fill the loop.
+        # For few parameters, one scan that only accumulates sums and their derivatives is faster.
         short = self._scans and self.p <= FORWARD and self.noise.tree(z[self.p :]).by_squares
         likelihood, by_x, by_noise = (self._slope_by_squares if short else self._slope_by_residuals)(z)
         by_model = by_x * self.objective.coordinates.slope(z[: self.p])

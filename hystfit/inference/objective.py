@@ -1,4 +1,4 @@
-"""The traced half of a problem: predictions, residuals and their derivatives, which compiled code takes as an argument."""
+"""The part of a problem that is an argument of compiled code: predictions, residuals and their derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 _STEEPEST = 1e100
-BROKEN = 1e3  # residual, in half ranges of the output, that stands for a simulation that is not finite
+BROKEN = 1e3  # value of residuals that are not finite, in half ranges of the output
 
 
 class Objective(eqx.Module):
@@ -30,8 +30,8 @@ class Objective(eqx.Module):
         coordinates: maps from z to the model.
         batch: the data.
         size: half range of the output, by which the misfit is divided.
-        bend: misfit beyond which a robust loss counts less.
-        loss: how large residuals count; "linear" is plain least squares.
+        bend: misfit above which a robust loss reduces the influence of a residual.
+        loss: loss function of the residuals; "linear" is plain least squares.
     """
 
     coordinates: Coordinates
@@ -89,7 +89,7 @@ class Objective(eqx.Module):
 
     @property
     def apart(self) -> bool:
-        """Whether no record depends on all parameters, as where each has its own offset."""
+        """Whether each record depends on some of the parameters only, as with an offset for each."""
         return self.coordinates.own_count < len(self.coordinates.kinds)
 
     def _all_runs(self, x: Array) -> tuple[Float[Array, "R T"], Float[Array, "p R T"]]:
@@ -125,7 +125,7 @@ class Objective(eqx.Module):
         return self.misfit(self.coordinates.physical(z))
 
     def broken(self, r: Float[Array, "R T"]) -> Array:
-        """Whether some residual is that of a simulation that is not finite, or as large."""
+        """Whether a residual is not finite, or as large as `BROKEN`."""
         return jnp.any(jnp.abs(r) >= BROKEN * self.size)
 
 
@@ -160,11 +160,11 @@ def linearized(
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
     """`Objective.linearize` on the host, by one compiled program for all uses; derivatives too large to be squared are set to 0.
 
-    On long records it computes as many derivatives at once as fit into a block, by one program for all groups.
+    On long records, derivatives are computed in groups that fit into a block, by one program.
 
     Args:
         x: physical parameters, shape (p,).
-        at: numbers of the parameters to which the derivatives are, in rising order, shape (k,); default: all.
+        at: numbers of the parameters to differentiate by, in rising order, shape (k,); default: all.
     """
     x = np.asarray(x, float)
     if objective.apart:

@@ -43,21 +43,21 @@ Side = Literal["lower", "upper"]
 class Problem:
     """Free parameters, records, a loss, and for likelihoods a noise model and priors.
 
-    Vectors x are physical, z unconstrained. Those of the statistics hold the parameters of the model, then those of the noise.
+    Vectors x are physical, z unconstrained. In likelihoods and priors they hold the parameters of the model, then those of the noise.
 
     Attributes:
-        model: the model whose values fixed parameters keep.
+        model: the model, which gives the values of fixed parameters.
         data: the records.
         space: its free parameters by name.
         scales: natural sizes and units of the data.
-        objective: the traced half: arrays and structure without labels.
+        objective: the part for compiled code: arrays and structure without names.
         noise: a noise model with values, or None where there is no likelihood.
         noise_space: its parameters.
         priors: of the parameters of model and noise.
         dependence: of the priors on each other; None where they are independent.
-        settled: whether the parameters are those of one device: covariates on which they depend have been chosen, or there are none.
-        equations: of its weights, a `hystfit.inference.weights.Split` that a choice of their number left for the fit, which takes it away
-            again, as it may have hundreds of MB; None elsewhere.
+        settled: False if the parameters depend on covariates whose values have not been chosen.
+        equations: equations of the weights (`hystfit.inference.weights.Split`), which the choice of their number passes on to the fit. The
+            fit removes them again, because they may take hundreds of MB; otherwise None.
     """
 
     equations: Any = None
@@ -78,10 +78,10 @@ class Problem:
         Args:
             model: gives the values of fixed parameters.
             data: one record or several.
-            fix: names of parameters to hold, or names with values.
+            fix: names of parameters to fix, or names with values.
             free: names of parameters to fit that the model fixes by default.
             tie: parameters that follow from others, such as {"k2": "2*k1"}.
-            loss: how large residuals count.
+            loss: loss function of the residuals.
             spacing: samples over which errors are correlated, see `held_out`.
 
         Raises:
@@ -104,16 +104,16 @@ class Problem:
             model, fix=fix, free=free, tie=tie, scales=self.scales, records=records, trees=trees
         )
         pairs = zip(given, self.data, strict=True)
-        self.data = Dataset(tuple(self._begun(record, ready) for record, ready in pairs), given.name)
+        self.data = Dataset(tuple(self._without_added_start(record, ready) for record, ready in pairs), given.name)
         self._spacing = spacing
         self._lengths = tuple(map(len, given))
         batch = Batch.of(self.data)
-        # Smooth weights are many, and their number is not a measure of what the data must determine.
+        # Smooth weights may outnumber the samples, because their penalty adds information.
         if batch.count < len(self.space) and model.estimator != "preisach":
             raise DataError(
                 f"{batch.count} samples cannot determine {len(self.space)} parameters; give more data or fix some with fix="
             )
-        bend = to_device(0.02)  # a robust loss bends at 1 % of the range
+        bend = to_device(0.02)  # in half ranges: robust losses reduce the influence of residuals above 1 % of the range
         self.objective = Objective(self.space.coordinates, batch, to_device(self.scales.y), bend, loss)
         self.settled = not model.covariates
         self.noise: AbstractNoise | None = None
@@ -123,11 +123,11 @@ class Problem:
         self._predicted: tuple[bytes, list[np.ndarray]] | None = None
 
     def prepared(self, record: Record) -> Record:
-        """The record as the model prepares it; with a free initial state, without the steady period that would come before it."""
-        return self._begun(record, self.model.prepared(record))
+        """The record as prepared by the model, but without the steady period before it if the initial state is free."""
+        return self._without_added_start(record, self.model.prepared(record))
 
-    def _begun(self, record: Record, ready: Record) -> Record:
-        """`prepared`, from a record and what the model made of it."""
+    def _without_added_start(self, record: Record, ready: Record) -> Record:
+        """`prepared`, from a record and its version prepared by the model."""
         count = len(record)
         if len(ready) == count or not any(info.per_record and info.fixed for info in self.space.infos):
             return ready
@@ -170,7 +170,7 @@ class Problem:
 
     @property
     def _measured(self) -> list[Record]:
-        """The records without what the model put before them."""
+        """The records without the samples that the model added before them."""
         return [
             record.segment(len(record) - n, len(record)) for record, n in zip(self.data, self._lengths, strict=True)
         ]
@@ -182,7 +182,7 @@ class Problem:
         return self._changed(objective=dataclasses.replace(self.objective, loss=loss))
 
     def trimmed(self) -> Problem:
-        """The same problem without padding that no record needs: long runs pay for their own compilation."""
+        """The same problem without common padding. The new shape is compiled again, which pays for long runs."""
         used = np.asarray(self.objective.batch.weight) > 0
         end = int(np.max(np.flatnonzero(used.any(axis=0)))) + 1
         batch = jax.tree_util.tree_map(lambda v: v[:, :end], self.objective.batch)
@@ -195,7 +195,7 @@ class Problem:
 
         Args:
             noise: a noise model with values.
-            priors: by name, of parameters of either; weak defaults for the others. `CorrelatedPriors` depend on each other.
+            priors: priors by name, for parameters of model or noise, or `CorrelatedPriors`; weak defaults for the others.
             x: physical parameters of model and noise about which default priors are centered, shape (d,).
 
         Raises:
@@ -218,7 +218,7 @@ class Problem:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Their units."""
+        """Units of the parameters in `names`."""
         return self.space.units + (self.noise_space.units if self.noise_space else ())
 
     @property
@@ -341,7 +341,7 @@ class Problem:
         return Linearization(misfit, used.reshape(-1), len(self.space), blocks, gram=gram)
 
     def error_where_held_out(self, misfit: Float[np.ndarray, " n"]) -> float:
-        """Root mean square residual on the samples that are held out in turn [y]: cross-validation errs on these alone."""
+        """Rms residual [y] on the samples that are held out in turn, which alone enter the cross-validation error."""
         held, weight = np.zeros(self.used.shape, dtype=bool), np.asarray(self.objective.batch.weight)
         for row, fold in zip(held, self.held_out.folds, strict=True):
             row[: fold.size] = fold >= 0

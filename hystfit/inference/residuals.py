@@ -222,8 +222,8 @@ def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
         findings.append(Note(Code.CORRELATED_RESIDUALS, text))
     if kurtosis > TAILS:
         text = (
-            f"residuals have heavy tails (excess kurtosis {number(kurtosis, '.2g')}): there are outliers, or the model errs most at a "
-            "few places"
+            f"residuals have heavy tails (excess kurtosis {number(kurtosis, '.2g')}): there are outliers, or the error of the model is "
+            "large in a few places"
         )
         findings.append(Note(Code.HEAVY_TAILS, text, Severity.WARNING))
         recommended = "ou" if correlated else "student-t"

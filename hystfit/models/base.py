@@ -42,15 +42,15 @@ class AbstractHysteresis(AbstractDynamics):
     """
 
     no_inverse: ClassVar[str] = ""
-    """Why no model of its kind has an inverse, with {name} for that of the class; "" where one has."""
+    """Reason why models of this class have no inverse, with {name} for the class name; "" if they have one."""
     either_way: ClassVar[bool] = False
-    """Whether it describes loops of both directions, whatever its family needs."""
+    """Whether the model describes loops of both directions, regardless of `needs`."""
     counts: ClassVar[Mapping[str, str]] = {}
-    """Settings that are the number of elements of a parameter: the name of the parameter by that of the setting."""
+    """Settings that give the number of elements of a parameter: names of parameters by setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """The words that a field takes, by the name of the field."""
+    """Allowed words of the fields that take one, by field."""
     c_template: ClassVar[str] = ""
-    """Name of its template of C code, where the template needs nothing but the fields (`CPart.of`)."""
+    """Name of the template of its C code, if the template needs only the fields (`CPart.of`)."""
 
     # -- values ------------------------------------------------------------------------------------------------------------
 
@@ -95,7 +95,7 @@ class AbstractHysteresis(AbstractDynamics):
         return self
 
     def outside(self) -> list[str]:
-        """Covariates beyond those of the records fitted, in words."""
+        """Texts that name covariates outside the fitted range."""
         return []
 
     @property
@@ -110,7 +110,7 @@ class AbstractHysteresis(AbstractDynamics):
 
     @property
     def takes_rate(self) -> bool:
-        """Whether the output takes the rate of the input over the interval before a sample, which is unknown at the first sample."""
+        """Whether the output depends on the input rate over the interval before a sample, which is unknown at the first sample."""
         return False
 
     @property
@@ -130,15 +130,15 @@ class AbstractHysteresis(AbstractDynamics):
 
     @property
     def has_inverse(self) -> bool:
-        """Whether advice may propose it without an extra margin, as it does models with an inverse.
+        """Whether `check` may propose the model without the extra margin for models that have no inverse.
 
-        It follows from no delay, not from `no_inverse`: with the margin, `check` no longer proposes `damper` for a damper.
+        True for any model without a delay, even with `no_inverse`: with the margin, `check` would not propose `damper` for a damper.
         """
         return not self.delays
 
     @property
     def hardens(self) -> bool:
-        """Whether the loop changes with the path that the input has run, so that a new device differs from a used one."""
+        """Whether the loop changes with the path length of the input, so that a new device differs from a used one."""
         return False
 
     @property
@@ -163,10 +163,9 @@ class AbstractHysteresis(AbstractDynamics):
     def prepared(self, record: Record) -> Record:
         """The record as it is fitted: samples that the model cannot describe have weight 0.
 
-        By default a record that starts with a steady period is preceded by one more copy of that period, without weight, because
-        its first sample lies on a branch. For a device that rested before the record, use `Record.resting_on`. Where the input moves
-        at once and the output takes its rate, the first sample does not count: its rate is that of a movement before the record, which a
-        period before it has but for a part of a sample.
+        By default a record that starts with a steady period is preceded by one more copy of that period, with weight 0, because its first
+        sample lies on a branch. For a device that rested before the record, use `Record.resting_on`. If the output depends on the input
+        rate and the input moves from the start, the first sample has weight 0, because its rate is unknown.
 
         Raises:
             ModelError: a record that cannot drive the model.
@@ -189,12 +188,12 @@ class AbstractHysteresis(AbstractDynamics):
         return ()
 
     def step_ratio(self, largest: Any) -> Any:
-        """The largest step of an input over the longest that the scheme is trusted with: above 1, and only then, there is `advice`.
+        """Largest step of the input over the largest for which the scheme is accurate; there is `advice` if it exceeds 1.
 
-        None for models whose advice depends on more. Where the parameters have a leading axis of N, the result has it.
+        None for models whose advice depends on more than this. A leading axis of N of the parameters is kept.
 
         Args:
-            largest: step of an input between two samples, or those of N inputs [u].
+            largest: largest step of the input between two samples, or of N inputs [u].
         """
         return None
 

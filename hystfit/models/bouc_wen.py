@@ -65,7 +65,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
     )
 
     c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
     tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
     rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     h0: Scalar = param(
@@ -105,7 +105,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return self.scheme != "exact"
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """The exponentials of all exact steps first, then one scan."""
+        """For the exact scheme, the exponentials of all steps first, then one scan."""
         if self.scheme != "exact":
             return super().sweep(state, u0, u, dt)
         dv = jnp.diff(u, prepend=u0)
@@ -133,7 +133,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return dataclasses.replace(self, **values)
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes:
-        """Flattest and steepest where |h| is largest: after the whole range from rest, which no other path within it exceeds."""
+        """Extremes at the largest |h|, which is reached by crossing the whole range from rest."""
         c, m, tau, rho = (float(value) for value in (self.c, self.mu * self.c, self.tau, self.rho))
         up, down = tau * (1 + rho), tau * (1 - rho)
         if m == 0:
@@ -153,7 +153,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
 class BoucWenStep(AbstractStepInverse):
     """Explicit inverse of `BoucWen` (after Minase et al. 2010): a quadratic for the semi-implicit step, Newton for the exact one.
 
-    With q = s h and x = |dv| the output moves by s dy = c x - (q' - q), which is convex in x: Newton steps from above cannot fail.
+    With q = s h and x = |dv| the output moves by s dy = c x - (q' - q), which is convex in x: Newton's method converges from above.
     """
 
     model: BoucWen
@@ -179,7 +179,7 @@ class BoucWenStep(AbstractStepInverse):
         moved = lambda x: s * bw.step(state, u0, u0 + s * x, dt)[0][0]
         bound = jnp.where(up > 0, m / jnp.where(up > 0, up, 1.0), jnp.inf)
         if bw.scheme == "semi-implicit":
-            # Where a long step is held at the bound of h, h is known.
+            # If a long step is clipped at the bound of h, h is known.
             half = 0.5 * rate_integral(q, x, m, up, down)
             stuck = ((1 - half) * q + m * x) / (1 + half)
             held = jnp.clip(stuck, jnp.minimum(q, bound), jnp.maximum(q, bound))
@@ -208,8 +208,8 @@ def coarse(ratio: Any) -> tuple[str, ...]:
         return ()
     largest = COARSE * float(ratio)
     return (
-        f"in one sample the input moves by up to {largest:.2g} times the length over which the hysteresis bends (1 / its rate), and the "
-        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (as text, add :scheme=exact to the "
+        f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
+        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
         "model's name)",
     )
 

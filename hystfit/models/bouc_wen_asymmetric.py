@@ -60,7 +60,7 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
     )
 
     c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="part of the slope that the hysteresis takes at a reversal")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
     tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
     rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     n: Scalar = param(1.0, bounds=(0.5, 12.0), doc="sharpness of the knee")

@@ -21,7 +21,7 @@ from hystfit.params.host_arrays import compiled
 
 
 class AbstractDynamics(eqx.Module):
-    """What a simulation needs of a model: the state at rest and one step; the rest has defaults.
+    """The interface of a model for simulation: `init` and `step` are required, the rest has defaults.
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
     """
@@ -59,7 +59,7 @@ class AbstractDynamics(eqx.Module):
             u: input, shape (T,).
             dt: time since the sample before, shape (T,) [s].
         """
-        single = state.shape == (1,)  # carried as a number: a loop that gathers a row of one is many times slower
+        single = state.shape == (1,)  # carried as a scalar: a loop over an array of one element is many times slower
 
         def body(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
             state, y = self.step(state[None] if single else state, *sample)
@@ -116,8 +116,8 @@ def simulate(
     Args:
         model: any model.
         u: input, shape (T,).
-        dt: time over which each input acted before its sample was read, shape (T,), or one number for all: the time
-            since the sample before. A rate-independent model needs none.
+        dt: time since the previous sample, during which this input acts, shape (T,), or one number for all; rate-independent models need
+            none.
         resume: what an earlier run returned, to continue it; None starts from `model.init(u[0])`.
 
     Returns:
@@ -133,7 +133,7 @@ def simulate(
             f"the output of this {type(model).__name__} depends on later samples: simulate all samples in one run"
         )
     u, dt = checked_drive(model, u, dt)
-    # dt[0] counts: a device that rested at another input than u[0] has moved for that long when the first sample is read.
+    # dt[0] matters if the device rested at another input than u[0]: it has moved for that long at the first sample.
     try:
         y, *end = _run(model, u, dt, resume)
         return y, Resume(*end)
@@ -143,7 +143,7 @@ def simulate(
 
 
 def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
-    """Input and time steps as arrays of shape (T,), those of JAX as they are: compiled code accepts NumPy arrays faster than they convert.
+    """Input and time steps as arrays of shape (T,), of JAX if they were, else of NumPy, which compiled code accepts without conversion.
 
     Raises:
         ModelError: no time for a model that needs it, or shapes that do not fit.
@@ -166,7 +166,7 @@ def checked_drive(model: AbstractDynamics, u: Any, dt: Any) -> tuple[Any, Any]:
 
 
 def _floating(values: Any) -> Any:
-    """Values in double precision: as an array of JAX where they are one, else in NumPy."""
+    """Values in double precision: an array of JAX if they are one, else of NumPy."""
     if isinstance(values, jax.Array):
         return values if values.dtype == np.float64 else values.astype(np.float64)
     return np.asarray(values, dtype=np.float64)
@@ -182,7 +182,7 @@ def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = No
 
 @compiled
 def equilibrium(model: AbstractDynamics, u0: Array) -> Array:
-    """State of a model in equilibrium at an input, by one program; its operations one by one would each compile one."""
+    """State of a model in equilibrium at an input, compiled as one program instead of one per operation."""
     return model.init(u0)
 
 
@@ -193,7 +193,7 @@ def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) ->
 
 
 def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
-    """State after each sample of a run, shape (T, states): what the linear weights of some models are multiplied by.
+    """State after each sample of a run, shape (T, states); in some models the linear weights multiply it.
 
     Args:
         model: any whose `step` needs no later sample.

@@ -179,7 +179,7 @@ class Varying(AbstractComposition):
             values = {covariate(record, name) for record in records}
             if len(values) == 2:
                 varying = ", ".join(slope.parameter for slope in self.slopes if slope.which == which)
-                text = f"{name} has two values: that {varying} is linear in it is assumed, a third would test it"
+                text = f"{name} has only two values, which do not test whether {varying} is linear in it: add a third value"
                 notes.append(Note(Code.MODEL_ADVICE, text))
         return notes
 
@@ -264,15 +264,15 @@ def _slope(
     number, positions = space.named.find(parameter)
     leaf = space.leaves[number]
     if len(positions) < leaf.size:
-        raise ParameterError(f"a dependence is that of a whole parameter: give {leaf.path[-1]!r}, not {parameter!r}")
+        raise ParameterError(
+            f"only a whole parameter can depend on a covariate: give {leaf.path[-1]!r}, not {parameter!r}"
+        )
     if leaf.info.per_record:
         raise ParameterError(
             f"{parameter!r} has a value for each record, which may be any function of {name}: leave its dependence out"
         )
     if model.estimator == "preisach" and leaf.info.linear:
-        raise ModelError(
-            f"the weights {parameter!r} of a Preisach model cannot depend on {name}: no penalty suits them"
-        )
+        raise ModelError(f"the weights {parameter!r} of a Preisach model cannot depend on {name}")
     low, high = leaf.info.bounds
     return Slope(
         value=np.zeros(leaf.shape),

@@ -50,14 +50,14 @@ class Status(enum.StrEnum):
 _ADVICE = {
     Status.OK: "usable",
     Status.NOT_CONVERGED: "the solver did not converge: use more starts, method='trf', or fix what the data do not determine",
-    Status.POOR: "the model does not describe these data, see the verdict: hystfit compare shows what others do",
+    Status.POOR: "the model does not describe these data, see the verdict: hystfit compare shows other models",
     Status.ROUGH: (
         "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where such an error is acceptable"
     ),
-    Status.NO_LOOP: "no loop stands out of these data: fit a curve; where there should be a loop, measure more or larger whole cycles",
+    Status.NO_LOOP: "these data show no loop: fit a curve; if a loop is expected, measure more or larger whole cycles",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
     Status.INCOMPLETE: (
-        "the residuals show that the model is incomplete, so that its parameters are biased by more than the intervals show: add "
+        "the residuals show that the model is incomplete, and the bias of its parameters exceeds the intervals: add "
         "the missing part (creep, a lag, more terms); noise='discrepancy' includes only what recurs every loop"
     ),
     Status.BIASED: (

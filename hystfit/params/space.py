@@ -24,15 +24,17 @@ from hystfit.params.param import ParamInfo, leaves_of
 from hystfit.params.ties import Tie, narrowed, ties_of
 from hystfit.params.units import Scales
 
-MANY = 12  # elements of an array above which they share a row of a table, and those of either sign are weights
-# Weights for each other free element from which closed-form columns, with differences for the others, replace a forward pass, and weights
-# are sampled exactly.
+MANY = (
+    12  # elements above which an array has one row in a table, and its elements count as weights even with either sign
+)
+# Linear elements per other free element from which design matrices, with differences for the others, replace forward derivatives, and
+# weights are sampled exactly.
 _WEIGHTS = 4
 _INSIDE = 1e-3  # distance of a start from its bound, see `Coordinates.unconstrained`
 
 
 def _constants(trees: Sequence[Any]) -> dict[int, np.ndarray]:
-    """Leaves of several trees that are no parameters and differ, stacked, by their index."""
+    """Leaves that are not parameters and differ between the trees, stacked, by leaf index."""
     if all(tree is trees[0] for tree in trees):
         return {}
     held = {leaf.index for leaf in leaves_of(trees[0])}
@@ -44,12 +46,12 @@ class ParameterSpace:
     """Free parameters of a tree (a model, or (model, noise)) by name, with their maps between x and z.
 
     Attributes:
-        template: the tree whose values the fixed parameters keep.
+        template: the tree with the values of the fixed parameters.
         named: its arrays by name, `leaves` in their order.
         names: of the free elements, in the order of x and z.
         infos: their declarations.
         units: their units as printed.
-        coordinates: the traced half.
+        coordinates: the part for compiled code.
         lower, upper, scale, kinds: those of `coordinates` on the host, shape (p,).
     """
 
@@ -98,7 +100,7 @@ class ParameterSpace:
     # -- building ------------------------------------------------------------------------------------------------------
 
     def positions(self, names: str | Sequence[str]) -> list[int]:
-        """Positions among the free parameters of names: one ("w[2]"), an array ("w") or a set with one value per record ("offset").
+        """Positions of names among the free parameters: of an element ("w[2]"), an array ("w") or values per record ("offset").
 
         Raises:
             ParameterError: no free parameter has that name.
@@ -147,7 +149,7 @@ class ParameterSpace:
         return masks
 
     def _info(self, number: int, k: int) -> ParamInfo:
-        """Declaration of a free element; its bounds keep those that are tied to it within theirs."""
+        """Declaration of a free element, with bounds that also keep the elements tied to it within theirs."""
         info = self.leaves[number].info
         for tie in self.ties:
             if tie.source == (number, k):
@@ -172,7 +174,10 @@ class ParameterSpace:
                     sources.append((number, k, record if several else None))
         self.names, self.infos = tuple(names), tuple(infos)
         self.sources = tuple(sources)
-        label, size = functools.cache(self.scales.label), functools.cache(self.scales.size)  # of hundreds of weights
+        label, size = (
+            functools.cache(self.scales.label),
+            functools.cache(self.scales.size),
+        )  # called for hundreds of weights
         self.units = tuple(label(info.unit) for info in infos)
         bounds = np.array([info.bounds for info in infos], dtype=float).reshape(-1, 2)
         finite = np.isfinite(bounds)
@@ -213,7 +218,7 @@ class ParameterSpace:
         for number, k, record in self.sources:
             flat = flats[record if several and record is not None else 0]
             values.append(float(np.asarray(flat[self.leaves[number].index]).reshape(-1)[k]))
-        # Models to start from do not know the narrower bounds of parameters to which others are tied.
+        # Ties narrow some bounds, and starting values may lie outside.
         return self.clip(np.array(values)) if self.ties else np.array(values)
 
     def unconstrained(self, x: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -276,7 +281,7 @@ class ParameterSpace:
     def weights(self) -> np.ndarray:
         """Which free elements are weights of plays, cells or relaxations, shape (p,), bool.
 
-        They are elements of an array in which the output is linear, not negative or many.
+        The output is linear in them, and they are elements of an array that is non-negative or has more than `MANY` elements.
         """
         leaves = [self.leaves[number] for number, _, _ in self.sources]
         rows = [
@@ -287,7 +292,7 @@ class ParameterSpace:
 
     @property
     def offsets(self) -> np.ndarray:
-        """Which free elements shift the output of records, shape (p,), bool; their size says nothing about the other parameters."""
+        """Which free elements only shift the output of records, shape (p,), bool."""
         shift = np.array([info.per_record or info.common for info in self.infos], dtype=bool)
         return self.linear & shift & (self.kinds == REAL)
 
@@ -304,7 +309,7 @@ class ParameterSpace:
 
     @property
     def sources_of_ties(self) -> np.ndarray:
-        """To which free elements others are tied, shape (p,), bool."""
+        """Which free elements others are tied to, shape (p,), bool."""
         sources = {tie.source for tie in self.ties}
         return np.array([(number, k) in sources for number, k, _ in self.sources], dtype=bool)
 
@@ -341,7 +346,7 @@ class ParameterSpace:
         return np.clip(x, self.lower, self.upper)
 
     def fixed(self) -> list[tuple[str, float, ParamInfo]]:
-        """Name, value and declaration of every fixed element; those that are tied are none."""
+        """Name, value and declaration of every fixed element, without tied ones."""
         flat = jax.tree_util.tree_leaves(self.template)
         free = {(number, k) for number, k, _ in self.sources} | {tie.target for tie in self.ties}
         rows = []
@@ -353,7 +358,7 @@ class ParameterSpace:
         return rows
 
     def tied(self, x: Sequence[float] | np.ndarray) -> list[tuple[Tie, float, ParamInfo, int | None]]:
-        """Tie, value at x, declaration, and the number of the free element that it follows (None: a fixed one), of tied elements."""
+        """Of each tied element: tie, value at x, declaration, and number of the free element that it follows (None: a fixed one)."""
         if not self.ties:
             return []
         flat = jax.tree_util.tree_leaves(self.assembled(x))

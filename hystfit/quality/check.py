@@ -43,7 +43,7 @@ class Advice:
 
 @dataclasses.dataclass(frozen=True)
 class Trait:
-    """What the loops show, because a model with a term for it errs less on held-out samples than every model without.
+    """A trait of the loops: a model with a term for it has a smaller error on held-out samples than every model without.
 
     Attributes:
         name: "degrading", "peak-oriented", "pinched", "viscoelastic" or "rate-dependent".
@@ -60,8 +60,8 @@ class Trait:
 
     def __str__(self) -> str:
         return (
-            f"{self.name}: {self.model} errs by {self.error_percent:.2g} % of the range on held-out samples, and the best model without "
-            f"such a term ({self.other}) by {self.other_percent:.2g} %"
+            f"{self.name}: {self.model} has an error of {self.error_percent:.2g} % of the range on held-out samples, the best model "
+            f"without such a term ({self.other}) {self.other_percent:.2g} %"
         )
 
 

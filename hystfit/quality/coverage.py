@@ -64,16 +64,16 @@ def coverage_notes(fitted: Iterable[Record], others: Iterable[Record] = ()) -> t
     if len(known.strokes) == 1 and (asked is None or min(asked.strokes, default=0.0) < (1 - APART) * known.strokes[0]):
         if known.switched:
             text = (
-                "the input is switched between two values: these data show how the output follows in time, and no loop between the values; "
-                "measure ramps of the input. If the input answers to the output, as the heater of a thermostat does, exchange the columns "
-                "(input=, output=)"
+                "the input is switched between two values: these data show the time response of the output, but no loop between the "
+                "values; measure ramps of the input. If the input is controlled by the output, as the heater of a thermostat is, "
+                "exchange the columns (input=, output=)"
             )
             return (warn(Code.MINOR_LOOPS, text),)
         smaller = "" if asked is None or not asked.strokes else f" down to {size(asked.strokes[-1])}"
         notes.append(
             warn(
                 Code.MINOR_LOOPS,
-                f"one amplitude alone ({size(known.strokes[0])} peak to peak): these data do not determine loops of smaller "
+                f"only one amplitude ({size(known.strokes[0])} peak to peak): these data do not determine loops of smaller "
                 f"amplitude{smaller}; measure nested loops or a decaying input",
             )
         )

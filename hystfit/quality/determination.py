@@ -170,7 +170,7 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
     if needs.loop and facts.reversals == 0:
         return ["the input never reverses: without a loop, hysteresis cannot be distinguished from a curve"]
     if needs.rate and facts.reversals == 0 and facts.longest_hold < LONG_HOLD:
-        return ["the input never reverses nor rests: a law of the rate cannot be distinguished from a curve"]
+        return ["the input neither reverses nor rests: rate dependence cannot be distinguished from a curve"]
     if needs.time and not facts.timed:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
     if needs.loop and facts.charges:

@@ -86,8 +86,8 @@ def apart_note(records: Sequence[Record]) -> Note | None:
         return None
     first, *others = found.names
     text = (
-        f"the loops of {len(found.names)} records, {first!r} and {others[-1]!r} among them, differ at equal inputs: one model for all of "
-        f"them errs by at least {100 * found.rms / span:.2g} % of the range. Fit each alone (only=), or all of them by hystfit batch"
+        f"the loops of {len(found.names)} records, {first!r} and {others[-1]!r} among them, differ at equal inputs: a single model has an "
+        f"error of at least {100 * found.rms / span:.2g} % of the range. Fit each one separately (only=), or all of them with hystfit batch"
     )
     of_one_file = len({record.source for record in records}) == 1
     option = ("only", first.partition("=")[2] or first) if of_one_file else None

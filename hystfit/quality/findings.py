@@ -23,8 +23,8 @@ _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 CONTROLLED = warn(
     Code.COLUMN_CHOICE,
-    "the output turns at the same levels while those of the input wander: the test controlled the output, such as the load of a "
-    "cyclic triaxial or ratcheting test; exchange the two (input=, output=), as a model is driven by what was controlled",
+    "the output reverses at constant levels and the input does not: the test controlled the output, such as the load of a cyclic "
+    "triaxial or ratcheting test. A model must be driven by the controlled quantity: exchange the columns (input=, output=)",
 )
 WITHOUT_TIME = (
     "models that depend on time (creep, lag, delay, relaxation, viscous terms, oscillator) cannot be fitted; rate= gives "
@@ -131,7 +131,7 @@ def _scale(record: RecordQuality) -> Iterator[Note]:
     """Whether the input or the output extends over decades."""
     for role, column in (("input", record.u), ("output", record.y)):
         if column.decades > _DECADES - 1e-9:
-            text = f"a quarter of the {role}s are below {10 ** (2 - column.decades):.2g} % of the largest, where a fit hardly sees them"
+            text = f"a quarter of the {role}s are below {10 ** (2 - column.decades):.2g} % of the largest, and hardly affect a fit"
             yield warn(Code.DECADES, f"{text}: write log10 of the {role} to the file and fit that")
 
 
@@ -149,13 +149,13 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         clock = f"{record.delay.seconds:.3g} {record.units['t']}".rstrip()
         yield Note(
             Code.DELAY,
-            f"the output has a pure delay of {record.delay.samples:.1f} samples ({clock}): loops are judged with the input delayed by the "
-            "same time, and models are fitted with delay+ in front",
+            f"the output has a pure delay of {record.delay.samples:.1f} samples ({clock}): loops are analyzed with the input delayed by "
+            "the same time, and models are fitted with delay+ in front",
         )
     if record.falls:
         yield Note(
             Code.FALLING,
-            "the output falls as the input rises: loops are judged with the input mirrored, and models are fitted with negate+ in front",
+            "the output falls as the input rises: loops are analyzed with the input mirrored, and models are fitted with negate+ in front",
         )
     if record.output_controlled:
         yield CONTROLLED
@@ -181,9 +181,9 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     if shape.crossing:
         yield warn(
             Code.CROSSING,
-            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): only weights of either "
-            "sign (preisach-signed) describe that, without an inverse; or fit the signed quantity of which the output is an even function, "
-            "or one half of the input range",
+            "the rising and falling branches cross, and the lobes circulate in opposite directions (a butterfly): only a model with "
+            "weights of either sign (preisach-signed) describes this, and it has no inverse; or fit the signed quantity of which the "
+            "output is an even function, or one half of the input range",
         )
     elif record.single_valued:
         text = "the rising and falling branches coincide: no hysteresis above the noise; fit a curve instead"
@@ -200,7 +200,7 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
         )
     if record.fails_at is not None:
         place = place_of(record.fails_at, record)
-        yield warn(Code.FAILURE, f"the device fails at {place}: {AFTER_FAILURE}; fit the part before (window=)")
+        yield warn(Code.FAILURE, f"the device fails at {place}: {AFTER_FAILURE}; fit the part before it (window=)")
 
 
 def place_of(at: float, record: RecordQuality) -> str:

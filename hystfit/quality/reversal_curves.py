@@ -67,8 +67,8 @@ def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
     curves.sort(key=lambda r: r.u[0], reverse=rises[0])
     if abs(curves[-1].u[0] - curves[0].u[0]) <= SLACK * np.ptp(np.concatenate([r.u for r in curves])):
         raise DataError(
-            f"{len(curves)} curves begin at the same input, {curves[0].u[0]:.4g}: reversal curves begin each at a reversal of its own, and "
-            "what these differ by is not in their input"
+            f"{len(curves)} curves begin at the same input, {curves[0].u[0]:.4g}: each reversal curve must begin at its own reversal, "
+            "and these differ by something other than their input"
         )
     return ReversalFamily(tuple(curves), rises[0], tuple(_notes(curves, rises[0])))
 
@@ -206,7 +206,7 @@ def _without_unsettled_points(data: Dataset) -> tuple[Dataset, list[Note]]:
     if not count:
         return data, []
     which = "first point" if count == 1 else f"first {count} points"
-    text = f"{which} of every curve: replaced by the parabola through the {_FIT} points after, from which later points lie less far"
+    text = f"{which} of every curve, measured before the field had settled: replaced by the parabola through the next {_FIT} points"
     return data.map(lambda record: _continued(record, count)), [Note(Code.CURVES, text)]
 
 

@@ -95,7 +95,8 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
         )
     if is_single_valued_error(metrics.rmse, baselines) and not is_noise(metrics.rmse, baselines):
         found.append(
-            f"the error is {100 * metrics.rmse / baselines.curve:.0f} % of that of a single-valued curve: the loop itself is not described"
+            f"the error is {100 * metrics.rmse / baselines.curve:.0f} % of that of a single-valued curve: the model "
+            "does not describe the loop"
         )
     return found
 

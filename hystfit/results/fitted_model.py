@@ -140,7 +140,7 @@ class FittedModel:
         ]
         if not names:
             return None
-        text = f"{record.name!r} was not fitted: its prediction has {', '.join(names)} of {first!r}"
+        text = f"{record.name!r} was not fitted: its prediction uses {', '.join(names)} of {first!r}"
         if record.used.any() and not refit_offset:
             text += "; refit_offset= fits an offset to its output"
         return Note(Code.RECORD_PARAMETERS, text)

@@ -144,7 +144,7 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
 
 _NO_CYCLE = Note(
     Code.NOT_CLOSED,
-    "no closed loop: the input does not run there and back over one range; measure a whole cycle",
+    "no closed loop: the input does not cover the same range in both directions; measure a whole cycle",
     Severity.WARNING,
 )
 _NO_AREA = Note(
@@ -152,7 +152,7 @@ _NO_AREA = Note(
 )
 _LIMITED = Note(
     Code.CLIPPED,
-    "the sensor is saturated at the ends of the loop: ranges, stiffness and areas are at least these",
+    "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds",
     Severity.WARNING,
 )
 _CUT_OFF = ("stroke", "saturation", "Js", "secant_stiffness", "loop_area", "W")
@@ -251,7 +251,7 @@ def _with_data_sheet(
     law = magnetic.saturation
     falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
     if falls and "slope" not in correct:
-        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope leaves its slope out"
+        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope removes this slope"
         notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 

@@ -26,7 +26,7 @@ def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
     if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
         return record, ()
     text = (
-        f"the output is counted from the start of the record: coercivity and remanence are those about the middle of its range "
+        f"the output is relative to the start of the record: coercivity and remanence are those about the middle of its range "
         f"({middle:.5g} {record.y_unit}".rstrip()
         + ")"
     )

@@ -38,16 +38,16 @@ class FitResult(FittedModel, WithStatus):
         notes: what is not determined, which bounds were reached, what was chosen.
         parameters: free and fixed ones.
         covariance: of the free parameters, shape (p, p), NaN where it is undefined; `free_names` is their order.
-        joint: the same with the parameters that the data do not determine, for quantities that combine them; NaN
-            without influence. None of sequential methods.
-        train: metrics on the fitted samples; `test` on others, None where none were given.
+        joint: the same including undetermined parameters, for quantities that combine them; NaN for parameters without influence. None for
+            sequential methods.
+        train: metrics on the fitted samples; `test`: on test records, or None.
         sigma: standard deviation of the residuals [y].
         correlation_time: integrated autocorrelation time of the residuals, samples.
         error_ratio: ratio of the reported standard errors to those for i.i.d. residuals.
-        rank, condition: of the relative Jacobian; None where there is none.
+        rank, condition: of the relative Jacobian; None if it was not computed.
         method: the estimator's name; `starts` and `in_best_basin`, how many starts and how many of them agree.
         compile_s, run_s: seconds that the fit spent compiling and running; None where it was not measured.
-        noise: behind the standard errors.
+        noise: noise model of the standard errors.
         baselines: errors of simple descriptions (line, curve, ten plays); `test_baselines` on the test records, None without any.
         left_out: cross-validation error [y]; None where it is unknown.
         provenance: versions, seed, data checksums, date; never read back.
@@ -131,7 +131,7 @@ class FitResult(FittedModel, WithStatus):
 
     @property
     def verb(self) -> str:
-        """Whose advice on the status applies: that of sequential identification, or of a fit."""
+        """Which advice on the status applies: that for sequential identification, or for a fit."""
         return "identify" if has(self.notes, Code.SEQUENTIAL) else "fit"
 
     def __getitem__(self, name: str) -> ParameterEstimate:
@@ -160,7 +160,7 @@ class FitResult(FittedModel, WithStatus):
     def confidence_intervals(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
         """Lower and upper limit of every free parameter from its standard error; None where it has no standard error.
 
-        The estimate is taken as normally distributed. `hystfit.profile` gives limits without this assumption.
+        The estimate is assumed to be normally distributed. `hystfit.profile` gives limits without this assumption.
 
         Args:
             level: probability with which such an interval covers the parameter.
@@ -232,7 +232,7 @@ class FitResult(FittedModel, WithStatus):
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown values are null, and so is the covariance of more than 200 parameters.
 
-        `save` keeps that in records.npz: as text it takes a hundred megabytes for two thousand parameters.
+        `save` stores that covariance in records.npz: as text, it takes a hundred megabytes for two thousand parameters.
         """
         return _view("stored_fit:content_of")(self)
 
@@ -284,5 +284,5 @@ class FitResult(FittedModel, WithStatus):
 
 
 def _view(name: str) -> Any:
-    """A function of a result that its methods call; bound late, because those modules import this one."""
+    """A function in another module of this room, imported when it is called, because that module imports this one."""
     return attribute(f"hystfit.results.{name}")

@@ -253,7 +253,7 @@ class Posterior(WithStatus):
 
     @functools.cached_property
     def sensitivity(self) -> Any:
-        """What the answer rests on, a `hystfit.sampling.sensitivity.Sensitivity`: prior against data, single records, replicated data."""
+        """Sensitivity of the posterior to prior, data and single records, with checks by replicated data, a `sensitivity.Sensitivity`."""
         return _view("sensitivity:sensitivity")(self)
 
     @functools.cached_property

@@ -58,18 +58,18 @@ def sample(
 
     Args:
         result: a fit; sampling starts at its posterior mode, whitened by the curvature there.
-        sampler: "auto" ("weights" for weights of cells or plays beside few other parameters, and "independence" for the others),
+        sampler: "auto" ("weights" if most parameters are weights of cells or plays, otherwise "independence"),
             "independence" (independence chains where a mixture of t distributions covers the posterior, else NUTS), "nuts" (blackjax),
-            "weights" for linear weights by hundreds, "emcee" for up to ten parameters, "nested" (blackjax) where the
+            "weights" for hundreds of linear weights, "emcee" for up to ten parameters, "nested" (blackjax) where the
             posterior may have several modes or the evidence is wanted (it starts from the priors and takes minutes),
             my_sampler.py:MySampler, or a sampler.
         noise: the noise model; "auto" takes slow and independent noise ("ou") unless the residuals need another, and adds a note.
-        priors: the user's own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}, or `CorrelatedPriors`; weak defaults for the
+        priors: your own, such as {"tau": hystfit.priors.LogNormal(1.0, 0.5)}, or `CorrelatedPriors`; weak defaults for the
             others.
-        seed: of the draws.
+        seed: random seed of the draws.
         folder: stores the run in progress; the same call with the same folder resumes after an interruption.
         progress: called repeatedly with a line of text and the fraction that is done.
-        **settings: of the sampler (`Independence`, `Nuts`, `Ensemble`, `Nested`, `Weights`): draws, chains, warmup, walkers, ...
+        **settings: settings of the sampler (`Independence`, `Nuts`, `Ensemble`, `Nested`, `Weights`): draws, chains, warmup, walkers, ...
 
     Returns:
         Draws with a status; check `usable` and `notes` before using them.
@@ -81,7 +81,7 @@ def sample(
     if isinstance(sampler, str) and sampler == "auto":
         sampler = suited_sampler(result, noise, priors)
         if sampler == "independence" and not set(settings) <= set(_settings_of(SAMPLERS.find(sampler))):
-            sampler = "nuts"  # which has settings of its own
+            sampler = "nuts"  # a setting of NUTS is given
     chosen = _make(sampler, settings)
     with contextlib.nullcontext() if folder is None else alone(folder):
         setup = chosen.prepare(result, noise, priors)
@@ -140,11 +140,11 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
 def suited_sampler(
     result: FitResult, noise: str | type[AbstractNoise] = "auto", priors: Mapping[str, AbstractPrior] | None = None
 ) -> str:
-    """The sampler that suits a fit: "weights" where its parameters are weights but for few, and it has their noise model and priors.
+    """The sampler that suits a fit: "weights" if most parameters are weights and it supports their noise model and priors.
 
     Args:
-        noise: as in `sample`. Where the residuals need a noise model that "weights" does not have, the other samplers have it, up to
-            their most parameters.
+        noise: as in `sample`. If the residuals need a noise model that "weights" lacks, "independence" is chosen for up to `MOST`
+            parameters.
         priors: as in `sample`.
     """
     problem, space = result.problem, result.problem.space
@@ -215,7 +215,7 @@ def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draw
 
 
 def _in_tail(prior: AbstractPrior, middle: float, expected: Float[np.ndarray, " n"]) -> bool:
-    """Whether a value lies beyond all draws of a prior, on a side to which its density falls: a weight near zero is no surprise."""
+    """Whether a value lies beyond all draws of a prior, on a side to which its density falls (a weight near zero is not unusual)."""
     beyond = not np.any(expected < middle) or not np.any(expected > middle)
     if not beyond or prior.has_score:
         return beyond
@@ -224,7 +224,7 @@ def _in_tail(prior: AbstractPrior, middle: float, expected: Float[np.ndarray, " 
 
 
 def _as_wide_words(prior: str, rows: Sequence[tuple[str, float]]) -> str:
-    """What a note says of the parameters with one prior whose posteriors are as wide: names, and widths in percent of the prior's."""
+    """Text of a note on parameters whose posteriors are nearly as wide as their common prior; `rows` have names and widths in percent."""
     names, ratios = zip(*rows, strict=True)
     if len(rows) == 1:
         return (
@@ -244,7 +244,7 @@ def _spread(prior: AbstractPrior, x: np.ndarray) -> float:
 
 
 def drift_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"], longest: int) -> list[Note]:
-    """A note where slow noise is correlated over a large fraction of the record: the model does not have the drift or creep of the data."""
+    """A note if slow noise is correlated over a large fraction of the record: the data drift or creep, and the model does not."""
     middle = dict(zip(setup.names, np.median(draws.reshape(-1, draws.shape[-1]), axis=0), strict=True))
     time = middle.get("noise_time", 0.0)
     if time <= _SLOW * longest or middle["noise_slow"] <= middle.get("noise_white", 0.0):
@@ -253,8 +253,8 @@ def drift_notes(setup: Prepared, draws: Float[np.ndarray, "chains draws d"], lon
     if setup.problem.model.creeps:
         missing, remedy = "drift", "remove it"
     text = (
-        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: that is {missing}, "
-        f"which the model does not include. Parameters are biased by more than their intervals show; {remedy}"
+        f"the slow noise is correlated over {time:.0f} of {longest} samples and larger than the white noise: this is {missing} that the "
+        f"model does not include. The bias of the parameters exceeds their intervals; {remedy}"
     )
     return [warn(Code.INCOMPLETE, text)]
 
@@ -276,7 +276,7 @@ def _agreement_notes(result: FitResult, setup: Prepared, draws: Float[np.ndarray
 
 
 def notes_of_fit(result: FitResult) -> list[Note]:
-    """A note where the fit itself is not usable, and what its model says about its steps: coarse ones make the posterior rough."""
+    """A note if the fit is not usable, and the notes of its model on coarse steps, which make the posterior rough."""
     advice = [note for note in result.notes if note.code is Code.MODEL_ADVICE]
     if result.usable:
         return advice

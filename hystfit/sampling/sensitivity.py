@@ -37,7 +37,9 @@ from hystfit.sampling.predictive import predictive_draws, residual_at
 _COUNT = 1000  # draws used
 _LARGE = 0.3  # shift in posterior standard deviations from which it is named
 _UNRELIABLE = 0.7  # Pareto shape beyond which importance sampling does not converge (Vehtari et al. 2024)
-_RARE = 0.025  # share of replicated data on either side of the measured value below which the model misses it
+_RARE = (
+    0.025  # fraction of replicated data beyond the measured value below which the model does not reproduce this value
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,22 +228,22 @@ def _notes(found: Sensitivity, posterior: Posterior, *, independent: bool) -> tu
     opposed = large & (np.abs(found.data_shift) > _LARGE) & (found.prior_shift * found.data_shift < 0)
     if opposed.any():
         which = joined(np.array(found.names)[opposed])
-        notes.append(warn(Code.PRIOR, f"prior and data disagree about {which}: check the prior, and the data"))
+        notes.append(warn(Code.PRIOR, f"prior and data are inconsistent for {which}: check both"))
     if (large & ~opposed).any():
         which = joined(np.array(found.names)[large & ~opposed])
-        notes.append(warn(Code.PRIOR, f"the prior matters: twice its weight moves {which} by more than {_LARGE} sd"))
+        notes.append(warn(Code.PRIOR, f"the prior matters: doubling its weight moves {which} by more than {_LARGE} sd"))
     unreliable = [name for name, k in zip(found.records, found.pareto, strict=False) if not k <= _UNRELIABLE]
     if unreliable:
         text = f"the influence of {', '.join(unreliable)} is too large for importance sampling: fit again without it"
         notes.append(warn(Code.INFLUENCE, text))
     if not independent:
-        text = f"no influence of single records: under noise {posterior.noise!r} they share an error"
+        text = f"the influence of single records is not known: under noise {posterior.noise!r} they share an error"
         notes.append(Note(Code.INFLUENCE, text))
     for name, check in found.checks.items():
         if check.missed:
             text = (
                 f"{_label(name)}: measured {check.measured:.4g}, replicated data {check.lower:.4g} to {check.upper:.4g} (95 %): "
-                "the model misses it"
+                "the model does not reproduce it"
             )
             notes.append(warn(Code.INCOMPLETE, text))
     return tuple(notes)

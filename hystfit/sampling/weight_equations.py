@@ -207,7 +207,7 @@ def weight_equations(
     space, linear = problem.space, problem.space.linear
     bounded = linear & (space.lower == 0)
     if not are_free_or_positive(space):
-        raise ParameterError("sampler='weights' knows one bound, weights >= 0: use sampler='nuts'")
+        raise ParameterError("sampler='weights' supports only the bound 0 (weights >= 0): use sampler='nuts'")
     z = inside(space, x)
     x = np.where(linear, x, space.physical(z))
     unit = np.where(linear, 1.0, space.slope(z) / size)

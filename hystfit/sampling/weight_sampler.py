@@ -274,7 +274,7 @@ class WeightSetup(Prepared):
         label = NOISES.label(noise) if noise != "auto" else "ou" if residuals.correlated else "iid"
         if label not in NoiseGrid.models:
             raise ParameterError(
-                f"sampler='weights' knows the noise models {' and '.join(NoiseGrid.models)}, got {label}"
+                f"sampler='weights' supports the noise models {' and '.join(NoiseGrid.models)}, got {label}"
             )
         notes = [Note(Code.NOISE_MODEL, f"noise model {label}: {'; '.join(note.text for note in diagnosis.findings)}")]
         if has(diagnosis.findings, Code.REPEATING_RESIDUALS):

@@ -160,7 +160,7 @@ def standard_errors(
 ) -> StandardErrors:
     """Standard errors of a least-squares fit by every method: as reported, for independent residuals, sandwich, block bootstrap.
 
-    For weights beside few other parameters, also the standard deviations of their posterior.
+    For weights with few other parameters, also the standard deviations of their posterior.
 
     Args:
         result: a least-squares fit.

@@ -6,9 +6,9 @@
 Half of the loops share one input, as those of a map do; the others have inputs and lengths of their own. Some devices have a parameter on
 its bound. Estimates must agree to 1e-6 of their standard errors, errors to 1e-3, and status and notes exactly. Exit status 1 otherwise.
 
-The step of a model may have limits, at which the cost of a fit has a crease. Where its minimum lies on one, the gradient does not vanish at
+The step of a model may have limits, at which the cost of a fit has a kink. Where its minimum lies on one, the gradient does not vanish at
 the estimate, the derivatives on either side differ, and a solver ends within a hundredth of a standard error. The cost may also have a
-minimum on either side of a crease: on the line between the two fits it rises above both, and each is the minimum of its side. The limit for
+minimum on either side of a kink: on the line between the two fits it rises above both, and each is the minimum of its side. The limit for
 these is a tenth of a standard error, which no decision depends on. Loops of both kinds are counted.
 """
 
@@ -41,28 +41,28 @@ MODELS: dict[str, AbstractHysteresis] = {
 }
 BOUND = "bouc-wen on a bound"  # devices whose rho is 1
 SAME, ERRORS = 1e-6, 1e-3
-ON_CREASE = 1e-2  # of either, where the minimum lies on a crease
-BESIDE_CREASE = 0.1  # of either, where there is a minimum on both sides of one
+ON_KINK = 1e-2  # of either, where the minimum lies at a kink
+BESIDE_KINK = 0.1  # of either, where there is a minimum on both sides of one
 STATIONARY = 1e-5  # standard errors that a Gauss-Newton step from a minimum is long, at most
 
 
 class Difference(NamedTuple):
     """Between two rows: of estimates, in standard errors; of errors, relative; whether status, notes and reason are the same.
 
-    `crease` says whether the minimum lies on a crease of the cost, and `two` whether both fits are minima of their own.
+    `kink` says whether the minimum lies at a kink of the cost, and `two` whether both fits are minima of their own.
     """
 
     estimates: float
     errors: float
     same: bool
-    crease: bool
+    kink: bool
     two: bool
 
     @property
     def wrong(self) -> bool:
         """Whether it is too large."""
-        limits = (ON_CREASE, ON_CREASE) if self.crease else (SAME, ERRORS)
-        limits = (BESIDE_CREASE, BESIDE_CREASE) if self.two else limits
+        limits = (ON_KINK, ON_KINK) if self.kink else (SAME, ERRORS)
+        limits = (BESIDE_KINK, BESIDE_KINK) if self.two else limits
         return self.estimates > limits[0] or self.errors > limits[1] or not self.same
 
 
@@ -92,7 +92,7 @@ def devices(name: str, count: int, seed: int, *, common: bool) -> list[hf.Record
     return records
 
 
-def on_crease(result: hf.FitResult) -> bool:
+def at_kink(result: hf.FitResult) -> bool:
     """Whether the gradient does not vanish at an estimate inside its bounds."""
     problem, x = result.problem, np.asarray(result.x)
     if any(problem.at_bound(x)) or problem.space.linear.all():
@@ -121,7 +121,7 @@ def difference(row: Row, result: hf.FitResult, record: hf.Record) -> Difference:
         errors = max(errors, abs(mine / error - 1))
     same = (row.status, row.codes, row.reason) == (wanted.status, wanted.codes, wanted.reason)
     two = apart > SAME and two_minima(result, np.array([*row.values.values()]))
-    return Difference(apart, errors, same, on_crease(result), two)
+    return Difference(apart, errors, same, at_kink(result), two)
 
 
 def compared(name: str, count: int, seed: int, *, common: bool) -> list[Difference]:
@@ -136,23 +136,23 @@ def main(names: list[str], loops: int) -> int:
     hf.enable_x64()
     begun, wrong = time.process_time(), 0
     print(
-        "model                input     loops  estimates [errors]   errors  status or notes differ  on a crease  estimates   errors"
+        "model                input     loops  estimates [errors]   errors  status or notes differ    at a kink  estimates   errors"
     )
     for number, name in enumerate(names):
         for common in (True, False):
             rows = compared(name, -(-loops // (2 * len(names))), 2 * number + common, common=common)
-            creased = [row for row in rows if row.crease or row.two]
-            others = [row for row in rows if not (row.crease or row.two)]
+            kinked = [row for row in rows if row.kink or row.two]
+            others = [row for row in rows if not (row.kink or row.two)]
             largest = [
                 f"{max((getattr(row, part) for row in some), default=0.0):.1e}"
-                for some in (others, creased)
+                for some in (others, kinked)
                 for part in ("estimates", "errors")
             ]
             differ = sum(not row.same for row in rows)
             wrong += sum(row.wrong for row in rows)
             kind = "one" if common else "of each"
             print(
-                f"{name:<20} {kind:<8} {len(rows):>6} {largest[0]:>19} {largest[1]:>8} {differ:>23} {len(creased):>12} {largest[2]:>10} "
+                f"{name:<20} {kind:<8} {len(rows):>6} {largest[0]:>19} {largest[1]:>8} {differ:>23} {len(kinked):>12} {largest[2]:>10} "
                 f"{largest[3]:>8}",
                 flush=True,
             )

@@ -40,7 +40,7 @@ for name in ("peak_coercivity", "median_coercivity", "coercivity_width", "intera
 
 # %%
 # Local quadratic regression smooths over one window, here 7 x 7 points. The smoothness of a Preisach density follows from the curves,
-# and the posterior of its weights gives each number a credible error. The shaded bands are two standard deviations.
+# and the posterior of its weights gives each number a posterior standard deviation. The shaded bands are two standard deviations.
 sampled = sampled_density(hf.sample(hf.fit("preisach-forc:n=16", curves)))
 figure = plt.figure(figsize=(11, 8.4), layout="constrained")
 plot_compared({"local quadratic regression": diagram, "posterior of a Preisach density": sampled}, figure, units=units)

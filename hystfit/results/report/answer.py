@@ -23,7 +23,7 @@ from hystfit.results.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
 
-_SAMPLED = 40  # parameters that a sampler still takes
+_SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of a window, or with a robust loss.
 _REMEDIED = (
     Code.FAILURE,
@@ -39,7 +39,7 @@ _REMEDIED = (
 
 @dataclasses.dataclass(frozen=True)
 class Wording:
-    """What the commands of a report name, and how its advice names options.
+    """Names of files and options in the commands and the advice of a report.
 
     Attributes:
         fit: folder of the fit, quoted for a shell.
@@ -63,7 +63,7 @@ class Wording:
 def loops_of(data: Dataset) -> str:
     """Names of data sets and paths of files that records came from, with the options for reading them, quoted for a shell.
 
-    LOOP stands where a record came from neither.
+    LOOP stands for records from neither.
     """
     known = datasets.names()
     places = [one.name if one.name in known else one.source if Path(one.source).is_file() else "LOOP" for one in data]
@@ -184,7 +184,7 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
-    keep = [] if wording.saved else [f"the same command with --out {wording.fit} keeps this fit; then"]
+    keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]
     return [*improve, *keep, *commands]
 
 

@@ -58,7 +58,7 @@ def headline(result: FitResult) -> str:
 
 
 def quantities_of(result: FitResult) -> str:
-    """Of which loop the quantities are; of a model that depends on time, how long a cycle lasts."""
+    """Heading of the quantities: their loop and, for a model that depends on time, the duration of a cycle."""
     text = "Quantities of the steady loop over the fitted input range"
     first = result.data[0]
     if result.model.rate_independent or first.t is None:
@@ -68,7 +68,7 @@ def quantities_of(result: FitResult) -> str:
 
 
 def verdict(result: FitResult) -> list[Note]:
-    """The notes on which the status rests, and those that limit it: also quantities in which model and measured loop differ."""
+    """The notes that explain or qualify the status, and quantities in which model and measured loop differ."""
     notes = [note for note in result.notes if note.code in _VERDICT]
     return notes + [_difference(one, result.data) for one in result.quantities if one.differs]
 
