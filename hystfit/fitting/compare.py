@@ -41,48 +41,23 @@ NO_LOOP = f"{WHITE}, out of which no loop stands"
 
 
 def search(run: ComparisonRun, chosen: Candidates) -> None:
-    """Run the candidates in order: the search for terms, other closed forms, those that iterate; a resonance first where one shows.
+    """Run the candidates in order: the search for terms, other closed forms, models that iterate, and those that wait for a reason.
 
-    Records that no one model can describe end it: the verdict is the same with every model. White residuals end it: what other models
-    would describe better is noise. Where the search describes some of the noise too, models with fewer parameters may predict better;
-    they need no time, because a lag or creep would show in the residuals. Where they show no loop, those that iterate are left out. At one
-    pace, at which a lag or a force of the rate may stand for a loop, models without time are tried too. Models of time wait where the
-    search found no such term: beside plays that do not fit a loop, creep may not show.
+    Records that no one model can describe end it after the search: the verdict is the same with every model.
     """
-    first, *others = closed = chosen.closed
-    run.run((first,))
+    run.run(chosen.closed[:1])
     if none_describes(list(run.data)):
         run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
         return
-    if white := first == SEARCH and run.is_white():
-        tried = Candidates((first,), timeless(chosen.iterated) if run.overfits() else ())
-        run.skip([name for name in chosen.names if name not in tried.names], WHITE)
-        chosen, others = tried, []
-        if not chosen.iterated:
-            return
-    if still := run.is_white(paced=True):
-        run.skip([name for name in others if name not in timeless(others)], WHITE)
-        others = timeless(others)
-    waiting = run.looked_at(others)
-    if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
-        run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
-        waiting = run.looked_at(others)
-    waiting = run.after_next(waiting)
-    found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
-    found, rings = dataclasses.replace(found, falls=falls(run.data)), _rings(run)
-    if still or (run.one_pace and run.is_white()):
-        found = dataclasses.replace(found, lag=0.0, creep=False, rate=0)
-    if not (rings or delay or found.timed):
-        chosen = chosen.timed_late()
-    if not white and run.shows_no_loop(chosen.iterated):
-        run.skip((*chosen.iterated, *chosen.late), NO_LOOP)
-        chosen = dataclasses.replace(chosen, iterated=(), late=())
-    if not rings:
-        run.skip(chosen.resonant, "the response shows no resonance")
-        chosen = dataclasses.replace(chosen, resonant=())
-    chosen = chosen.beside(found, delay)
-    turns = (*chosen.closed, *chosen.resonant), chosen.iterated
-    for number, names in enumerate(turns if rings else [sum(turns, ())]):
+    white, paced = chosen.closed[0] == SEARCH and run.is_white(), run.is_white(paced=True)
+    chosen = _beside_white_search(run, chosen) if white else _beside_paced_search(run, chosen) if paced else chosen
+    if white and not chosen.iterated:
+        return
+    closed, waiting = chosen.closed, _closed_forms(run, chosen)
+    rings = _rings(run)
+    chosen = _after_closed_forms(run, chosen, rings=rings, white=white, paced=paced)
+    first, second = (*chosen.closed, *chosen.resonant), chosen.iterated
+    for number, names in enumerate((first, second) if rings else ((*first, *second),)):
         if not white and run.is_white():
             run.skip((*(one.name for one in waiting), *names), WHITE)
         elif number and _resonance_needed(run):
@@ -90,7 +65,7 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if still or run.is_white(paced=None):
+    if paced or run.is_white(paced=None):
         run.skip(chosen.late, LATE)
         return
     late = [name for name in chosen.late if run.may_win(name)]
@@ -98,6 +73,58 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
     run.run(late)
     if chosen.last and _rough(run, closed):
         run.run(chosen.last)
+
+
+def _beside_white_search(run: ComparisonRun, chosen: Candidates) -> Candidates:
+    """What to try beside a search whose residuals are noise: other models could only describe the noise better.
+
+    Where the search describes some of the noise too, models with fewer parameters may predict better. Those without time suffice, because
+    a lag or creep would show in the residuals.
+    """
+    kept = Candidates(chosen.closed[:1], timeless(chosen.iterated) if run.overfits() else ())
+    run.skip([name for name in chosen.names if name not in kept.names], WHITE)
+    return kept
+
+
+def _beside_paced_search(run: ComparisonRun, chosen: Candidates) -> Candidates:
+    """What to try beside a search whose residuals are noise at one pace, where its lag or force of the rate may stand for a loop."""
+    first, *others = chosen.closed
+    kept = timeless(others)
+    run.skip([name for name in others if name not in kept], WHITE)
+    return dataclasses.replace(chosen, closed=(first, *kept))
+
+
+def _closed_forms(run: ComparisonRun, chosen: Candidates) -> list[Candidate]:
+    """Fit the closed form with the best first look, and return those that may still win."""
+    first, *others = chosen.closed
+    waiting = run.looked_at(others)
+    if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
+        run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
+        waiting = run.looked_at(others)
+    return run.after_next(waiting)
+
+
+def _after_closed_forms(run: ComparisonRun, chosen: Candidates, *, rings: bool, white: bool, paced: bool) -> Candidates:
+    """What remains to be tried, with the terms that the search found.
+
+    Args:
+        rings: whether the response shows a resonance.
+        white: whether the residuals of the search are noise.
+        paced: the same, where its terms of time may stand for a loop.
+    """
+    found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
+    found = dataclasses.replace(found, falls=falls(run.data))
+    if paced or (run.one_pace and run.is_white()):
+        found = dataclasses.replace(found, lag=0.0, creep=False, rate=0)
+    if not (rings or delay or found.timed):
+        chosen = chosen.timed_late()  # beside plays that do not fit a loop, creep may not show
+    if not white and run.shows_no_loop(chosen.iterated):
+        run.skip((*chosen.iterated, *chosen.late), NO_LOOP)
+        chosen = dataclasses.replace(chosen, iterated=(), late=())
+    if not rings:
+        run.skip(chosen.resonant, "the response shows no resonance")
+        chosen = dataclasses.replace(chosen, resonant=())
+    return chosen.beside(found, delay)
 
 
 def _rough(run: ComparisonRun, closed: Sequence[str]) -> bool:

@@ -163,26 +163,29 @@ class Comparison:
 
     @property
     def reason(self) -> str:
-        """Why the winner was chosen, in words."""
-        best, count = self.rows[0], sum(row.fitted for row in self.rows)
-        score = (
-            "" if best.score_percent is None else f" (cross-validation error {best.score_percent:.3g} % of the range)"
-        )
-        first = min(self.rows, key=lambda row: row.score)
-        reason = "is the only candidate for these data"
-        if len(self.rows) > 1:
-            reason = "leaves nothing but noise" if best.leaves_noise else "is the only model that was fitted"
-        if count > 1:
-            reason = f"is the best of {count} models by cross-validation"
-        if first.score != best.score:
-            reason = f"predicts held-out samples as well as the best of {count} models, with a simpler or converged fit"
-            if first.paced and not best.paced:
-                reason = (
-                    f"is taken before {first.name} ({first.score_percent:.3g} %), which depends on time: at one pace it could stand for "
-                    "the hysteresis, and a record at another pace tells them apart"
-                )
+        """Why the winner was chosen, and what the records do not test, in words."""
+        best = self.rows[0]
+        score = best.score_percent
+        error = "" if score is None else f" (cross-validation error {score:.3g} % of the range)"
         pace = "; another pace is not tested" if paces(self.winner.problem.data) == 1 else ""
-        return f"{best.name} {reason}{score}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
+        return f"{best.name} {self._why}{error}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
+
+    @property
+    def _why(self) -> str:
+        best, count = self.rows[0], sum(row.fitted for row in self.rows)
+        first = min(self.rows, key=lambda row: row.score)
+        if first.score != best.score and first.paced and not best.paced:
+            return (
+                f"is preferred to {first.name} ({first.score_percent:.3g} %), whose terms of time could imitate hysteresis because all "
+                "branches take the same time; a record at another pace would distinguish them"
+            )
+        if first.score != best.score:
+            return f"predicts held-out samples as well as the best of {count} models, and is simpler or converged"
+        if count > 1:
+            return f"is the best of {count} models by cross-validation"
+        if len(self.rows) == 1:
+            return "is the only candidate for these data"
+        return "leaves only noise in the residuals" if best.leaves_noise else "is the only model that was fitted"
 
     def table(self) -> Table:
         """The ranking."""

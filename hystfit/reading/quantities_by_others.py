@@ -22,11 +22,8 @@ _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by 
 _INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
 _COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
-_RETENTION = (
-    ("h", "theta"),
-    ("psi", "theta"),
-    ("s", "w"),
-)  # suction of a soil and its water, as a part of its volume or mass
+# Suction of a soil and its water, as a part of its volume or mass.
+_RETENTION = (("h", "theta"), ("psi", "theta"), ("s", "w"))
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
@@ -126,9 +123,8 @@ def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
-    rates = [
-        k for k in free if kinds[k] == "velocity"
-    ]  # of displacements, such as mass.s beside mass.v, and of no stress
+    # A rate shows that mass.s beside mass.v is a displacement and no stress.
+    rates = [k for k in free if kinds[k] == "velocity"]
     for k in [k for k in free if kinds[k] == "stress" and not table.units[k]]:
         if any(_is_rate(table.columns[rate], table.columns[k]) for rate in rates):
             kinds[k] = "displacement"
