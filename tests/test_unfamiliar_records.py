@@ -547,7 +547,8 @@ def test_a_switch_is_neither_clipped_nor_damaged() -> None:
     report = hf.check(record)
     assert not has(report.findings, Code.CLIPPED, Code.DEGRADING)
     assert report.advice is not None
-    assert report.advice.model.startswith("negate+preisach")
+    assert report.advice.model.startswith("negate+")
+    assert "preisach" in report.advice.model  # with a shift by the rate, because a sample is late by up to the interval
 
 
 def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:

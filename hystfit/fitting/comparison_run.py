@@ -348,7 +348,7 @@ class ComparisonRun:
     def shows_no_loop(self, names: Sequence[str]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""
         best = self.best_row
-        if best is None or best.status is not Status.NO_LOOP or not names:
+        if best is None or not names:
             return False
         return without_loop(self.fits[best.asked], min(weights_of(make_model(name)) for name in names))
 

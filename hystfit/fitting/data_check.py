@@ -48,29 +48,36 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
     without = data_only or charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
     found = None if without else _compared(records)
     shown = () if found is None else _traits(records, found)
-    advice, more = None, list[Note]()
-    if found is not None and not all(record.single_valued for record in report.records):
-        if not _is_curve(found):
-            advice = Advice(found.winner.name, found.reason)
-            followed = has(report.findings, Code.DRIFT, Code.LAG, Code.DYNAMICS)
-            more = [note for note in found.winner.notes if note.code is Code.DRIFT and not followed]
-        elif not has(report.findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT):
-            more = [_no_loop(found)]
-    findings = report.findings
-    if found is not None and advice is not None and not found.winner.model.degrades:
-        if found.rows[0].leaves_noise:
-            findings = tuple(note for note in findings if note.code is not Code.DEGRADING)
-        elif has(findings, Code.DEGRADING):
-            advice = None
+    advice, findings = _judged(report, found)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
     rank = lambda item: (item.model not in first, _RANK[item.verdict])
     return dataclasses.replace(
         report,
-        findings=(*findings, *more),
+        findings=findings,
         advice=advice,
         traits=shown,
         determines=tuple(sorted(report.determines, key=rank)),
     )
+
+
+def _judged(report: QualityReport, found: Comparison | None) -> tuple[Advice | None, tuple[Note, ...]]:
+    """The advice, and the findings with what the comparison adds and refutes."""
+    findings = report.findings
+    if found is None or all(record.single_valued for record in report.records):
+        return None, findings
+    if _is_curve(found):
+        explained = has(findings, Code.SINGLE_VALUED, Code.CROSSING, Code.DRIFT)
+        return None, findings if explained else (*findings, _no_loop(found))
+    if not has(findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
+        findings = (*findings, *(note for note in found.winner.notes if note.code is Code.DRIFT))
+    if has(findings, Code.FAILURE):  # a model can describe the part before it
+        return None, findings
+    if not found.winner.model.degrades:
+        if found.rows[0].leaves_noise:
+            findings = tuple(note for note in findings if note.code is not Code.DEGRADING)
+        elif has(findings, Code.DEGRADING):
+            return None, findings
+    return Advice(found.winner.name, found.reason), findings
 
 
 def _compared(records: Dataset) -> Comparison | None:
