@@ -207,7 +207,7 @@ def test_a_charge_counted_from_the_start_of_a_record_has_its_zero_in_the_middle(
     assert found["coercive_input_falling"].value == pytest.approx(-1.0, abs=0.01)
     assert found["offset_input"].value == pytest.approx(0.0, abs=0.01)
     (notes,) = quantities(record).notes.values() if lift else ((),)
-    assert bool(lift) == any("counted from the start" in note.text for note in notes)
+    assert bool(lift) == any("relative to the start" in note.text for note in notes)
 
 
 def test_of_reversal_curves_the_outermost_has_coercivity_and_remanence():
