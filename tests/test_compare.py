@@ -1005,3 +1005,14 @@ def test_resonant_stage_gets_its_resonance_and_no_fit_of_models_without_one():
     static = {row.asked for row in comparison.rows if row.status is Status.UNTESTED}
     assert {"duhem", "bouc-wen", "bouc-wen+relaxation", "preisach"} <= static
     assert not static & set(comparison.fits)
+
+
+def test_weights_of_either_sign_have_their_own_size_where_their_first_fit_errs_less(measured, monkeypatch):
+    """With the size of bounded weights, which are fitted first, they err three times as much."""
+    kinds = ("preisach", "preisach-signed", "preisach-magnetic")
+    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
+    rows = np.genfromtxt(measured / "tidy" / "mag_bh_MnZn_ferrite.csv", delimiter=",", skip_header=1)
+    loops = [rows[rows[:, 0] == k] for k in np.unique(rows[:, 0])]
+    data = hf.Dataset(tuple(hf.Record(loop[:, 1], loop[:, 2], name=f"{k}") for k, loop in enumerate(loops)))
+    alone = min(row.score for row in hf.compare(data, kinds).rows)
+    assert hf.compare(data).rows[0].score < 1.05 * alone

@@ -192,14 +192,14 @@ class ComparisonRun:
             rms = problem.scales.y * float(np.nan_to_num(np.sqrt(2 * estimate.cost / weight.sum()), nan=np.inf))
             one.first = First(rms, estimate.x.size, lowered=lowered, handicap=self._handicap(Status.OK, model))
 
-    def _alike(self, model: AbstractHysteresis) -> FitResult | None:
-        """The fit of another model with the same elements, whose bounds alone differ: one size serves both.
-
-        Beside bounded masses, and of reversal curves beside either.
-        """
+    def _alike(self, model: AbstractHysteresis, first: First | None = None) -> FitResult | None:
+        """The fit of a model with the same elements and other bounds, whose size serves both unless a first fit errs less."""
+        # Beside bounded masses, and of reversal curves beside either.
+        least = np.inf if first is None or first.model is None else first.error
         kinds = ((fit, type(fit.model)) for fit in self.fits.values() if model.choices(list(self.data)))
         alike = lambda kind: isinstance(model, kind) or (model.from_saturation and issubclass(kind, type(model)))
-        return next((fit for fit, kind in kinds if alike(kind) and type(model) is not kind), None)
+        found = (fit for fit, kind in kinds if alike(kind) and type(model) is not kind)
+        return next((fit for fit in found if (fit.left_out or 0.0) <= least), None)
 
     def _fit(self, one: Candidate, progress: Callable[[str], object]) -> None:
         """Fit a model of the size that suits the data."""
@@ -213,7 +213,7 @@ class ComparisonRun:
         # A model that is given, and settings in a name, give the size; the colon of my_model.py:MyModel is none.
         sized = isinstance(given, AbstractHysteresis) or ":" in name.replace(".py:", "")
         (known, self._equations), ready = (self._equations, None), None
-        if not sized and (alike := self._alike(model)) is not None:
+        if not sized and (alike := self._alike(model, one.first)) is not None:
             given = type(model).of(**alike.model.settings())
             if known is not None:  # of the same cells
                 ready = set_up_fit(given, self.data, self.options, held=True)
@@ -277,8 +277,8 @@ class ComparisonRun:
             return None
         most = self._most(Status.OK, make_model(name))
         error = 100 * first.error / self.span
-        # Sizes and other choices lower the error of a model with elements by about as much as that of another.
-        lowered = first.lowered if first.model is None else min(self._lowered, default=first.lowered)
+        # Sizes and other choices lower the error of a model with elements by about as much as that of another, or as a fit does.
+        lowered = min([first.lowered, *(self._lowered if first.model is not None else ())])
         if not np.isfinite(error) or error * lowered <= most:
             return None
         note = (
