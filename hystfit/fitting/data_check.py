@@ -70,9 +70,10 @@ def _judged(report: QualityReport, found: Comparison | None) -> tuple[Advice | N
         return None, findings if explained else (*findings, _no_loop(found))
     if not has(findings, Code.DRIFT, Code.LAG, Code.DYNAMICS):
         findings = (*findings, *(note for note in found.winner.notes if note.code is Code.DRIFT))
-    if has(findings, Code.FAILURE):  # a model can describe the part before it
-        return None, findings
-    if not found.winner.model.degrades:
+    degrades = found.winner.model.degrades
+    if has(findings, Code.FAILURE) and not (degrades and found.winner.status is Status.OK):
+        return None, findings  # a model can describe the part before it
+    if not degrades:
         if found.rows[0].leaves_noise:
             findings = tuple(note for note in findings if note.code is not Code.DEGRADING)
         elif has(findings, Code.DEGRADING):
