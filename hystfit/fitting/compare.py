@@ -65,13 +65,14 @@ def search(run: ComparisonRun, chosen: Candidates) -> None:
         else:
             run.finish([*waiting, *run.looked_at(names)], past_white=white)
         waiting = []
-    if paced or run.is_white(paced=None):
+    rough = _rough(run, closed)
+    if paced or (run.is_white(paced=None) and not rough):
         run.skip(chosen.late, LATE)
-        return
-    late = [name for name in chosen.late if run.may_win(name)]
-    run.skip([name for name in chosen.late if name not in late], NO_GAIN)
-    run.run(late)
-    if chosen.last and _rough(run, closed):
+    else:
+        late = [name for name in chosen.late if run.may_win(name)]
+        run.skip([name for name in chosen.late if name not in late], NO_GAIN)
+        run.run(late)
+    if chosen.last and rough:
         run.run(chosen.last)
 
 
