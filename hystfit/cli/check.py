@@ -61,7 +61,7 @@ def check(
         text += f"\n\n{properties.text()}"
         status = Status.UNTESTED if properties.outcome == "untested" else Status.OK
     if report.advice is not None or any(note.option for note in report.findings) or _sound_part(report) is not None:
-        text += _next_commands(loops, reading, remarks, report)
+        text += _next_command(loops, reading, remarks, report)
 
     def save(folder: Path) -> None:
         (folder / "check.txt").write_text(as_options(text) + "\n", encoding="utf-8")
@@ -69,7 +69,7 @@ def check(
     return finish(text, content, output, save, status=status)
 
 
-def _next_commands(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
+def _next_command(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
     """The command that follows, with the reading options that the notes propose."""
     reading_options = dict(note.option for note in remarks if note.option is not None)
     changed = dict(note.option for note in report.findings if note.option is not None)

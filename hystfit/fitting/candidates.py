@@ -37,7 +37,7 @@ class Candidates:
         closed: models whose weights follow from a linear solve: they take a tenth of a second each.
         iterated: models whose parameters are searched for.
         resonant: those of them with a resonance, which take longest.
-        late: those that depend on more speeds than long branches have, but short ones: where the others leave more than noise.
+        late: models tried only where the others leave more than noise: those that need more speeds than the long branches have.
         last: those for loops of the other direction that describe these too: where no other model does.
     """
 

@@ -129,7 +129,7 @@ def _after_closed_forms(run: ComparisonRun, chosen: Candidates, *, rings: bool, 
 
 
 def _rough(run: ComparisonRun, closed: Sequence[str]) -> bool:
-    """Whether the models with a closed form describe the loops roughly at best, of which `check` knows too."""
+    """Whether the best model with a closed form describes the loops only roughly, but better than a single-valued curve."""
     baselines = Baselines.of(run.data)
     least = min((row.score for row in run.rows if row.asked in closed), default=math.inf)
     return Limits.of(baselines).error < least < 100 * baselines.curve / run.span

@@ -336,7 +336,7 @@ class ComparisonRun:
         return equal_errors(samples, 1 if (best := self.best_row) is None else self._correlated[best.asked])
 
     def is_white(self, *, paced: bool | None = False) -> bool:
-        """Whether the best model leaves nothing but noise, and is `paced` or not, or either."""
+        """Whether the best model leaves only noise; `paced` also requires `Row.paced` of it to be this, None does not."""
         best = self.best_row
         return best is not None and best.leaves_noise and paced in (None, best.paced)
 

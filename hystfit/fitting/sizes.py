@@ -89,8 +89,8 @@ class SizeSearch:
         if not groups:
             return None
         best = self._best_of(groups[0], most)
-        for number in range(1, min(2, len(groups) - 1)):  # from another state, relays err three times as much
-            best = self._improved(best, number)
+        if len(groups) > 2:  # from another state, relays err three times as much
+            best = self._improved(best, 1)
         return best, self._scores[model_name(best)].held
 
     def _best_of(self, models: Sequence[AbstractHysteresis], most: float) -> AbstractHysteresis:
