@@ -7,7 +7,6 @@ import itertools
 import threading
 import weakref
 from pathlib import Path
-from types import SimpleNamespace
 from typing import ClassVar
 
 import equinox as eqx
@@ -19,14 +18,16 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.fitting import comparison_run, sizes, smooth_weights
+from hystfit.fitting import sizes, smooth_weights
+from hystfit.fitting.candidate_fits import CandidateFits
 from hystfit.fitting.candidates import candidates
-from hystfit.fitting.compare import NO_LOOP, _ranked
 from hystfit.fitting.comparison import Comparison, Purpose, Row
 from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.model_search import NO_LOOP
+from hystfit.fitting.ranking import ranked
 from hystfit.fitting.ridge import LinearSystem
 from hystfit.fitting.sizes import SizeSearch
 from hystfit.fitting.smooth_weights import SmoothWeights, left_out_scores
@@ -360,29 +361,21 @@ def test_of_first_fits_that_are_not_told_apart_that_with_the_fewest_parameters_i
 def beside(rival: Row, name: str, data: hf.Dataset, purpose: Purpose = "prediction") -> ComparisonRun:
     """A comparison of a model with one that was validated before."""
     run = ComparisonRun(data, "auto", purpose, FitOptions(), {}, ShownProgress(lambda *_: None, [name]), Workers(1))
-    run.rows.append(rival)
+    run.standings.add(rival)
     run.run([name])
     return run
 
 
-def test_a_first_fit_without_error_leaves_nothing_to_lower(monkeypatch):
+def test_a_first_fit_without_error_leaves_nothing_to_lower():
     """The loop of a simulation without noise, as scopes of simulators save it."""
-    monkeypatch.setattr(comparison_run, "correlation_of", lambda _: 1)
-    run = ComparisonRun(
-        stepped_loops(), "auto", "prediction", FitOptions(), {}, ShownProgress(lambda *_: None, ["duhem"]), Workers(1)
-    )
-    row = Row("duhem", "duhem", 0.0, 0.0, 0.0, 5, 0.0, Status.OK, obstacles={})
-    exact = Candidate("duhem", row=row, first=First(0.0, 5, make_model("duhem")))
-    exact.solved, exact.result = SimpleNamespace(), SimpleNamespace(left_out=0.0)
-    assert run._keep_finished([exact]) == []
-    assert [*run.fits] == ["duhem"]
+    assert [First(error, 5).left_by(0.5) for error in (0.0, 0.25, 1.0)] == [1.0, 1.0, 0.5]
 
 
 def test_only_a_model_that_serves_the_purpose_stops_others():
     rival = Row("delay", "delay", 1e-3, 1e-3, 1e-3, 5, 0.0, Status.OK, obstacles={"inverse": "late"})
     for purpose in ("inverse", "prediction"):
         comparing = beside(rival, "duhem", stepped_loops(), purpose)
-        assert (comparing.rows[1].score_percent is None) == (purpose == "prediction")
+        assert (comparing.standings.rows[1].score_percent is None) == (purpose == "prediction")
 
 
 @pytest.mark.parametrize(
@@ -398,9 +391,9 @@ def test_a_fit_that_errs_more_than_another_model_on_left_out_data_is_not_validat
     for best, validated in ((0.8 * error, False), (0.9 * score, False), (1.05 * score, True)):
         rival = Row("rival", "rival", best, error, error, 5, 0.0, Status.OK, obstacles={})
         comparing = beside(rival, name, data)
-        assert (comparing.rows[1].score_percent is not None) == validated
-        assert comparing.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
-        assert bool(comparing.rows[1].note) != validated
+        assert (comparing.standings.rows[1].score_percent is not None) == validated
+        assert comparing.standings.rows[1].in_sample_percent == pytest.approx(error, rel=0.01)
+        assert bool(comparing.standings.rows[1].note) != validated
 
 
 def test_a_fit_that_is_worth_nothing_is_not_finished():
@@ -544,21 +537,21 @@ def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(
     """`preisach` errs ten times more when it is validated than at first; `preisach-magnetic` begins below that."""
     begun = {"preisach": 0.1, "preisach-magnetic": 0.2}
 
-    def first(run, one, progress):
-        one.first = First(begun[one.name] * run.span / 100, 9, make_model(one.name))
+    def first(fits, one, progress):
+        one.first = First(begun[one.name] * fits.standings.span / 100, 9, make_model(one.name))
 
-    def validated(run, one, progress):
-        one.result, one.solved = with_left_out(fit, run.span / 100), fit
+    def validated(fits, one, progress):
+        one.result, one.solved = with_left_out(fit, fits.standings.span / 100), fit
         one.row = Row(one.name, one.name, 1.0, 1.0, 1.0, 9, 0.0, Status.OK, obstacles={})
 
     fit = hf.fit("duhem", stepped_loops())
-    for name, stub in (("_first_fit", first), ("_fit", lambda run, one, progress: None), ("_validate", validated)):
-        monkeypatch.setattr(ComparisonRun, name, stub)
-    monkeypatch.setattr(ComparisonRun, "_beaten_row", lambda run, one: None)
+    for name, stub in (("first", first), ("fit", lambda fits, one, progress: None), ("validate", validated)):
+        monkeypatch.setattr(CandidateFits, name, stub)
+    monkeypatch.setattr(CandidateFits, "beaten", lambda fits, one: None)
     shown = ShownProgress(lambda *_: None, list(begun))
     run = ComparisonRun(stepped_loops(), "auto", "prediction", FitOptions(), {}, shown, Workers(1))
     run.run(list(begun))
-    assert {row.asked: row.score_percent for row in run.rows} == dict.fromkeys(begun, 1.0)
+    assert {row.asked: row.score_percent for row in run.standings.rows} == dict.fromkeys(begun, 1.0)
 
 
 def test_progress_counts_a_model_once_and_those_that_join():
@@ -828,31 +821,31 @@ def test_of_models_that_predict_alike_the_simplest_converged_one_ranks_first():
     ]
     equal = equal_errors(1250)
     assert equal == pytest.approx(1.02)
-    assert [r.name for r in _ranked(rows, "prediction", equal=equal)] == ["small", "large", "worse", "stuck"]
-    assert [r.name for r in _ranked(rows[:2], "prediction", equal=equal)] == ["large", "stuck"]
-    assert [r.name for r in _ranked(rows, "prediction", 0.11, equal=equal)] == ["worse", "small", "large", "stuck"]
+    assert [r.name for r in ranked(rows, "prediction", equal=equal)] == ["small", "large", "worse", "stuck"]
+    assert [r.name for r in ranked(rows[:2], "prediction", equal=equal)] == ["large", "stuck"]
+    assert [r.name for r in ranked(rows, "prediction", 0.11, equal=equal)] == ["worse", "small", "large", "stuck"]
     poor = [dataclasses.replace(r, status=Status.POOR) if r.name == "small" else r for r in rows]
-    assert _ranked(poor, "prediction", equal=equal)[0].name == "large"
+    assert ranked(poor, "prediction", equal=equal)[0].name == "large"
     without = dataclasses.replace(row("without an inverse", 0.1, 40), family_inverts=False)
-    assert _ranked([row("poor", 0.11, 3, Status.POOR), without], "prediction", equal=equal)[0] is without
+    assert ranked([row("poor", 0.11, 3, Status.POOR), without], "prediction", equal=equal)[0] is without
     for against, first in (
         (9.0, "small"),
         (11.0, "large"),
     ):  # BIC against the smaller model, which is strong evidence above 10
         judged = [dataclasses.replace(r, bic=50.0 + against * (r.name != "large")) for r in rows]
-        assert _ranked(judged, "prediction", equal=equal)[0].name == first
-        assert _ranked(judged, "prediction", 0.11, equal=equal)[0].name == "worse"  # of rounding errors it is none
+        assert ranked(judged, "prediction", equal=equal)[0].name == first
+        assert ranked(judged, "prediction", 0.11, equal=equal)[0].name == "worse"  # of rounding errors it is none
 
 
 def test_a_search_that_did_not_end_is_not_first_beside_a_fit_that_can_be_used():
     """A piezo actuator whose creep goes on: errors of 0.103 % by a search without end, and of 0.19 % by plays and creep."""
     row = lambda name, score, status: Row(name, name, score, 1.0, 1.0, 5, 0.0, status)
     rows = [row("stuck", 0.004, Status.NOT_CONVERGED), row("ended", 0.008, Status.OK), row("curve", 0.02, Status.OK)]
-    assert [r.name for r in _ranked(rows, "prediction")] == ["ended", "stuck", "curve"]
+    assert [r.name for r in ranked(rows, "prediction")] == ["ended", "stuck", "curve"]
     larger = [dataclasses.replace(r, score_percent=100 * r.score_percent) for r in rows]
-    assert [r.name for r in _ranked(larger, "prediction")] == ["ended", "stuck", "curve"]
+    assert [r.name for r in ranked(larger, "prediction")] == ["ended", "stuck", "curve"]
     for status in (Status.POOR, Status.ROUGH):
-        assert _ranked([rows[0], row("unlike", 0.008, status)], "prediction")[0].name == "stuck"
+        assert ranked([rows[0], row("unlike", 0.008, status)], "prediction")[0].name == "stuck"
 
 
 def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():
@@ -864,7 +857,7 @@ def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():
 def test_a_model_that_was_stopped_ranks_below_those_that_found_no_loop():
     row = lambda name, score, status: Row(name, name, score, 1.0, 1.0, 5, 0.0, status)
     rows = [row("stopped", None, Status.UNTESTED), row("curve", 0.5, Status.NO_LOOP), row("poor", 0.4, Status.NO_LOOP)]
-    assert [r.name for r in _ranked(rows, "prediction")] == ["poor", "curve", "stopped"]
+    assert [r.name for r in ranked(rows, "prediction")] == ["poor", "curve", "stopped"]
 
 
 def test_rounding_errors_that_recur_every_cycle_are_not_described_by_terms():

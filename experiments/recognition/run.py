@@ -19,6 +19,9 @@ from common import Results, arguments, table
 import hystfit as hf
 from hystfit.errors import HystfitError
 from hystfit.fitting.comparison import Comparison
+from hystfit.fitting.data_check import is_settled, with_models
+from hystfit.models.registry import judged
+from hystfit.quality.check import examine
 
 # Every family, with the filters that its records may need; those that need time are left out for records without it.
 ALL_RECORDS = (
@@ -58,13 +61,13 @@ def best_fitting(case: Case, chosen: Comparison) -> tuple[str, float]:
 
 def judge(case: Case, quick: bool) -> tuple[list, bool, float | None]:
     """A row of the table, whether the status is wrong, and the error over that of the best model."""
-    report = hf.check(case.data)
-    advised = report.advice.model if report.advice else "none"
     try:
         chosen = hf.compare(case.data, progress=lambda *_: None)
     except HystfitError as error:
-        row = [case.name, case.kind, advised, f"refused: {error}", "", None, "", None]
-        return row, case.usable, None
+        return [case.name, case.kind, "none", f"refused: {error}", "", None, "", None], case.usable, None
+    report = examine(case.data, judged())
+    report = with_models(report, case.data, None if is_settled(report) else chosen)
+    advised = report.advice.model if report.advice else "none"
     first = chosen.rows[0]
     name, error = ("", None) if quick else best_fitting(case, chosen)
     ratio = first.score_percent / error if error and first.score_percent is not None else None

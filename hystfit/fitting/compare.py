@@ -1,162 +1,30 @@
-"""`compare`: which model describes these loops best, judged on data that were left out of its fit; in which order models are tried."""
+"""`compare`: which model describes these loops best, judged on data that were left out of its fit."""
 
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.config import verb
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
-from hystfit.fitting.candidates import Candidates, candidates, timeless
-from hystfit.fitting.comparison import MARGIN, STRONG, UNFIT, Comparison, Fits, Purpose, Row
-from hystfit.fitting.comparison_run import WHITE, ComparisonRun
-from hystfit.fitting.contender import Candidate
+from hystfit.fitting.candidates import Candidates, candidates
+from hystfit.fitting.comparison import Comparison, Fits, Purpose, Row
+from hystfit.fitting.comparison_run import ComparisonRun
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.left_out import CHOICES, LeftOut
-from hystfit.fitting.remains import correlation_of
-from hystfit.fitting.structure import Structure, falls, structure_of
+from hystfit.fitting.model_search import search
+from hystfit.fitting.ranking import ranked
 from hystfit.fitting.thinning import coarse
 from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
-from hystfit.models.starting import output_range
-from hystfit.outcome import Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
-from hystfit.quality.baselines import Baselines, rounding_error
-from hystfit.quality.equal_inputs import none_describes
-from hystfit.quality.held_out import Scheme
-from hystfit.quality.summary import dynamics_of
+from hystfit.quality.baselines import rounding_error
 from hystfit.reading.in_memory import records_of
-from hystfit.results.accuracy import Limits
 from hystfit.runs.threads import Workers
-
-LATE = "such models of time are tried where the others leave more than noise"
-NO_GAIN = "the noise alone exceeds the error with which it would win"
-NO_LOOP = f"{WHITE}, out of which no loop stands"
-
-
-def search(run: ComparisonRun, chosen: Candidates) -> None:
-    """Run the candidates in order: the search for terms, other closed forms, models that iterate, and those that wait for a reason.
-
-    Records that no one model can describe end it after the search: the verdict is the same with every model.
-    """
-    run.run(chosen.closed[:1])
-    if none_describes(list(run.data)):
-        run.skip(chosen.names[1:], "no one model describes records that differ at equal inputs")
-        return
-    white, paced = chosen.closed[0] == SEARCH and run.is_white(), run.is_white(paced=True)
-    chosen = _beside_white_search(run, chosen) if white else _beside_paced_search(run, chosen) if paced else chosen
-    if white and not chosen.iterated:
-        return
-    closed, waiting = chosen.closed, _closed_forms(run, chosen)
-    rings = _rings(run)
-    chosen = _after_closed_forms(run, chosen, rings=rings, white=white, paced=paced)
-    first, second = (*chosen.closed, *chosen.resonant), chosen.iterated
-    for number, names in enumerate((first, second) if rings else ((*first, *second),)):
-        if not white and run.is_white():
-            run.skip((*(one.name for one in waiting), *names), WHITE)
-        elif number and _resonance_needed(run):
-            run.skip(names, "a resonance is needed")
-        else:
-            run.finish([*waiting, *run.looked_at(names)], past_white=white)
-        waiting = []
-    rough = _rough(run, closed)
-    if paced or (run.is_white(paced=None) and not rough):
-        run.skip(chosen.late, LATE)
-    else:
-        late = [name for name in chosen.late if run.may_win(name)]
-        run.skip([name for name in chosen.late if name not in late], NO_GAIN)
-        run.run(late)
-    if chosen.last and rough:
-        run.run(chosen.last)
-
-
-def _beside_white_search(run: ComparisonRun, chosen: Candidates) -> Candidates:
-    """What to try beside a search whose residuals are noise: other models could only describe the noise better.
-
-    Where the search describes some of the noise too, models with fewer parameters may predict better. Those without time suffice, because
-    a lag or creep would show in the residuals.
-    """
-    kept = Candidates(chosen.closed[:1], timeless(chosen.iterated) if run.overfits() else ())
-    run.skip([name for name in chosen.names if name not in kept.names], WHITE)
-    return kept
-
-
-def _beside_paced_search(run: ComparisonRun, chosen: Candidates) -> Candidates:
-    """What to try beside a search whose residuals are noise at one pace, where its lag or force of the rate may stand for a loop."""
-    first, *others = chosen.closed
-    kept = timeless(others)
-    run.skip([name for name in others if name not in kept], WHITE)
-    return dataclasses.replace(chosen, closed=(first, *kept))
-
-
-def _closed_forms(run: ComparisonRun, chosen: Candidates) -> list[Candidate]:
-    """Fit the closed form with the best first look, and return those that may still win."""
-    first, *others = chosen.closed
-    waiting = run.looked_at(others)
-    if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
-        run.run_again((first,), dataclasses.replace(run.options, spacing=spacing))
-        waiting = run.looked_at(others)
-    return run.after_next(waiting)
-
-
-def _after_closed_forms(run: ComparisonRun, chosen: Candidates, *, rings: bool, white: bool, paced: bool) -> Candidates:
-    """What remains to be tried, with the terms that the search found.
-
-    Args:
-        rings: whether the response shows a resonance.
-        white: whether the residuals of the search are noise.
-        paced: the same, where its terms of time may stand for a loop.
-    """
-    found, delay = structure_of(run.fits[SEARCH].model) if SEARCH in run.fits else (Structure(), False)
-    found = dataclasses.replace(found, falls=falls(run.data))
-    if paced or (run.one_pace and run.is_white()):
-        found = dataclasses.replace(found, lag=0.0, creep=False, rate=0)
-    if not (rings or delay or found.timed):
-        chosen = chosen.timed_late()  # beside plays that do not fit a loop, creep may not show
-    if not white and run.shows_no_loop(chosen.iterated):
-        run.skip((*chosen.iterated, *chosen.late), NO_LOOP)
-        chosen = dataclasses.replace(chosen, iterated=(), late=())
-    if not rings:
-        run.skip(chosen.resonant, "the response shows no resonance")
-        chosen = dataclasses.replace(chosen, resonant=())
-    return chosen.beside(found, delay)
-
-
-def _rough(run: ComparisonRun, closed: Sequence[str]) -> bool:
-    """Whether the best model with a closed form describes the loops only roughly, but better than a single-valued curve."""
-    baselines = Baselines.of(run.data)
-    least = min((row.score for row in run.rows if row.asked in closed), default=math.inf)
-    return Limits.of(baselines).error < least < 100 * baselines.curve / run.span
-
-
-def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
-    """Samples over which the residuals of the best model so far are correlated, where scattered samples are held out; else 1."""
-    if run.held.scheme is not Scheme.SCATTERED:
-        return 1
-    firsts = [one.first for one in waiting if one.first is not None]
-    least, best = min(firsts, key=lambda first: first.ranked, default=None), run.best_row
-    if least is not None and least.model is not None:
-        if best is None or least.error / run.span < best.score / 100:
-            return run.correlation_of_model(least.model)
-    return 1 if best is None else correlation_of(run.fits[best.asked])
-
-
-def _rings(run: ComparisonRun) -> bool:
-    """Whether the response of the longest record changes with frequency as that of an oscillator."""
-    found = dynamics_of(max(run.data, key=len))
-    return found is not None and found.resonant
-
-
-def _resonance_needed(run: ComparisonRun) -> bool:
-    """Whether the search, which has no resonance, errs far more than the best model."""
-    own = next((row.score for row in run.rows if row.asked == SEARCH), 0.0)
-    return run.best is not None and own > MARGIN * run.best
 
 
 @verb
@@ -225,8 +93,9 @@ def compare(
             run.run(chosen.names)
         else:
             search(run, chosen)
-    rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
-    if not run.fits:
+    found = run.standings
+    rows = ranked(found.rows, purpose, 100 * rounding_error(data) / found.span, equal=found.equal)
+    if not found.fits:
         raise _refusal(run.errors, rows)
     best = rows[0]
     if purpose != "prediction" and not best.serves(purpose):
@@ -234,7 +103,7 @@ def compare(
             f"{row.name}: {row.obstacles[purpose]}" for row in rows if row.obstacles and purpose in row.obstacles
         )
         raise ModelError(f"no model that was fitted can be used for {purpose}: {reasons}")
-    fits = Fits(run.fits, run.judged)
+    fits = Fits(found.fits, run.judged)
     return Comparison(tuple(rows), fits[best.asked], fits, run.scheme, purpose)
 
 
@@ -262,59 +131,3 @@ def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]
         count = sum(name == base or name.startswith(f"{base} (") for name in chosen)
         chosen[f"{base} ({count + 1})" if count else base] = choice
     return chosen
-
-
-def _ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
-    """From best to worst; among errors that do not differ, fits that converged and describe the loop, at one pace those without time, those
-    without strong evidence against them by BIC, fewer determined parameters and an inverse come first.
-
-    A few large errors decide held-out errors, which then do not differ, though one model describes all other samples better. A fit that has
-    not converged is not first beside one that can be used.
-
-    Args:
-        rows: of the models.
-        purpose: of the choice.
-        floor: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
-        equal: ratio to the smallest error up to which they do not differ.
-    """
-    ranked = sorted(rows, key=lambda row: _rank(row, purpose))
-    if not ranked or ranked[0].score_percent is None:
-        return ranked
-    least = _error(ranked[0])
-    ended = [row for row in ranked if row.status not in UNFIT]
-    unfinished = ranked[0].status is Status.NOT_CONVERGED
-    if unfinished and ended and ended[0].status is Status.OK:
-        first = _ranked(ended, purpose, floor, equal=equal)[0]
-        return [first, *(row for row in ranked if row is not first)]
-    kind = _rank(ranked[0], purpose)[:-1]
-    most = max(equal * least, floor)
-    alike = [row for row in ranked if _rank(row, purpose)[:-1] == kind and _error(row) <= most]
-    plain = lambda row: (
-        row.hysteretic,
-        row.effective or row.parameters or 0,
-        not row.family_inverts,
-        row.score_percent,
-    )
-    # Rounding errors are no evidence.
-    bics = [row.bic for row in alike if row.bic is not None] if equal * least > floor else []
-    limit = min(bics, default=math.inf) + STRONG
-    unlikely = lambda row: row.bic is not None and row.bic > limit
-    simple = sorted(alike, key=lambda row: (row.status in UNFIT, row.paced, unlikely(row), *plain(row)))
-    return simple + ranked[len(alike) :]
-
-
-def _error(row: Row) -> float:
-    """Error by which a model ranks [percent of range]: one that describes the loops only roughly must err clearly less."""
-    return (row.ranked_percent or 0.0) * (MARGIN if row.status is Status.ROUGH else 1.0)
-
-
-def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
-    """Validated models first, then those that serve the purpose, then the smallest error on left-out data."""
-    return (
-        row.in_sample_percent is None,
-        row.status is Status.UNTESTED,
-        row.status is Status.NO_LOOP and row.hysteretic,
-        purpose != "prediction" and not row.serves(purpose),
-        row.score_percent is None,
-        _error(row) or (row.in_sample_percent or 0.0) * row.handicap,
-    )

@@ -32,6 +32,10 @@ class First(NamedTuple):
         """The error by which it ranks."""
         return self.error * self.handicap
 
+    def left_by(self, error: float) -> float:
+        """Part of its error that a fit with an error [y] leaves."""
+        return error / self.error if error < self.error else 1.0
+
 
 @dataclasses.dataclass
 class Candidate:

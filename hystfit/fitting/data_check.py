@@ -44,9 +44,18 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
     """
     records = records_of(data, y, t, u=u)
     report = examine(records, judged())
+    found = None if data_only or is_settled(report) else _compared(records)
+    return with_models(report, records, found)
+
+
+def is_settled(report: QualityReport) -> bool:
+    """Whether no model can add to a report: there is no loop, no one loop, or the current is to be integrated first."""
     charge = any(note.option == _INTEGRATED for note in report.findings)
-    without = data_only or charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
-    found = None if without else _compared(records)
+    return charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
+
+
+def with_models(report: QualityReport, records: Dataset, found: Comparison | None) -> QualityReport:
+    """A report of records with what a comparison adds: which model a fit takes, what the loops show, which findings it refutes."""
     shown = () if found is None else _traits(records, found)
     advice, findings = _judged(report, found)
     first = set() if advice is None else {judged_as(part.partition(":")[0]) for part in advice.model.split("+")}
