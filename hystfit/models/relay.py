@@ -65,7 +65,7 @@ class Relay(AbstractHysteresis):
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Jump where the input is beyond a threshold."""
         s = jnp.where(u1 > self.up, 1.0, jnp.where(u1 < self.down, 0.0, state[0]))
-        return s[None], self.low + (self.high - self.low) * s
+        return s[None], jnp.where(s > 0.5, self.high, self.low)
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Where the output is low, and where it is high."""

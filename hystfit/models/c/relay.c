@@ -11,5 +11,5 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     (void)dt;
     if (next)
         next[0] = state;
-    return @M@_LOW + (@M@_HIGH - @M@_LOW) * state;
+    return state > 0.5 ? @M@_HIGH : @M@_LOW;
 }
