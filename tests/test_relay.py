@@ -1,4 +1,4 @@
-"""A single relay against a plain loop: its thresholds with their errors, its levels, records of all kinds, and the choice between models."""
+"""A single relay against a plain loop: its thresholds with their errors, records of all kinds, and the choice between models."""
 
 from __future__ import annotations
 
@@ -116,7 +116,9 @@ def _coverage(interval: float, scatter: float, in_sensor: bool, seeds: int) -> f
 @pytest.mark.parametrize("interval", [2.0, 10.0, 40.0])
 @pytest.mark.parametrize("scatter", [0.0, 0.02, 0.1, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_two_standard_errors_hold_the_thresholds(interval: float, scatter: float) -> None:
-    assert _coverage(interval, scatter, in_sensor=True, seeds=30) >= 0.93  # of 95 %, 60 thresholds miss 7 % with less than 1 in 5
+    assert (
+        _coverage(interval, scatter, in_sensor=True, seeds=30) >= 0.93
+    )  # of 95 %, 60 thresholds miss 7 % with less than 1 in 5
 
 
 def test_errors_are_no_larger_than_the_samples_are_apart() -> None:
@@ -204,7 +206,9 @@ def test_it_is_saved_and_opened(tmp_path: Path) -> None:
 def test_a_trigger_whose_output_rises_is_taken_for_a_relay(record: hf.Record) -> None:
     found = hf.compare(record)
     assert found.rows[0].name == "relay"
-    assert found.rows[0].score == pytest.approx(100 * 0.1 / np.ptp(NOISY.y) if record is NOISY else 0.0, rel=0.2, abs=1e-5)
+    assert found.rows[0].score == pytest.approx(
+        100 * 0.1 / np.ptp(NOISY.y) if record is NOISY else 0.0, rel=0.2, abs=1e-5
+    )
 
 
 @pytest.mark.slow
@@ -245,3 +249,13 @@ def test_the_shell_fits_a_file_of_a_thermostat(tmp_path: Path, capsys: pytest.Ca
 def test_the_dataset_of_one_level_is_refused() -> None:
     with pytest.raises(hf.errors.DataError):
         hf.fit("relay", Dataset.of(hf.Record(TEMPERATURE, np.ones(T.size))))
+
+
+def test_methods_that_need_derivatives_are_refused_unless_the_thresholds_are_fixed() -> None:
+    for method in (hf.sample, hf.profile, hf.design, hf.standard_errors):
+        with pytest.raises(ModelError, match="--fix up --fix down"):
+            method(hf.fit("relay", NOISY))
+    held = hf.fit("relay", NOISY, fix=["up", "down"])
+    assert held.train.rmse == pytest.approx(hf.fit("relay", NOISY).train.rmse)
+    high = hf.profile(held).profiles["high"]
+    assert high.upper == pytest.approx(estimate(held, "high")[0] + 1.96 * estimate(held, "high")[1], rel=1e-3)

@@ -33,8 +33,8 @@ class Switching(Convex):
         space = problem.space
         if space.ties:
             raise ParameterError("tied parameters need another method than 'switching': choose method='lm'")
-        for name, info in zip(space.names, space.infos, strict=True):
-            if not (info.linear or info.stepwise):
+        for name, linear in zip(space.names, space.linear, strict=True):
+            if not (linear or name in space.stepwise_names):
                 raise ModelError(
                     f"thresholds are searched for beside linear weights alone, and {name} is free: give it a value (fix=)"
                 )

@@ -29,8 +29,8 @@ from .rate import SaturatingRate as SaturatingRate
 from .rate import Viscous as Viscous
 from .rate_plays import RateDependentPlays as RateDependentPlays
 from .rate_shift import RateShift as RateShift
-from .relay import Relay as Relay
 from .relaxation import Relaxation as Relaxation
+from .relay import Relay as Relay
 from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
 from .simulation import Resume as Resume

@@ -211,9 +211,12 @@ class AbstractHysteresis(AbstractDynamics):
         return ()
 
     def step_errors(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """A model of this structure, whose parameters are the standard errors on records of those in which the output is piecewise constant.
+        """A model of this structure with standard errors in place of the parameters in which the output is piecewise constant.
 
-        All others are NaN, as derivatives of the output give their errors.
+        All others are NaN, because derivatives of the output give their errors.
+
+        Args:
+            records: those of the fit.
         """
         return jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), self)
 

@@ -38,7 +38,9 @@ class Relay(AbstractHysteresis):
         ModelError: up below down.
     """
 
-    no_inverse: ClassVar[str] = "a relay has no inverse: its output takes two levels, and no input leads to values between them"
+    no_inverse: ClassVar[str] = (
+        "a relay has no inverse: its output takes two levels, and no input leads to values between them"
+    )
     rate_independent: ClassVar[bool] = True
     c_template: ClassVar[str] = "relay"
     has_fast_run: ClassVar[bool] = True

@@ -89,7 +89,9 @@ class Series(AbstractComposition):
 
     def step_errors(self, records: Sequence[Record]) -> Series:
         """Those of each part on the output of the part before it."""
-        arriving = itertools.accumulate(self.parts[:-1], lambda records, part: _behind(part, records), initial=list(records))
+        arriving = itertools.accumulate(
+            self.parts[:-1], lambda records, part: _behind(part, records), initial=list(records)
+        )
         return type(self)(*(part.step_errors(of) for part, of in zip(self.parts, arriving, strict=True)))
 
     def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:

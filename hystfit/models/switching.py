@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -15,7 +15,10 @@ _FIRST = 5  # thresholds of either kind, spread over those of the jumps, of whic
 _PLACES = 16  # thresholds tried at a time where one of them is moved
 _ROUNDS = 4  # turns at moving one threshold and the other; the second changes nothing in records without noise
 _EQUAL = 1e-9  # of the output's variance: sums of squares that differ by rounding alone
-_JUMPS, _GRID = 200, 30  # jumps whose inputs tell the error of a threshold, at most; scatters, and half the thresholds, that are summed over
+_JUMPS, _GRID = (
+    200,
+    30,
+)  # jumps whose inputs tell the error of a threshold, at most; scatters, and half the thresholds, that are summed over
 
 
 def relay_state(u: Float[np.ndarray, " T"], up: float, down: float) -> Bool[np.ndarray, " T"]:
@@ -43,7 +46,9 @@ def resting_on_first_state(record: Record) -> Record:
     if record.first > 0 and record.u[0] == farthest:  # prepared before
         return record
     t = None if record.t is None else np.append(record.t[0] - record.dt[0], record.t)
-    longer = (np.append(first, column) for first, column in ((farthest, record.u), (np.nan, record.y), (0.0, record.weight)))
+    longer = (
+        np.append(first, column) for first, column in ((farthest, record.u), (np.nan, record.y), (0.0, record.weight))
+    )
     return record.replace(**dict(zip(("u", "y", "weight"), longer, strict=True)), t=t)
 
 
@@ -112,18 +117,23 @@ class _Samples(NamedTuple):
         """The same, each where it is most likely about a jump of a relay: from halfway to the one before it to halfway to the next."""
         at, (weight, moment) = np.flatnonzero(self.weight > 0), self.sums(np.array([up]), np.array([down]))
         level = self.states(np.array([up]), np.array([down]))[0][at]
+        changes = self._changes(at, level)
+        if not changes.size:
+            return self._inputs(at, changes, level[changes])
         low, high = -moment / (self.weight.sum() - weight), moment / weight
         # What the outputs up to a sample say for the high level against the low one.
-        y = self.y[at]
-        evidence = np.cumsum(self.weight[at] * ((y - low) ** 2 - (y - high) ** 2))
-        changes = self._changes(at, level)
-        edges = np.concatenate([[0], changes, [at.size - 1]])
-        halves = (edges[1:] + edges[:-1]) // 2
+        evidence = np.cumsum(self.weight[at] * ((self.y[at] - low) ** 2 - (self.y[at] - high) ** 2))
+        record, own = self.begin[at], self.begin[at[changes]]
+        before = np.maximum(np.append(0, changes[:-1]), np.searchsorted(record, own))
+        ends = np.searchsorted(record, own, side="right") - 2
+        after = np.minimum(np.append(changes[1:], at.size), ends)
         moved = [
-            first + int((np.argmin if level[change + 1] else np.argmax)(evidence[first : last + 1]))
-            for first, change, last in zip(halves, changes, halves[1:], strict=False)
+            first + int((np.argmin if rises else np.argmax)(evidence[first : last + 1]))
+            for first, last, rises in zip(
+                (before + changes) // 2, (changes + after) // 2, level[changes + 1], strict=True
+            )
         ]
-        return self._inputs(at, np.array(moved, dtype=int), level[changes + 1])
+        return self._inputs(at, np.array(moved), level[changes + 1])
 
     def _changes(self, at: np.ndarray, level: np.ndarray) -> np.ndarray:
         """Numbers of the samples `at` after which the level changes within a record."""
@@ -155,8 +165,8 @@ class Thresholds(NamedTuple):
         up, down = places.best_pair(jumps)
         for _ in range(_ROUNDS):
             before = up, down
-            up = places.range_of(lambda values: (values, down.middle), jumps[0])
-            down = places.range_of(lambda values: (up.middle, values), jumps[1])
+            up = places.range_of(jumps[0], down=down.middle)
+            down = places.range_of(jumps[1], up=up.middle)
             if (up, down) == before:
                 break
         weight, moment = (float(values[0]) for values in samples.sums(np.array([up.middle]), np.array([down.middle])))
@@ -208,8 +218,8 @@ class _Places(NamedTuple):
         k = int(np.argmax(self.samples.explained(up, down)))
         return _Range(up[k], up[k]), _Range(down[k], down[k])
 
-    def range_of(self, pair: Callable[[np.ndarray], tuple[Any, Any]], jumps: np.ndarray) -> _Range:
-        """The range of the best values of one threshold beside the other; `pair` gives both for such values.
+    def range_of(self, jumps: np.ndarray, *, up: float | None = None, down: float | None = None) -> _Range:
+        """The range of the best values of one threshold beside the other, which is given.
 
         Args:
             jumps: inputs before and after each, shape (N, 2); the range is looked for between the outermost of them.
@@ -217,7 +227,8 @@ class _Places(NamedTuple):
         last = self.edges.size - 2
         ends = np.searchsorted(self.edges, [jumps.min(), jumps.max()]) if len(jumps) else np.array([0, last])
         low, high = np.clip([ends[0] - 1, ends[1] + 1], 0, last)
-        explained = lambda at: self.samples.explained(*np.broadcast_arrays(*pair(self.values(at))))
+        of = lambda at, given: self.values(at) if given is None else np.full(at.size, given)
+        explained = lambda at: self.samples.explained(of(at, up), of(at, down))
         equal = _EQUAL * float(self.samples.weight @ self.samples.y**2)
         first, final = _highest(explained, int(low), int(high), equal)
         return _Range(float(self.edges[first]), float(self.edges[final + 1]))
