@@ -27,6 +27,7 @@ from hystfit.models.starting import output_range
 from hystfit.outcome import Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import Baselines, rounding_error
 from hystfit.quality.equal_inputs import none_describes
 from hystfit.quality.held_out import Scheme
@@ -225,7 +226,8 @@ def compare(
             run.run(chosen.names)
         else:
             search(run, chosen)
-    rows = _ranked(run.rows, purpose, 100 * rounding_error(data) / output_range(data).width, equal=run.equal)
+    floor = max(rounding_error(data) / output_range(data).width, ROUNDED)
+    rows = _ranked(run.rows, purpose, 100 * floor, equal=run.equal)
     if not run.fits:
         raise _refusal(run.errors, rows)
     best = rows[0]

@@ -193,7 +193,7 @@ MODELS: dict[str, Entry] = {
     ),
     "relay": Entry(
         "relay:Relay", "core", "a switch: two output levels, two thresholds (thermostat, Schmitt trigger, reed switch); no inverse",
-        tried=("relay",),
+        tried=("relay", "relay+linear"),
     ),
     "negate": Entry(
         "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises",

@@ -169,10 +169,11 @@ class Thresholds(NamedTuple):
             down = places.range_of(jumps[1], up=up.middle)
             if (up, down) == before:
                 break
-        weight, moment = (float(values[0]) for values in samples.sums(np.array([up.middle]), np.array([down.middle])))
+        above, below = max(up.middle, down.middle), down.middle  # ranges that meet may have middles in the wrong order
+        weight, moment = (float(values[0]) for values in samples.sums(np.array([above]), np.array([below])))
         rest = float(samples.weight.sum()) - weight
         low, high = mean - moment / (rest or 1.0), mean + moment / (weight or 1.0)
-        return cls(up.middle, down.middle, low, high)
+        return cls(above, below, low, high)
 
     def errors(self, records: Sequence[Record]) -> tuple[float, float]:
         """Standard errors of `up` and `down`; NaN where the output does not jump that way."""
@@ -211,27 +212,31 @@ class _Places(NamedTuple):
         return np.where(np.isinf(low), high, np.where(np.isinf(high), low, 0.5 * (low + high)))
 
     def best_pair(self, jumps: tuple[np.ndarray, np.ndarray]) -> tuple[_Range, _Range]:
-        """The best pair of the thresholds in the middle of some jumps."""
+        """The best pair of the thresholds in the middle of some jumps; one in the middle of both where all are in the wrong order."""
         shares = np.linspace(0.0, 1.0, _FIRST + 2)[1:-1]
         of = lambda ends: np.unique(np.quantile(ends.mean(axis=1), shares)) if len(ends) else self.edges[[1, -2]]
         up, down = (values.reshape(-1) for values in np.meshgrid(*map(of, jumps)))
         k = int(np.argmax(self.samples.explained(up, down)))
-        return _Range(up[k], up[k]), _Range(down[k], down[k])
+        up, down = (up[k], down[k]) if up[k] >= down[k] else (0.5 * (up[k] + down[k]),) * 2
+        return _Range(up, up), _Range(down, down)
 
     def range_of(self, jumps: np.ndarray, *, up: float | None = None, down: float | None = None) -> _Range:
         """The range of the best values of one threshold beside the other, which is given.
 
         Args:
-            jumps: inputs before and after each, shape (N, 2); the range is looked for between the outermost of them.
+            jumps: inputs before and after each, shape (N, 2); the range is looked for between the outermost of them and the other
+                threshold.
         """
-        last = self.edges.size - 2
-        ends = np.searchsorted(self.edges, [jumps.min(), jumps.max()]) if len(jumps) else np.array([0, last])
+        last, other = self.edges.size - 2, down if up is None else up
+        reached = [jumps.min(), jumps.max(), other] if len(jumps) else self.edges[[1, -2]]
+        ends = np.searchsorted(self.edges, [np.min(reached), np.max(reached)])
         low, high = np.clip([ends[0] - 1, ends[1] + 1], 0, last)
         of = lambda at, given: self.values(at) if given is None else np.full(at.size, given)
         explained = lambda at: self.samples.explained(of(at, up), of(at, down))
         equal = _EQUAL * float(self.samples.weight @ self.samples.y**2)
         first, final = _highest(explained, int(low), int(high), equal)
-        return _Range(float(self.edges[first]), float(self.edges[final + 1]))
+        found = _Range(float(self.edges[first]), float(self.edges[final + 1]))
+        return found if np.isfinite(found).any() else _Range(float(self.edges[1]), float(self.edges[-2]))
 
 
 def _highest(score: Callable[[np.ndarray], np.ndarray], low: int, high: int, equal: float) -> tuple[int, int]:
