@@ -70,6 +70,7 @@ def test_a_record_without_noise_is_fitted_exactly(name: str) -> None:
     levels = [estimate(result, level)[0] for level in ("low", "high")]
     np.testing.assert_allclose(sorted(levels), [0.2, 5.2], rtol=1e-12)
     half = next(one for one in result.quantities if one.name == "coercive_input")
+    assert half.stderr is not None
     assert half.value == pytest.approx(1.25, abs=2 * half.stderr)
     assert half.stderr == pytest.approx(0.5 * np.hypot(estimate(result, "up")[1], estimate(result, "down")[1]), rel=0.3)
     assert not has(result.notes, Code.NO_INFLUENCE, Code.NOT_DETERMINED)
