@@ -46,6 +46,7 @@ from .models import Preisach as Preisach
 from .models import RateDependentPlays as RateDependentPlays
 from .models import RateShift as RateShift
 from .models import Relaxation as Relaxation
+from .models import Relay as Relay
 from .models import SaturatingRate as SaturatingRate
 from .models import SecondOrder as SecondOrder
 from .models import SelfSimilarStops as SelfSimilarStops

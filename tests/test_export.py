@@ -212,6 +212,16 @@ def test_c_of_a_field_equals_python(tmp_path: Path, sanitizers: None, losses: bo
         np.testing.assert_allclose(run(program, "i", float(u[0]), expected, 0.002)[:, 1], expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("falls", [False, True])
+def test_c_of_a_relay_equals_python(tmp_path: Path, falls: bool) -> None:
+    relay = hf.Relay(up=0.3, down=-0.25, low=-0.7, high=1.9)
+    model = hf.Series(hf.Negate(), relay) if falls else relay
+    program, u = build(model, tmp_path), path(-1.0, 1.0)
+    expected = np.asarray(hf.simulate(model, u)[0])
+    assert set(expected) == {-0.7, 1.9}
+    np.testing.assert_array_equal(run(program, "f", float(u[0]), u, 0.0)[:, 0], expected)
+
+
 SANITIZED = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 QUICK = ("bouc_wen_asymmetric", "duhem_explicit", "lag_plays_creep_rate", "preisach_creep")
 

@@ -127,6 +127,7 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
     "oscillator, hardening, held": (BoucWenOscillator(m=0.01, c=0.05, r_load=-0.5, r_unl=0.7, between="hold"), {}),
     "density": (ParametricPreisach(levels=(-0.71, -0.33, 0.13, 0.52, 0.8), depth=8), dict(kinked=["levels"])),
     "relays": (Preisach(w=WEIGHTS, elements="relays", **RELAYS), dict(flat=["levels"])),
+    "relay": (hystfit.Relay(up=0.31, down=-0.2, low=-0.4, high=1.2), dict(flat=["up", "down"])),
     "cells": (Preisach(w=np.linspace(0.05, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),
     "everett table": (dataclasses.replace(TabulatedPreisach.of(2), depth=8), dict(kinked=["levels"])),
     "cells of either sign": (SignedPreisach(w=np.linspace(-0.1, 0.4, 6), depth=8, **RELAYS), dict(kinked=["levels"])),

@@ -547,8 +547,13 @@ def test_a_switch_is_neither_clipped_nor_damaged() -> None:
     report = hf.check(record)
     assert not has(report.findings, Code.CLIPPED, Code.DEGRADING)
     assert report.advice is not None
-    assert report.advice.model.startswith("negate+")
-    assert "preisach" in report.advice.model  # with a shift by the rate, because a sample is late by up to the interval
+    assert report.advice.model == "negate+relay"
+    result = hf.fit(report.advice.model, record)
+    assert result.train.rmse < 1e-12
+    for name, true in (("up", -19.0), ("down", -21.0)):
+        threshold = next(one for one in result.parameters if one.name == name)
+        assert threshold.stderr is not None
+        assert abs(threshold.value - true) < 2 * threshold.stderr < 0.2
 
 
 def test_parquet_files_are_read_as_others_are(tmp_path: Path) -> None:

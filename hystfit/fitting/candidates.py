@@ -108,7 +108,7 @@ def candidates(data: Dataset) -> Candidates:
     closed = {
         name: before(name, model) + name
         for name, model in able.items()
-        if model.estimator in ("preisach", "convex") and name not in late
+        if model.estimator in ("preisach", "convex", "switching") and name not in late
     }
     resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant, *late))

@@ -22,6 +22,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import rounding_error
 from hystfit.reading.in_memory import records_of
 from hystfit.runs.threads import Workers
@@ -94,7 +95,8 @@ def compare(
         else:
             search(run, chosen)
     found = run.standings
-    rows = ranked(found.rows, purpose, 100 * rounding_error(data) / found.span, equal=found.equal)
+    floor = max(rounding_error(data) / found.span, ROUNDED)
+    rows = ranked(found.rows, purpose, 100 * floor, equal=found.equal)
     if not found.fits:
         raise _refusal(run.errors, rows)
     best = rows[0]

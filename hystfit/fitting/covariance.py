@@ -128,14 +128,33 @@ def uncertainty(
         determined["joint"] = np.where(acts & acts[:, None], inside, np.nan)
     else:
         determined["joint"][at_bound], determined["joint"][:, at_bound] = 0.0, 0.0
+    stepped = _add_step_errors(problem, x, determined)
     return Uncertainty(
         **determined,
-        inactive=~acts & ~at_bound,
+        inactive=~acts & ~at_bound & ~stepped,
         correlation_time=time,
         ratio=ratio,
         sigma=float(np.sqrt(plain)) * y,
         residuals=analysis,
     )
+
+
+def _add_step_errors(problem: Problem, x: np.ndarray, found: dict[str, Any]) -> np.ndarray:
+    """Add what the model says of parameters in which the output is piecewise constant to `determine`; which are known, shape (p,), bool.
+
+    They are independent of the others: between two samples they change no output.
+    """
+    space = problem.space
+    if not any(info.stepwise for info in space.infos):
+        return np.zeros(x.size, bool)
+    errors = space.vector(space.assembled(x).step_errors(list(problem.data)))
+    known = np.isfinite(errors)
+    for matrix in (found["covariance"], found["joint"]):
+        matrix[known], matrix[:, known] = 0.0, 0.0
+        matrix[known, known] = errors[known] ** 2
+    found["determined"] |= known
+    found["rank"] += int(known.sum())
+    return known
 
 
 def _correlated_root(

@@ -169,7 +169,8 @@ def _with_noise(
 def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: Problem) -> list[Note]:
     """Notes on properties of the residuals that these standard errors do not account for."""
     if errors.sigma < ROUNDED * problem.scales.y:
-        return [Note(Code.ROUNDING, "the residuals are rounding errors: the standard errors are meaningless")]
+        which = "those of thresholds alone have a meaning" if problem.model.jumps else "they are meaningless"
+        return [Note(Code.ROUNDING, f"the residuals are rounding errors, and with them the standard errors: {which}")]
     diagnosis = diagnose(errors.residuals)
     if noise == "auto":
         found = [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]

@@ -67,8 +67,8 @@ def _held_out_error(method: str, problem: Problem, x: np.ndarray, most: float) -
     """Error on the groups that are held out of a problem whose fit is x; see `left_out_error`."""
     if method == "preisach":
         return left_out_scores(problem, x).held
-    if method == "convex" and len(linear_positions(problem)):
-        return float(fit_ridge(LinearSystem.of(problem, x), Convex().strengths).score)
+    if isinstance(estimator := ESTIMATORS.make(method), Convex) and len(linear_positions(problem)):
+        return float(fit_ridge(LinearSystem.of(problem, x), estimator.strengths).score)
     return _refitted(method, problem, x, problem.held_out.splits(), most)
 
 

@@ -18,6 +18,7 @@ ESTIMATORS = Registry(
         "convex": f"{_HERE}.convex:Convex",
         "preisach": f"{_HERE}.smooth_weights:SmoothWeights",
         "everett-table": f"{_HERE}.table_reading:TableReading",
+        "switching": f"{_HERE}.switching_fit:Switching",
     },
 )
 

@@ -1,4 +1,4 @@
-"""Data to which no model, or one model, can be fitted: a constant input or output, no samples, no time."""
+"""Data to which no model, or one model, can be fitted: a constant input or output, no samples, no time; fits without derivatives."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.simulation import check_one_device
+from hystfit.params.space import ParameterSpace
 
 
 def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
@@ -31,3 +32,21 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
             )
     if all(np.ptp(record.y[record.used]) == 0 for record in data):
         raise DataError("the output is constant: there is nothing to fit")
+
+
+def check_smooth(space: ParameterSpace, method: str) -> None:
+    """Refuse methods that need derivatives by all free parameters, where the output is piecewise constant in one.
+
+    Args:
+        space: of the fit.
+        method: in words, at the start of a sentence.
+
+    Raises:
+        ModelError: there is such a parameter.
+    """
+    if names := space.stepwise_names:
+        listed = ", ".join(names)
+        raise ModelError(
+            f"{method} needs derivatives by all free parameters, and the output is piecewise constant in {listed}: their standard errors "
+            f"are those of the fit; for the others, fit with these fixed (fix={list(names)}, --fix {' --fix '.join(names)})"
+        )

@@ -30,6 +30,7 @@ from .rate import Viscous as Viscous
 from .rate_plays import RateDependentPlays as RateDependentPlays
 from .rate_shift import RateShift as RateShift
 from .relaxation import Relaxation as Relaxation
+from .relay import Relay as Relay
 from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
 from .simulation import Resume as Resume

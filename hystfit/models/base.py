@@ -142,6 +142,11 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
+    def jumps(self) -> bool:
+        """Whether the output jumps where the input passes a threshold, which no derivative tells (`step_errors`)."""
+        return any(leaf.info.stepwise for leaf in leaves_of(self))
+
+    @property
     def degrades(self) -> bool:
         """Whether the model describes loops that lose strength or stiffness."""
         return self.needs is not None and self.needs.damage
@@ -204,6 +209,16 @@ class AbstractHysteresis(AbstractDynamics):
     def derived(self) -> tuple[Derived, ...]:
         """Quantities that follow from its parameters, which a fit reports with their standard errors."""
         return ()
+
+    def step_errors(self, records: Sequence[Record]) -> AbstractHysteresis:
+        """A model of this structure with standard errors in place of the parameters in which the output is piecewise constant.
+
+        All others are NaN, because derivatives of the output give their errors.
+
+        Args:
+            records: those of the fit.
+        """
+        return jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), self)
 
     def plays(self) -> tuple[PlayWeights, ...]:
         """Weights of plays or stops by threshold, for pictures; none by default."""

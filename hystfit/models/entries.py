@@ -191,6 +191,10 @@ MODELS: dict[str, Entry] = {
     "curve": Entry(
         "curve:Curve.of", "core", "single-valued curve, no hysteresis: alone, or behind a lag or a delay; convex solve",
     ),
+    "relay": Entry(
+        "relay:Relay", "core", "a switch: two output levels, two thresholds (thermostat, Schmitt trigger, reed switch); no inverse",
+        tried=("relay", "relay+linear"),
+    ),
     "negate": Entry(
         "negate:Negate", "before", "the input with the opposite sign: outputs that fall as the input rises",
     ),

@@ -84,9 +84,15 @@ class Series(AbstractComposition):
         for k, part in enumerate(self.parts):
             started.append(part.start(arriving))
             if k < len(self.parts) - 1:
-                outputs = [np.asarray(simulate(started[-1], r.u, r.dt)[0]) for r in arriving]
-                arriving = [r.replace(u=y) for r, y in zip(arriving, outputs, strict=True)]
+                arriving = _behind(started[-1], arriving)
         return type(self)(*started)
+
+    def step_errors(self, records: Sequence[Record]) -> Series:
+        """Those of each part on the output of the part before it."""
+        arriving = itertools.accumulate(
+            self.parts[:-1], lambda records, part: _behind(part, records), initial=list(records)
+        )
+        return type(self)(*(part.step_errors(of) for part, of in zip(self.parts, arriving, strict=True)))
 
     def _with_rest_sample(self, u: Any, dt: Any) -> tuple[np.ndarray, np.ndarray]:
         """The input with one more sample before the first, so that each part starts from its own rest, as in `init`."""
@@ -211,6 +217,11 @@ class SeriesStep(AbstractStepInverse):
             rising = rising & fine
         u1, fine = self.inner[0].solve(states[0], u0, target, dt, low, high)
         return Root(u1, rising & fine)
+
+
+def _behind(part: AbstractHysteresis, records: Sequence[Record]) -> list[Record]:
+    """Records whose input is the output of a part over them."""
+    return [r.replace(u=np.asarray(simulate(part, r.u, r.dt)[0])) for r in records]
 
 
 def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:

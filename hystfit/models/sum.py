@@ -62,6 +62,12 @@ class Sum(AbstractComposition):
             started.append(part.start(remaining))
         return type(self)(*started)
 
+    def step_errors(self, records: Sequence[Record]) -> Sum:
+        """Those of each part on the residuals of the others."""
+        outputs = [[part.free_run(r.u, r.dt) for part in self.parts] for r in records]
+        rest = lambda k: [r.replace(y=r.y - sum(of) + of[k]) for r, of in zip(records, outputs, strict=True)]
+        return type(self)(*(part.step_errors(rest(k)) for k, part in enumerate(self.parts)))
+
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
         """Part by part, where some part has a short cut."""
         if not self.has_fast_run:

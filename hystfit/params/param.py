@@ -32,6 +32,7 @@ class ParamInfo:
         per_record: each record of a fit has its own value.
         linear: the output of the model is linear in it.
         common: one value serves all records of this model, although each record of others has its own.
+        stepwise: the output is piecewise constant in it, so that derivatives tell nothing about it.
     """
 
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -42,6 +43,7 @@ class ParamInfo:
     per_record: bool = False
     linear: bool = False
     common: bool = False
+    stepwise: bool = False
 
     def __post_init__(self) -> None:
         exponents(self.unit)
@@ -108,13 +110,14 @@ def param(
     common: Callable[[Any], bool] | None = None,
     effect: Callable[[Any], Any] | None = None,
     vector: bool = False,
+    stepwise: bool = False,
     declared: Callable[[Any], tuple[str, ParamInfo]] | None = None,
 ) -> Any:
     """A field of a model that is a parameter.
 
     Args:
         default: value, a number or an array.
-        bounds, unit, scale, doc, fixed, per_record, linear: see `ParamInfo`.
+        bounds, unit, scale, doc, fixed, per_record, linear, stepwise: see `ParamInfo`.
         common: whether one value serves all records of a given model, where `per_record`.
         effect: of a given model, the largest output of each element for a value of one, of the shape of the parameter (or one that
             broadcasts to it): 0.01 for a weighted stop that yields at a hundredth of the range. It widens the default prior; 1 by default.
@@ -124,7 +127,7 @@ def param(
     Raises:
         ParameterError: bounds in the wrong order, a scale that is not positive, a unit that is not an expression.
     """
-    info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear)
+    info = ParamInfo(bounds, unit, scale, doc, fixed, per_record, linear, stepwise=stepwise)
     extra = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(
         converter=_as_vector if vector else as_array,

@@ -302,6 +302,11 @@ class ParameterSpace:
         return np.array([info.linear for info in self.infos], dtype=bool) & ~self.sources_of_ties
 
     @property
+    def stepwise_names(self) -> tuple[str, ...]:
+        """The free elements in which the output is piecewise constant."""
+        return tuple(name for name, info in zip(self.names, self.infos, strict=True) if info.stepwise)
+
+    @property
     def mostly_linear(self) -> bool:
         """Whether the output is linear in all free elements but few, and none is tied to another."""
         linear = int(np.count_nonzero(self.linear))

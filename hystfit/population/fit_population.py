@@ -17,6 +17,7 @@ from hystfit.data.covariates import covariate
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.fit import fit
+from hystfit.inference.fittable import check_smooth
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
@@ -84,6 +85,8 @@ def fit_population(
     began = time.perf_counter()
     of_fit = {**options, "seed": seed}
     results, left_out = _fitted(model, records, by, folder, workers, reading, report, of_fit)
+    for result in results.values():
+        check_smooth(result.problem.space, "a population")
     common = _common(results, left_out)
     names = tuple(results)
     design, centers = effects_of(_covariates(covariates, results), names)

@@ -29,6 +29,7 @@ from hystfit.results.result import FitResult
 from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
+_JUMP = 5e-3  # the same of an input at which the output jumps, of the range: five samples of the loop, half of one of which it may be off
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
@@ -41,7 +42,7 @@ _COARSE, _SEEN, _INSERTED = 40, 10, 16
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    excitation = Excitation.of(result.data, hardens=result.model.hardens)
+    excitation = Excitation.of(result.data, hardens=result.model.hardens, jumps=result.model.jumps)
     values = _values(result, excitation, lambda record: _run(result, record, result.model)[None])
     return {name: or_none(one[0]) for name, one in values.items()}
 
@@ -50,8 +51,10 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     """The quantities that the records and the model of a fit have, of the first record, with standard errors."""
     x, space = np.asarray(result.x), result.problem.space
     size, linear = relative_size(space, x), space.linear
-    excitation = Excitation.of(result.data, hardens=result.model.hardens)
-    outputs = lambda record: _perturbed(result, record, _STEP * size, linear)
+    excitation = Excitation.of(result.data, hardens=result.model.hardens, jumps=result.model.jumps)
+    stepwise = np.array([info.stepwise for info in space.infos])
+    step = np.where(stepwise, _JUMP * (excitation.high - excitation.low), _STEP * size)
+    outputs = lambda record: _perturbed(result, record, step, linear)
     values = _values(result, excitation, outputs)
     scales, rows = result.problem.scales, []
     read = {one.name: one for values in result.measured.rows.values() for one in values}
@@ -65,7 +68,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
-            change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * _STEP)  # with each parameter by its own size
+            change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * step / size)  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural, known)
         if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
             one = dataclasses.replace(one, reason=_MISSING[name])

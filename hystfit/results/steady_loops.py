@@ -151,14 +151,17 @@ class Excitation:
     energy: float = 1.0
 
     @classmethod
-    def of(cls, data: Dataset, *, hardens: bool = False) -> Excitation:
+    def of(cls, data: Dataset, *, hardens: bool = False, jumps: bool = False) -> Excitation:
         """The excitation over the range of the inputs from the first to the last sample that counts.
 
         Args:
             hardens: whether the loop of the model changes with the path, so that the cycles run that of the longest record.
+            jumps: whether the output of the model jumps at an input, which is then known to the distance of the samples alone.
         """
         low, high = min(float(r.reached.min()) for r in data), max(float(r.reached.max()) for r in data)
         interval, sine, points = _waveform(data)
+        if jumps:
+            interval, points = interval * points / _MOST, _MOST
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
         energy = loop_energy(data.units["u"], data.units["y"])[1]
         lead = 0 if hardens else points - points // 4

@@ -21,6 +21,7 @@ from hystfit.config import require_seed, verb
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
+from hystfit.inference.fittable import check_smooth
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior, choose_priors
@@ -237,6 +238,7 @@ def calibrate(
     if isinstance(model, str):
         model = make_model(model).start(list(records))
     problem = Problem(model, records, fix=fix, free=free, tie=tie)
+    check_smooth(problem.space, "a calibration")
     fixed_model, held = problem.space.template, tuple(name for name, _, _ in problem.space.fixed())
     truth = typical_noise(noise, problem) if isinstance(noise, str) else noise
     assumed = assumed or NOISES.label(truth)

@@ -17,6 +17,7 @@ from hystfit.config import require_seed, verb
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.fitting.covariance import describe
+from hystfit.inference.fittable import check_smooth
 from hystfit.inference.information import Moments
 from hystfit.inference.priors import LOG_WIDE
 from hystfit.models.simulation import simulate
@@ -187,6 +188,7 @@ def design(
     """
     require_seed(seed)
     problem, x = result.problem, result.x
+    check_smooth(problem.space, "a design")
     names = problem.space.names
     chosen = tuple(aim) if aim else names
     unknown = [name for name in chosen if name not in names]

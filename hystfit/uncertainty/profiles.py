@@ -17,6 +17,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.error_ratios import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
 from hystfit.inference.bounded_newton import BoundedNewton, Point
+from hystfit.inference.fittable import check_smooth
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
@@ -199,6 +200,7 @@ def profile(
     if not 0 < level < 1:
         raise ParameterError(f"level must lie between 0 and 1, got {level}")
     problem = result.problem.with_loss("linear")
+    check_smooth(problem.space, "a profile")
     chosen, notes = _chosen(problem, names)
     sides = problem.at_bound(result.x)
     moving = np.array([side is None for side in sides])

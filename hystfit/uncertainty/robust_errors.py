@@ -10,6 +10,7 @@ import numpy as np
 
 from hystfit.config import verb
 from hystfit.errors import ParameterError
+from hystfit.inference.fittable import check_smooth
 from hystfit.outcome import Code, Column, Note, Status, Table
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
@@ -171,6 +172,7 @@ def standard_errors(
     Raises:
         ParameterError: a fit under a noise model; its own likelihood gives its errors.
     """
+    check_smooth(result.problem.space, "a comparison of standard errors")
     reported = [np.nan if (e := result[name].stderr) is None else e for name in result.free_names]
     fit = np.array(reported, dtype=float)
     plain = covariance(result, "iid", block=block)

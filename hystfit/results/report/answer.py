@@ -183,7 +183,8 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
         commands.append(f"hystfit invert {fit} REFERENCE")
     if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
-    commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
+    if not result.problem.space.stepwise_names:
+        commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
     keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]
     return [*improve, *keep, *commands]
 
