@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -38,14 +39,13 @@ class Triangles:
 
     def spread(self, values: Float[np.ndarray, "q k"]) -> Float[np.ndarray, "p k"]:
         """Sums over the triangles in which each cell lies."""
-        i, j = cells(self.n)
-        square = np.zeros((self.n, self.n, values.shape[1]))
-        square[i, j] = values
+        columns = np.array(values, order="C")
+        begin = np.arange(self.n + 1) * np.arange(1, self.n + 2) // 2  # of each row of cells
         for row in range(self.n - 2, -1, -1):
-            square[row] += square[row + 1]
-        for column in range(1, self.n):
-            square[:, column] += square[:, column - 1]
-        columns = square[i, j]
+            columns[begin[row] : begin[row + 1]] += columns[begin[row + 1] : begin[row + 2] - 1]
+        for first, end in itertools.pairwise(begin.tolist()):
+            for cell in range(first + 1, end):
+                columns[cell] += columns[cell - 1]
         return fold(columns.T, self.n).T if self.symmetric else columns
 
     def collected(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " q"]:

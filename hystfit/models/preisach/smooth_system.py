@@ -106,7 +106,7 @@ class SmoothSystem:
     roughness: np.ndarray
     bounded: np.ndarray
     offsets: np.ndarray
-    visited: Mapping[int, Sequence[np.ndarray]]
+    visited: Mapping[int, Sequence[Columns]]
     size: float
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
@@ -146,7 +146,7 @@ class SmoothSystem:
         with_cells = [
             k for k, block in enumerate(blocks) if block.penalty is not None and block.penalty.cells is not None
         ]
-        visited: dict[int, list[np.ndarray]] = {k: [] for k in with_cells}
+        visited: dict[int, list[Columns]] = {k: [] for k in with_cells}
         every = itertools.chain([design], later)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
@@ -159,7 +159,7 @@ class SmoothSystem:
                     counts[fold] += record.weight[mask].sum()
             for k in with_cells:
                 columns = design.blocks[layout.kept[k]].columns
-                visited[k].append(np.asarray(columns[_turning(columns, design.index, record.used)]))
+                visited[k].append(columns[_turning(columns, design.index, record.used)])
         Workers(None if grams[0].size > NUMBERS else 1).run([part.finish for part in sums])
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
@@ -182,8 +182,9 @@ class SmoothSystem:
             penalty, start = self.layout.blocks[k].penalty, self.layout.starts[k]
             assert penalty is not None
             assert penalty.cells is not None
-            low = np.min([rows.min(axis=0) for rows in every], axis=0)
-            high = np.max([rows.max(axis=0) for rows in every], axis=0)
+            rows = [np.asarray(columns) for columns in every]
+            low = np.min([some.min(axis=0) for some in rows], axis=0)
+            high = np.max([some.max(axis=0) for some in rows], axis=0)
             reach[start : start + penalty.cells.size] = np.clip((high - low) / (2 * penalty.cells), 0.0, 1.0)
         return reach
 
