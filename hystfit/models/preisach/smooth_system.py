@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
 from hystfit.params.host_arrays import NUMBERS
 from hystfit.params.param import ParamInfo
-from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.held_out import HeldOut, Scheme, held_out
 from hystfit.runs.threads import Workers
 
 Offsets = Literal["each", "shared", "none"]
@@ -96,6 +96,7 @@ class SmoothSystem:
         visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
             that count, record after record; shapes (any, p).
         size: of the output, by which it was divided.
+        scattered: whether the groups are samples scattered over the records.
         solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
     """
 
@@ -108,6 +109,7 @@ class SmoothSystem:
     offsets: np.ndarray
     visited: Mapping[int, Sequence[Columns]]
     size: float
+    scattered: bool = False
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
@@ -169,7 +171,8 @@ class SmoothSystem:
             shifts[at] = own and np.isneginf(block.info.bounds[0])
             if block.penalty is not None:
                 roughness[at, at] = block.penalty.matrix
-        return cls(layout, origin, grams, counts, roughness, bounded, shifts, visited, size)
+        scattered = held.scheme is Scheme.SCATTERED
+        return cls(layout, origin, grams, counts, roughness, bounded, shifts, visited, size, scattered)
 
     @functools.cached_property
     def reach(self) -> np.ndarray:
