@@ -183,7 +183,7 @@ class TestWeights:
         y = record.y / system.size - middle
         joint = np.column_stack([A[index], np.ones(u.size), y]) * np.sqrt(record.weight)[:, None]
         np.testing.assert_allclose(system.grams.sum(axis=0), joint.T @ joint, atol=1e-6 if level else 1e-9)
-        assert len(system.visited[0][0]) < np.unique(index[record.used]).size
+        assert system.visited[0][0].shape[0] < np.unique(index[record.used]).size
         span = np.ptp(A[np.unique(index[record.used])], axis=0)[: model.w.size]
         np.testing.assert_allclose(
             system.reach[: model.w.size], span / (2 * model.design_matrix(u).blocks[0].penalty.cells), atol=1e-12

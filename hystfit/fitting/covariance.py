@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
-from scipy.linalg.lapack import dpotrs, dtrtri
+from scipy.linalg.lapack import dtrtri
 
 from hystfit.fitting.error_ratios import RANK, mean_error_ratio
 from hystfit.fitting.estimate import Estimate
@@ -289,13 +289,10 @@ def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.n
     gram = rows.T @ rows
     gram[np.diag_indices_from(gram)] += ridge
     with contextlib.suppress(np.linalg.LinAlgError):  # rounding errors
-        factor = cholesky(gram)
-        ends = (
-            _largest(len(gram), lambda v: gram @ v),
-            1 / _largest(len(gram), lambda v: dpotrs(factor, v, lower=True)[0]),
-        )
+        inverse = np.triu(dtrtri(cholesky(gram), lower=True)[0].T)
+        ends = _largest(len(gram), lambda v: gram @ v), 1 / _largest(len(gram), lambda v: inverse @ (inverse.T @ v))
         if ends[1] > RANK**2 * ends[0]:
-            return np.sqrt(ends), np.triu(dtrtri(factor, lower=True)[0].T)
+            return np.sqrt(ends), inverse
     squares, columns = np.linalg.eigh(gram)
     values = np.sqrt(np.maximum(squares[::-1], 0.0))
     return values, columns[:, ::-1] / np.maximum(values, RANK * values[0])
