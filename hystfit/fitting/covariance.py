@@ -288,7 +288,7 @@ def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.n
     """
     gram = rows.T @ rows
     gram[np.diag_indices_from(gram)] += ridge
-    with contextlib.suppress(np.linalg.LinAlgError):  # rounding errors
+    with contextlib.suppress(np.linalg.LinAlgError, scipy.sparse.linalg.ArpackError):  # rounding errors
         inverse = np.triu(dtrtri(cholesky(gram), lower=True)[0].T)
         ends = _largest(len(gram), lambda v: gram @ v), 1 / _largest(len(gram), lambda v: inverse @ (inverse.T @ v))
         if ends[1] > RANK**2 * ends[0]:

@@ -66,9 +66,8 @@ def fit_smooth(
     fixed = np.full(system.roughness.shape[0], np.nan) if fixed is None else fixed
     trials = _Trials.of(system, fixed)
     left_out = trials.left_out(strengths, refitted=True) if len(strengths) > 1 else []
-    best = (
-        trials.smoothest(strengths, left_out) if left_out and system.scattered else trials.chosen(strengths, left_out)
-    )
+    choose = trials.smoothest if left_out and system.scattered else trials.chosen
+    best = choose(strengths, left_out)
     found = _fit(system, trials, fixed, strengths[best])
     if not left_out:
         return found
@@ -277,10 +276,8 @@ class _Trials:
         bounded = self._bounded if refitted else np.zeros_like(self._bounded)
         at = np.arange(self.free.size) if refitted else np.flatnonzero(positive)
         rows = np.append(at, self.free.size)
-        total, rough = (
-            submatrix(self._total, rows),
-            self._penalty if at.size == self.free.size else self._penalty[at][:, at],
-        )
+        total, whole = submatrix(self._total, rows), at.size == self.free.size
+        rough = self._penalty if whole else self._penalty[at][:, at]
         squares, held = np.zeros(self._counts.size - 1), self._counts[:-1].sum()
 
         def solve(groups: Sequence[int]) -> None:

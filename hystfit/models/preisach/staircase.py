@@ -82,8 +82,7 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
 def together(stairs: Sequence[Staircase]) -> tuple[Staircase, list[np.ndarray]]:
     """The states of several inputs as those of one, which are computed in one pass; and where those of each input are."""
     ends = [
-        np.cumsum([0, *(sizes)])
-        for sizes in zip(*((s.node_value.size, s.state_value.size) for s in stairs), strict=True)
+        np.cumsum([0, *sizes]) for sizes in zip(*((s.node_value.size, s.state_value.size) for s in stairs), strict=True)
     ]
     parent, state_parent = (
         np.concatenate([np.where(own < 0, -1, own + first) for own, first in zip(parents, ends[0], strict=False)])
