@@ -190,7 +190,7 @@ def test_errors_of_many_columns_are_those_of_the_inverse_where_all_are_known() -
     offsets = np.arange(100) == 7
     values, root, back = _spectrum(Information(rows, 4.0, np.zeros(100)), np.ones(100, bool), offsets)
     expected = np.linalg.svd(centered(rows, offsets)[0] / np.linalg.norm(centered(rows, offsets)[0], axis=0))[1]
-    np.testing.assert_allclose(values, expected, rtol=1e-9)
+    np.testing.assert_allclose(values, expected[[0, -1]], rtol=1e-9)
     np.testing.assert_allclose(back @ root @ root.T @ back.T, 4.0 * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12)
 
 
@@ -206,7 +206,7 @@ def test_errors_of_many_columns_under_a_ridge_are_those_of_the_normal_matrix_wit
     values, root, back = _spectrum(Information(rows, 4.0, ridge), np.ones(100, bool), offsets)
     stacked = centered(np.vstack([rows, np.diag(np.sqrt(ridge))]), offsets)[0]
     expected = np.linalg.svd(stacked / np.linalg.norm(stacked, axis=0), compute_uv=False)
-    np.testing.assert_allclose(values, expected, rtol=1e-9)
+    np.testing.assert_allclose(values, expected[[0, -1]], rtol=1e-9)
     inverse = 4.0 * np.linalg.inv(rows.T @ rows + np.diag(ridge))
     np.testing.assert_allclose(back @ root @ root.T @ back.T, inverse, rtol=1e-6, atol=1e-9)
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dpstrf, dtpqrt
 
+from hystfit.models.cholesky import cholesky
 from hystfit.params.host_arrays import NUMBERS
 
 # Entries of a block of `beside`, and rows for each of its columns at least. A larger block is copied into memory that the system hands
@@ -82,7 +83,7 @@ def gram_root(gram: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
     size[size == 0] = 1.0
     scaled = gram / size / size[:, None]
     try:
-        return np.linalg.cholesky(scaled).T * size
+        return np.triu(cholesky(scaled).T) * size
     except np.linalg.LinAlgError:  # singular, to rounding
         factor, order, rank, _ = dpstrf(scaled)
         root = np.zeros_like(factor)

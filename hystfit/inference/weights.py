@@ -100,6 +100,12 @@ class Split:
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
     """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
     models = space.of_records(x, len(records), np.asarray)
+    model = next(models)
+    if (
+        of_several := getattr(model, "design_matrices", None)
+    ) is not None:  # of models whose records differ in weights alone
+        return of_several([record.u for record in records])
+    models = itertools.chain([model], models)
     return (model.design_matrix(record.u, record.dt) for model, record in zip(models, records, strict=True))
 
 

@@ -12,6 +12,7 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 from scipy.linalg.lapack import dpotri
 
+from hystfit.models.cholesky import cholesky
 from hystfit.models.nonnegative import submatrix
 from hystfit.params.param import ParamInfo, leaves_of
 
@@ -152,11 +153,11 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
     own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
     try:
-        # The upper triangle of the inverse, in half the time of a solve with all columns.
-        inverse, _ = dpotri(np.linalg.cholesky(total).T)
+        # The lower triangle of the inverse, in half the time of a solve with all columns.
+        inverse, _ = dpotri(cholesky(total), lower=True, overwrite_c=True)
     except np.linalg.LinAlgError:  # positive definite but for rounding
         return float(np.trace(np.linalg.solve(total, own)))
-    return float(2 * np.sum(np.triu(inverse, 1) * own) + np.diag(inverse) @ np.diag(own))
+    return float(2 * np.sum(np.tril(inverse, -1) * own) + np.diag(inverse) @ np.diag(own))
 
 
 def with_own_offsets(A: np.ndarray, b: np.ndarray, weights: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -6,6 +6,8 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 from scipy.linalg.lapack import dpotrs
 
+from hystfit.models.cholesky import cholesky
+
 _PATIENCE = 5  # exchanges of whole blocks allowed without progress, before few unknowns are exchanged at a time
 # Of the largest violation on each side of the bounds, above which unknowns are exchanged then: at 0.1, 0.3 and 0.5 the nearly singular
 # equations of 1891 weights ended after 25, 24 and 34 exchanges, where one by one they did not.
@@ -28,6 +30,8 @@ def solve_nonnegative(
         w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
     """
     try:
+        if b.size and not bounded.any():
+            return dpotrs(cholesky(A), b, lower=True)[0], ~bounded
         return _pivot(A, b, bounded, ~bounded if start is None else start | ~bounded)
     except np.linalg.LinAlgError:  # positive definite but for rounding
         return _by_root(A, b, bounded)
@@ -138,9 +142,8 @@ def _solve_on(A: np.ndarray, b: np.ndarray, active: np.ndarray) -> tuple[np.ndar
     w = np.zeros(b.size)
     at = np.flatnonzero(active)
     if at.size:
-        # The factorization of NumPy, unlike that of scipy, runs beside other threads.
-        factor = np.linalg.cholesky(submatrix(A, at).T)
-        w[at], _ = dpotrs(factor.T, b[at])
+        factor = cholesky(submatrix(A, at), overwrite=at.size < b.size)
+        w[at], _ = dpotrs(factor, b[at], lower=True)
     return w, A @ w - b
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,11 @@ from hystfit.models.design import Factored
 from hystfit.models.preisach.everett import cells, first_rise_masses, fold, mirror
 from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.relay_codes import Code, rises_first, staircase_of, ties
-from hystfit.models.preisach.staircase import Staircase
+from hystfit.models.preisach.staircase import Staircase, together
+
+_TOGETHER = (
+    2**14
+)  # samples of several inputs whose columns are computed in one pass: 30 MB of rows where these have 150 entries
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,14 +43,13 @@ class Triangles:
 
     def spread(self, values: Float[np.ndarray, "q k"]) -> Float[np.ndarray, "p k"]:
         """Sums over the triangles in which each cell lies."""
-        i, j = cells(self.n)
-        square = np.zeros((self.n, self.n, values.shape[1]))
-        square[i, j] = values
+        columns = np.array(values, order="C")
+        begin = np.arange(self.n + 1) * np.arange(1, self.n + 2) // 2  # of each row of cells
         for row in range(self.n - 2, -1, -1):
-            square[row] += square[row + 1]
-        for column in range(1, self.n):
-            square[:, column] += square[:, column - 1]
-        columns = square[i, j]
+            columns[begin[row] : begin[row + 1]] += columns[begin[row + 1] : begin[row + 2] - 1]
+        for first, end in itertools.pairwise(begin.tolist()):
+            for cell in range(first + 1, end):
+                columns[cell] += columns[cell - 1]
         return fold(columns.T, self.n).T if self.symmetric else columns
 
     def collected(self, weights: Float[np.ndarray, " p"]) -> Float[np.ndarray, " q"]:
@@ -67,11 +71,31 @@ def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.column_stack([columns, *single_valued]), index
 
 
-def states(model: AbstractPlane, u: np.ndarray) -> tuple[Factored, list[np.ndarray], np.ndarray]:
+States = tuple[Factored, list[np.ndarray], np.ndarray]
+
+
+def states(model: AbstractPlane, u: np.ndarray) -> States:
     """The parts of `features`: columns of w, those of slopes and b where the model has them, and the row of each sample."""
-    u = np.asarray(u, dtype=float)
-    code, stairs = staircase_of(model, u)
-    columns = weight_columns(model, code, stairs)
+    code, stairs = staircase_of(model, np.asarray(u, dtype=float))
+    return _states(model, np.asarray(u, dtype=float), code, stairs, weight_columns(model, code, stairs))
+
+
+def states_of_several(model: AbstractPlane, inputs: Sequence[np.ndarray]) -> Iterator[States]:
+    """`states` of each input, in a quarter of the time for 150 reversal curves, because those of many are computed in one pass."""
+    ends = np.cumsum([u.size for u in inputs])
+    for part in np.split(np.arange(len(inputs)), np.flatnonzero(np.diff(ends // _TOGETHER)) + 1):
+        several = [np.asarray(inputs[k], dtype=float) for k in part]
+        stairs = [staircase_of(model, u) for u in several]
+        if len(several) == 1 or stairs[0][0] is not None:
+            yield from (states(model, u) for u in several)
+            continue
+        whole, places = together([one for _, one in stairs])
+        columns = weight_columns(model, None, whole)
+        for u, (code, one), at in zip(several, stairs, places, strict=True):
+            yield _states(model, u, code, one, columns[at])
+
+
+def _states(model: AbstractPlane, u: np.ndarray, code: Code | None, stairs: Staircase, columns: Factored) -> States:
     index, inputs = stairs.index, stairs.state_value
     if code is not None:  # one state serves many inputs, on which the single-valued part depends
         if not (model.slopes.size or model.b.size):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
@@ -19,7 +19,7 @@ from hystfit.errors import ModelError
 from hystfit.models.base import Use
 from hystfit.models.c_code import CPart
 from hystfit.models.design import Block, DesignMatrix, Penalty
-from hystfit.models.preisach.design_matrix import output, states
+from hystfit.models.preisach.design_matrix import output, states_of_several
 from hystfit.models.preisach.everett import cells, mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count, ramps
@@ -254,22 +254,20 @@ class Preisach(AbstractPlane):
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
         """Columns on the distinct states that the input visits."""
-        columns, single_valued, index = states(self, np.asarray(checked_drive(self, u, dt)[0]))
+        return next(self.design_matrices([np.asarray(checked_drive(self, u, dt)[0])]))
+
+    def design_matrices(self, inputs: Sequence[np.ndarray]) -> Iterator[DesignMatrix]:
+        """`design_matrix` for each of several inputs, in less time."""
         count = np.bincount(mirror(self.n)[0]) if self.symmetric else np.ones(self.w.size, dtype=int)
         penalties = {"w": Penalty(_smoothing(self.n, self.symmetric), count, self.elements)}
         if self.slopes.size:
             penalties["slopes"] = Penalty(_smoothing(self.slopes.size))
-        names = ("slopes",) * bool(self.slopes.size) + ("b",) * bool(self.b.size)
-        columns_of = {
-            "w": columns,
-            **dict(zip(names, single_valued, strict=True)),
-            "offset": np.ones((columns.shape[0], 1)),
-        }
+        names = ("w", *("slopes",) * bool(self.slopes.size), *("b",) * bool(self.b.size), "offset")
         leaves = {leaf.path[-1]: leaf for leaf in leaves_of(self)}
-        blocks = (
-            Block(leaves[name].index, leaves[name].info, part, penalties.get(name)) for name, part in columns_of.items()
-        )
-        return DesignMatrix(tuple(blocks), np.zeros(columns.shape[0]), index)
+        for columns, single_valued, index in states_of_several(self, inputs):
+            parts = zip(names, (columns, *single_valued, np.ones((columns.shape[0], 1))), strict=True)
+            blocks = (Block(leaves[name].index, leaves[name].info, part, penalties.get(name)) for name, part in parts)
+            yield DesignMatrix(tuple(blocks), np.zeros(columns.shape[0]), index)
 
     def choices(self, records: Sequence[Record]) -> tuple[tuple[Preisach, ...], ...]:
         """Other levels, with no more cells than distinct inputs; other states before the records; a line; more or fewer cells."""

@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
 from hystfit.params.host_arrays import NUMBERS
 from hystfit.params.param import ParamInfo
-from hystfit.quality.held_out import HeldOut, held_out
+from hystfit.quality.held_out import HeldOut, Scheme, held_out
 from hystfit.runs.threads import Workers
 
 Offsets = Literal["each", "shared", "none"]
@@ -96,6 +96,7 @@ class SmoothSystem:
         visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
             that count, record after record; shapes (any, p).
         size: of the output, by which it was divided.
+        scattered: whether the groups are samples scattered over the records.
         solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
     """
 
@@ -106,8 +107,9 @@ class SmoothSystem:
     roughness: np.ndarray
     bounded: np.ndarray
     offsets: np.ndarray
-    visited: Mapping[int, Sequence[np.ndarray]]
+    visited: Mapping[int, Sequence[Columns]]
     size: float
+    scattered: bool = False
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
@@ -146,7 +148,7 @@ class SmoothSystem:
         with_cells = [
             k for k, block in enumerate(blocks) if block.penalty is not None and block.penalty.cells is not None
         ]
-        visited: dict[int, list[np.ndarray]] = {k: [] for k in with_cells}
+        visited: dict[int, list[Columns]] = {k: [] for k in with_cells}
         every = itertools.chain([design], later)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
@@ -159,7 +161,7 @@ class SmoothSystem:
                     counts[fold] += record.weight[mask].sum()
             for k in with_cells:
                 columns = design.blocks[layout.kept[k]].columns
-                visited[k].append(np.asarray(columns[_turning(columns, design.index, record.used)]))
+                visited[k].append(columns[_turning(columns, design.index, record.used)])
         Workers(None if grams[0].size > NUMBERS else 1).run([part.finish for part in sums])
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
@@ -169,7 +171,8 @@ class SmoothSystem:
             shifts[at] = own and np.isneginf(block.info.bounds[0])
             if block.penalty is not None:
                 roughness[at, at] = block.penalty.matrix
-        return cls(layout, origin, grams, counts, roughness, bounded, shifts, visited, size)
+        scattered = held.scheme is Scheme.SCATTERED
+        return cls(layout, origin, grams, counts, roughness, bounded, shifts, visited, size, scattered)
 
     @functools.cached_property
     def reach(self) -> np.ndarray:
@@ -182,8 +185,9 @@ class SmoothSystem:
             penalty, start = self.layout.blocks[k].penalty, self.layout.starts[k]
             assert penalty is not None
             assert penalty.cells is not None
-            low = np.min([rows.min(axis=0) for rows in every], axis=0)
-            high = np.max([rows.max(axis=0) for rows in every], axis=0)
+            rows = [np.asarray(columns) for columns in every]
+            low = np.min([some.min(axis=0) for some in rows], axis=0)
+            high = np.max([some.max(axis=0) for some in rows], axis=0)
             reach[start : start + penalty.cells.size] = np.clip((high - low) / (2 * penalty.cells), 0.0, 1.0)
         return reach
 

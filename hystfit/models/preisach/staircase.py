@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -76,6 +77,31 @@ def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
     keys, state = distinct((parent + 1) * values.size + code, (tree.value.size + 1) * values.size)
     state_parent = keys // values.size - 1
     return Staircase(tree.value, tree.parent, values[keys % values.size], state_parent, state[run], tree.depth)
+
+
+def together(stairs: Sequence[Staircase]) -> tuple[Staircase, list[np.ndarray]]:
+    """The states of several inputs as those of one, which are computed in one pass; and where those of each input are."""
+    ends = [
+        np.cumsum([0, *sizes]) for sizes in zip(*((s.node_value.size, s.state_value.size) for s in stairs), strict=True)
+    ]
+    parent, state_parent = (
+        np.concatenate([np.where(own < 0, -1, own + first) for own, first in zip(parents, ends[0], strict=False)])
+        for parents in ([s.node_parent for s in stairs], [s.state_parent for s in stairs])
+    )
+    order = np.argsort(levels(parent), kind="stable")
+    place = np.append(np.argsort(order), -1)
+    state_parent = place[state_parent]
+    by_parent = np.argsort(state_parent, kind="stable")
+    parts = np.split(np.argsort(by_parent), ends[1][1:-1])
+    whole = Staircase(
+        np.concatenate([s.node_value for s in stairs])[order],
+        place[parent][order],
+        np.concatenate([s.state_value for s in stairs])[by_parent],
+        state_parent[by_parent],
+        np.concatenate([part[s.index] for part, s in zip(parts, stairs, strict=True)]),
+        max(s.depth for s in stairs),
+    )
+    return whole, parts
 
 
 def turning_points(v: np.ndarray) -> np.ndarray:
