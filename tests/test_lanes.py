@@ -132,6 +132,43 @@ def test_both_kinds_of_devices_agree_and_converged_lanes_leave(together: Side, m
     assert sizes == sorted(sizes, reverse=True)
 
 
+def test_a_descent_ends_with_a_step_that_needs_no_look() -> None:
+    """From a third of a standard error to within 1e-5 in two linearizations, with the cost and the normal matrix of the minimum."""
+    model = hf.BoucWen(c=1.1, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
+    t, noise = 0.02 * np.arange(400), np.random.default_rng(0).normal(0, 0.001, (4, 400))
+    u = np.sin(8 * t) * (0.5 + 0.1 * t)
+    y = np.asarray(hf.simulate(model, u)[0])
+    posed = [Problem(model, hf.Record(u=u, y=y + row)) for row in noise]
+    stack, records, p = Stack.of([one.objective for one in posed]), np.arange(4), posed[0].space
+    start = np.tile(p.unconstrained(p.vector(model)), (4, 1))
+    least = descend_lanes(stack, records, start, gain=1e-14, steps=60)
+    diagonal = np.linalg.inv(least.normal.matrix).diagonal(axis1=1, axis2=2)
+    error = np.sqrt(diagonal * (2 * least.cost / 400)[:, None])
+    near = least.normal.z + 0.3 * error
+    ends = descend_lanes(stack, records, near, gain=1e-6 / 400, steps=60, damping=np.full(4, 1e-6))
+    assert ends.converged.all()
+    np.testing.assert_array_equal(ends.steps, 2)
+    np.testing.assert_allclose(ends.normal.z / error, least.normal.z / error, atol=1e-5)
+    np.testing.assert_allclose(ends.normal.cost, least.normal.cost, rtol=1e-10)
+    np.testing.assert_allclose(ends.normal.matrix.diagonal(0, 1, 2), least.normal.matrix.diagonal(0, 1, 2), rtol=1e-3)
+
+
+def test_descents_go_on_where_they_have_not_ended() -> None:
+    """In place, with the end that costs less, and with the steps of both."""
+    _, stack, starts = lanes_of(3)
+    run = lambda lanes, z, steps: descend_lanes(stack, lanes, z, gain=1e-13, steps=steps)
+    ends, whole = run(np.arange(3), starts, 2), run(np.arange(3), starts, 60)
+    before = ends.cost.copy()
+    assert not ends.converged.any()
+    lanes.go_on(ends, np.array([0, 2]), lambda at, z: run(at, z, 60))
+    np.testing.assert_array_equal(ends.converged, [True, False, True])
+    np.testing.assert_allclose(ends.cost[[0, 2]], whole.cost[[0, 2]], rtol=1e-9)
+    assert ends.cost[1] == before[1]
+    assert ends.steps[1] == 2
+    assert (ends.steps[[0, 2]] > 2).all()
+    lanes.go_on(ends, np.array([0]), lambda at, z: pytest.fail("it has converged"))
+
+
 def test_a_lane_that_cannot_be_simulated_leaves_the_others_unharmed(together: Side) -> None:
     _, stack, starts = lanes_of(3)
     starts[1] = np.nan

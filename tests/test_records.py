@@ -571,3 +571,23 @@ def test_measured_piezo_record_without_its_clock(measured, tmp_path, capsys):
     assert np.allclose(record.t, whole.t - whole.t[0], atol=1e-6)
     found, known = (hf.check(dataclasses.replace(r, name="r")) for r in (record, whole))
     assert found.records[0].lag.samples == pytest.approx(known.records[0].lag.samples, rel=1e-3)
+
+
+def test_numbers_of_a_record_are_shared_with_its_copies_and_with_nothing_that_can_change():
+    u, y = np.sin(np.arange(50.0)), np.cos(np.arange(50.0))
+    record = hf.Record(u=u, y=y)
+    assert record.replace(y=2 * y).u is record.u
+    for values in (u, u.view(), np.broadcast_to(0.5, 50), u.astype(np.float32)):
+        assert not np.shares_memory(hf.Record(u=values, y=y).u, values)
+    frozen = u.view()
+    frozen.flags.writeable = False  # the array behind it can still be written to
+    assert not np.shares_memory(hf.Record(u=frozen, y=y).u, u)
+
+
+@pytest.mark.parametrize("place", [0, 7, 49])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_time_that_is_not_finite_is_refused(place, bad):
+    t = np.arange(50.0)
+    t[place] = bad
+    with pytest.raises(DataError, match="time is not finite or decreases"):
+        hf.Record(u=np.sin(np.arange(50.0)), y=np.zeros(50), t=t)

@@ -131,7 +131,7 @@ class Loops:
             start += len(group.y)
             if k < len(dt):
                 dt[k, 0, of_record] = record.dt if kept is None else np.diff(np.cumsum(record.dt)[at], prepend=0.0)
-                weight[k, 0, of_record] = (record.weight * record.used)[at]
+                weight[k, 0, of_record] = np.where(record.used[at], record.weight[at], 0.0)
         return u, dt, weight, y
 
 
@@ -171,7 +171,7 @@ class Common(NamedTuple):
         inputs = lambda o: (o.batch.u, o.batch.dt, o.batch.weight)
         places = lambda o: (o.batch.y, o.coordinates.scale, o.size)
         own = eqx.tree_at(places, jax.tree_util.tree_map(lambda _: False, on_host), (True, True, True))
-        differ = [bool((rows != rows[0]).any()) for rows in (u, dt, weight)]
+        differ = [any((row != rows[0]).any() for row in rows) for rows in (u, dt, weight)]
         of_loop = np.repeat(np.arange(len(u)), [len(group.y) for group in loops.groups])
         of_all = lambda rows: rows if len(rows) == len(y) else rows[of_loop]
         columns = [of_all(rows) if apart else rows[0] for rows, apart in zip((u, dt, weight), differ, strict=True)]

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.lanes import Ends, Stack, descend_lanes
+from hystfit.fitting.lanes import Ends, Stack, descend_lanes, go_on
 from hystfit.fitting.least_squares import ROUGH, ROUND, ROUNDS
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, NEAR, gain_within
@@ -18,6 +18,8 @@ from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 
 _MORE = 60  # steps of the best start on all samples
+# Standard errors of the short form, from the minimum of which the best start goes on with all samples: their minima were 6 apart.
+_CLOSE = 3.0
 
 
 class Task(NamedTuple):
@@ -68,22 +70,18 @@ def solve_stack(
     # Records of which a fit alone has a short form too; the best starts of others go on with all samples.
     long = short is not None and PAYS * max(short.samples, SAMPLES) <= full.samples
     rough = descend_lanes(some, lanes, starts.reshape(-1, p), gain=ROUGH, steps=steps)
-    z, cost, damping, taken = rough.normal.z, rough.cost, rough.damping, rough.steps
-    least = lambda: several * records + np.argmin(cost.reshape(count, several), axis=1)
+    least = lambda: several * records + np.argmin(rough.cost.reshape(count, several), axis=1)
+    going = least()
     if several > 1 and steps >= ROUND:
-        going = np.union1d(least(), several * records)
+        going = np.union1d(going, several * records)
     else:
-        going = least() if long else records[:0]
-    going = going[~rough.converged[going] & ~rough.beaten[going] & np.isfinite(cost[going])]
-    if going.size:
-        more = descend_lanes(some, lanes[going], z[going], gain=ROUGH, steps=ROUNDS * ROUND, beside=len(lanes))
-        taken[going] += more.steps
-        better = more.cost <= cost[going]
-        at = going[better]
-        z[at], cost[at], damping[at] = (values[better] for values in (more.normal.z, more.cost, more.damping))
+        going = going[long & (rough.promised[going] > gain_within(_CLOSE, some.samples) * rough.cost[going])]
+    again = lambda at, z: descend_lanes(some, lanes[at], z, gain=ROUGH, steps=ROUNDS * ROUND, beside=len(lanes))
+    go_on(rough, going, again)
     best, gain = least(), gain_within(NEAR if long else EXACT, full.samples)  # as exact as a fit alone
-    ends = descend_lanes(full, records, z[best], gain=gain, steps=_MORE, damping=damping[best])
-    return ends, cost.reshape(count, several), ends.steps + taken.reshape(count, several).sum(axis=1)
+    ends = descend_lanes(full, records, rough.normal.z[best], gain=gain, steps=_MORE, damping=rough.damping[best])
+    taken = rough.steps.reshape(count, several).sum(axis=1)
+    return ends, rough.cost.reshape(count, several), ends.steps + taken
 
 
 def _estimate(task: Task, z: np.ndarray, cost: Any, converged: Any, costs: np.ndarray, steps: Any) -> Estimate | None:

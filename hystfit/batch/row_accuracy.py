@@ -21,6 +21,7 @@ from hystfit.fitting.fit_warnings import BEGINS, SHORT
 from hystfit.fitting.lanes import Stack, device_for, placed
 from hystfit.fitting.verdict import turns_back
 from hystfit.inference.autocorrelation import correlated_rows
+from hystfit.inference.blocks import chosen
 from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.baselines import DEGREE, USABLE
@@ -36,33 +37,41 @@ _ROUNDED = 0.06  # of the least step between neighbors: noise below it may be ro
 _SPIKE, _OF_RANGE = 9.0, 0.028  # times the noise, and of the range, that an outlier stands out from both neighbors
 
 
-def row_noise(y: Float[Any, "N T"], xp: Any = np) -> Float[Any, " N"]:
-    """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error."""
-    difference = xp.diff(y, axis=1)
-    steps = xp.abs(difference)
-    least_step = xp.min(xp.where(steps > 0, steps, xp.inf), axis=1)
-    sizes = []
+def row_noise(steps: Float[Any, "N T"], largest: Float[Any, " N"], xp: Any = np) -> Float[Any, " N"]:
+    """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error.
+
+    Args:
+        steps: between the samples.
+        largest: size of a sample of each row.
+    """
+    change, sizes, difference = xp.abs(steps), [], steps
+    least_step = xp.min(xp.where(change > 0, change, xp.inf), axis=1)
     for order in range(2, 7):
-        difference = xp.diff(difference, axis=1)
+        difference = difference[:, 1:] - difference[:, :-1]
         size = xp.abs(difference[:, :: _stride(difference.shape[1], _ENOUGH)])
         middle = size.shape[1] // 2
         # Of single numbers a selection takes 0.6 of its time; on a GPU a sort takes less.
         median = (np.partition(size.astype("f4"), middle) if xp is np else xp.sort(size))[:, middle]
         sizes.append(MAD_TO_RMS * median / math.sqrt(math.comb(2 * order, order)))
     least = xp.min(xp.stack(sizes), axis=0)
-    floor = xp.maximum(_ROUNDED * least_step, 1e-15 * xp.abs(y).max(axis=1))
+    floor = xp.maximum(_ROUNDED * least_step, 1e-15 * largest)
     return xp.where((least > floor) & (sizes[-1] >= _SPARSE * sizes[1]), least, xp.nan)
 
 
-def sound_rows(y: Float[Any, "N T"], noise: Float[Any, " N"], xp: Any = np) -> Any:
-    """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool."""
-    low, high = y.min(axis=1, keepdims=True), y.max(axis=1, keepdims=True)
-    stays = xp.maximum((y == low).sum(axis=1), (y == high).sum(axis=1)) > _LIMIT
-    steps = xp.diff(y, axis=1)
-    before, after = steps[:, :-1], steps[:, 1:]
-    apart = xp.where(before * after < 0, xp.minimum(xp.abs(before), xp.abs(after)), 0.0).max(axis=1)
-    spiky = apart > xp.maximum(_SPIKE * xp.nan_to_num(noise), _OF_RANGE * (high - low)[:, 0])
-    return xp.isfinite(noise) & ~stays & ~spiky
+def sound_rows(y: Float[Any, "N T"], low: Any, high: Any, xp: Any = np) -> tuple[Any, Float[Any, " N"]]:
+    """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool; and their noise.
+
+    Args:
+        low, high: least and largest value of each row.
+    """
+    stays = xp.maximum(*(xp.count_nonzero(y == end[:, None], axis=1) for end in (low, high))) > _LIMIT
+    steps = y[:, 1:] - y[:, :-1]
+    noise, back = row_noise(steps, xp.maximum(-low, high), xp), -steps
+    # The smaller of two steps in opposite directions, a peak or a dip; of the same direction it is negative.
+    pairs = ((steps[:, :-1], back[:, 1:]), (back[:, :-1], steps[:, 1:]))
+    apart = xp.maximum(*(xp.minimum(before, after).max(axis=1) for before, after in pairs))
+    spiky = apart > xp.maximum(_SPIKE * xp.nan_to_num(noise), _OF_RANGE * (high - low))
+    return xp.isfinite(noise) & ~stays & ~spiky, noise
 
 
 def polynomials(u: Float[np.ndarray, " T"], degree: int) -> Float[np.ndarray, "m k"]:
@@ -120,20 +129,21 @@ class _Frame(NamedTuple):
     Attributes:
         at: numbers of the m samples that count.
         basis: polynomials over their inputs.
-        ends: which of them are before the first turning point and behind the last, shape (2, m), 0 or 1.
+        first, last: how many of them are before the first turning point, and before the last.
     """
 
     at: np.ndarray
     basis: np.ndarray
-    ends: np.ndarray
+    first: Any
+    last: Any
 
     @classmethod
     def of(cls, group: Group) -> _Frame:
         """The frame of a group."""
         record = group.record
         at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
-        ends = np.stack([at <= turns[0], at >= turns[-1]]) if turns.size else np.zeros((2, at.size))
-        return cls(at, polynomials(record.u[at], DEGREE), ends.astype(float))
+        first, last = np.searchsorted(at, [turns[0] + 1, turns[-1]]) if turns.size else (np.int64(0), np.int64(at.size))
+        return cls(at, polynomials(chosen(record.u, record.used), DEGREE), first, last)
 
 
 def soundness(loops: Loops) -> Soundness:
@@ -163,9 +173,9 @@ def _sound(y: Float[Any, "N T"], xp: Any = np) -> tuple[Any, Any]:
     finite, rows = xp.isfinite(y).all(axis=1), y
     if xp is not np or not finite.all():  # keeps warnings away from rows that are out
         rows = xp.where(finite[:, None], y, np.sin(np.arange(y.shape[1])))
-    varies = rows.max(axis=1) - rows.min(axis=1) > 1e-12 * xp.abs(rows).max(axis=1)
-    noise = row_noise(rows, xp)
-    return finite & varies & sound_rows(rows, noise, xp), noise
+    low, high = rows.min(axis=1), rows.max(axis=1)
+    sound, noise = sound_rows(rows, low, high, xp)
+    return finite & (high - low > 1e-12 * xp.maximum(-low, high)) & sound, noise
 
 
 _sound_on_device = jax.jit(functools.partial(_sound, xp=jnp))
@@ -189,7 +199,7 @@ def accuracy_of(loops: Loops, predicted: Float[np.ndarray, "N T"], noise: Float[
 def _only_even(group: Group, *found: np.ndarray) -> Accuracy:
     """Without loops whose samples count unequally, or which begin in a steady state."""
     one, record = Accuracy(*found), group.record
-    weight = record.weight[record.used]
+    weight = chosen(record.weight, record.used)
     fits = ~steady_rows(record.u, group.y)[1] & (weight.min() == weight.max())
     return one._replace(described=one.described & fits, close=one.close & fits)
 
@@ -221,29 +231,35 @@ def _accuracy(frame: _Frame, y: Any, predicted: Any, noise: Any, xp: Any = np) -
     if frame.at.size < y.shape[1]:
         y, predicted = y[:, frame.at], predicted[:, frame.at]
     residual = predicted - y
-    span, rmse = y.max(axis=1) - y.min(axis=1), xp.sqrt(xp.mean(residual**2, axis=1))
+    span, squares = y.max(axis=1) - y.min(axis=1), residual**2
+    rmse = xp.sqrt(xp.mean(squares, axis=1))
     percent, largest = 100 * rmse / span, 100 * xp.abs(residual).max(axis=1) / span
     close = xp.isfinite(rmse) & (percent < MARGIN * USABLE) & (rmse < _OF_CURVE * curve_errors(frame.basis, y, xp))
     good = close & (rmse < MARGIN * NOISY * noise)
-    residual = xp.where(good[:, None], residual, 0.0)
-    good &= _is_even(frame, residual, span, xp)
+    if xp is not np or not good.all():
+        residual, squares = (xp.where(good[:, None], values, 0.0) for values in (residual, squares))
+    good &= _is_even(frame, residual, squares, span, xp)
     return Accuracy(good, ~correlated_rows(residual, xp), close, rmse, percent, largest)
 
 
-def _is_even(frame: _Frame, residual: Float[Any, "N m"], span: Float[Any, " N"], xp: Any) -> Any:
+def _is_even(
+    frame: _Frame, residual: Float[Any, "N m"], squares: Float[Any, "N m"], span: Float[Any, " N"], xp: Any
+) -> Any:
     """Which residuals are without heavy tails, without a stretch or an end of the record unlike the rest, shape (N,), bool."""
     samples = residual.shape[1]
-    squares = residual**2
-    total = squares.sum(axis=1)
-    change = xp.diff(residual, axis=1)
+    change = residual[:, 1:] - residual[:, :-1]
     change = (change - change.mean(axis=1, keepdims=True)) ** 2
     kurtosis = xp.vecdot(change, change) / (samples - 1) / xp.mean(change, axis=1) ** 2
     plain = (kurtosis - 3 < MARGIN * TAILS) & (samples >= _FEWEST)
     sums, width = xp.cumsum(squares, axis=1), int(SHORT / MARGIN * samples) + 1
+    total = sums[:, -1]
     plain &= (sums[:, width:] - sums[:, :-width]).max(axis=1) < 0.5 * total
     size = persistent_error(residual, xp)
     largest, place = size.max(axis=1), xp.argmax(size, axis=1)
-    for end in frame.ends:
-        rest = xp.sqrt((total - squares @ end) / xp.maximum((1 - end).sum(), 1))
-        plain &= ~((end[place] > 0) & (100 * largest > MARGIN * VISIBLE * span) & (largest > MARGIN * BEGINS * rest))
+    begin = xp.where(frame.first > 0, sums[:, frame.first - 1], 0.0)
+    end = total - xp.where(frame.last > 0, sums[:, frame.last - 1], 0.0)
+    ends = ((place < frame.first, begin, frame.first), (place >= frame.last, end, samples - frame.last))
+    for inside, part, count in ends:
+        rest = xp.sqrt((total - part) / xp.maximum(samples - count, 1))
+        plain &= ~(inside & (100 * largest > MARGIN * VISIBLE * span) & (largest > MARGIN * BEGINS * rest))
     return plain

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -136,10 +136,19 @@ def integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
 
 
+def _is_frozen(values: object) -> TypeGuard[np.ndarray]:
+    """Whether these are floating-point numbers that cannot be written to through any array."""
+    frozen = type(values) is np.ndarray and values.base is None and not values.flags.writeable
+    return frozen and values.dtype == np.float64
+
+
 def column(name: str, values: object) -> np.ndarray:
-    """A copy of numbers of shape (T,) that cannot be written to, so that later changes of the argument do not reach the record."""
+    """Numbers of shape (T,) that cannot be written to, so that later changes of the argument do not reach the record.
+
+    A copy, except of an array that cannot be written to itself, as those of another record.
+    """
     try:
-        array = real_numbers(values)
+        array = values if _is_frozen(values) else real_numbers(values)
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be numbers: {error}") from error
     if array.ndim != 1:
@@ -167,11 +176,12 @@ def check_columns(record: str, u: np.ndarray, y: np.ndarray, t: np.ndarray | Non
             f"record {record!r}: the input is not finite at {bad.sum()} samples, first at sample {int(np.argmax(bad))}; "
             "a model cannot be driven through a gap: remove those rows or split the record"
         )
-    if np.isinf(y).any():
+    finite = np.isfinite(y)
+    if not finite.all() and np.isinf(y).any():
         raise DataError(f"record {record!r}: the output is infinite at {int(np.isinf(y).sum())} samples")
-    if np.isnan(y).all():
+    if not finite.any():
         raise DataError(f"record {record!r}: the output has no finite value")
-    if t is not None and (not np.isfinite(t).all() or (np.diff(t) < 0).any()):
+    if t is not None and not (np.isfinite(t[0]) and np.isfinite(t[-1]) and (np.diff(t) >= 0).all()):
         at = int(np.argmax(~(np.diff(t) >= 0))) + 1
         raise DataError(f"record {record!r}: time is not finite or decreases at sample {at}")
     if not (0 <= weight.min() and weight.max() < np.inf):

@@ -105,8 +105,7 @@ class Record:
     @property
     def reached(self) -> np.ndarray:
         """Inputs from the first to the last sample that counts, shape (n,): those between that do not count drove the device too."""
-        at = np.flatnonzero(self.used)
-        return self.u[at[0] : at[-1] + 1] if at.size else self.u[:0]
+        return self.u[self.first : self.last + 1] if self.used.any() else self.u[:0]
 
     @property
     def first(self) -> int:

@@ -30,9 +30,10 @@ def steady_period(record: Record) -> int | None:
 
 def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tuple[int, np.ndarray]:
     """`steady_period` of many outputs over one input: the period of those that have one, and which these are, shape (N,), bool."""
-    span, none = float(np.ptp(u)), np.zeros(len(y), bool)
-    inside = min(u[0] - u.min(), u.max() - u[0]) > _INSIDE * span
-    at_turn = min(u[0] - u.min(), u.max() - u[0]) <= GAP * span and abs(u[0]) < (0.5 - GAP) * span
+    low, high, none = float(u.min()), float(u.max()), np.zeros(len(y), bool)
+    span, room = high - low, min(u[0] - low, high - u[0])
+    inside = room > _INSIDE * span
+    at_turn = room <= GAP * span and abs(u[0]) < (0.5 - GAP) * span
     if u.size < FEWEST or span == 0 or not (inside or at_turn):
         return 0, none
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
@@ -43,8 +44,9 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     beyond = np.flatnonzero(v[second:] >= v[0]) if inside else np.zeros(1, int)
     last = second + int(beyond[0]) if beyond.size else u.size - 1
     last -= int(inside and v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
-    covers = v[first] > v.max() - GAP * span and v[second] < v.min() + GAP * span
-    covers &= inside or v[second:].max() > v.max() - GAP * span
+    low, high = (low, high) if rising > 0 else (-high, -low)
+    covers = v[first] > high - GAP * span and v[second] < low + GAP * span
+    covers &= inside or v[second:].max() > high - GAP * span
     if not covers or abs(u[last] - u[0]) > GAP * span:
         return 0, none
     rows = y if at_turn else y[:, : last + 1]
@@ -58,7 +60,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
         off = np.abs(end - begin)
     else:  # the next branch in the same direction must be the same too
         third = second + _turn(v[second:], span)
-        at = v.min() + np.arange(1, _PLACES) / _PLACES * float(np.ptp(v))
+        at = low + np.arange(1, _PLACES) / _PLACES * span
         one, other = (
             np.stack([_between(x, v[a:b], rows[:, a:b]) for x in at]) for a, b in ((0, first + 1), (second, third + 1))
         )

@@ -102,6 +102,7 @@ class Ends(NamedTuple):
             the cost of the best converged lane of its record.
         beaten: which lanes were given up because another lane of their record has a lower cost than they can reach.
         damping: damping of the next step, shape (L,).
+        promised: decrease of the cost to the minimum, as predicted by the linear model, shape (L,).
     """
 
     normal: Normal
@@ -110,6 +111,7 @@ class Ends(NamedTuple):
     cost: np.ndarray
     beaten: np.ndarray
     damping: np.ndarray
+    promised: np.ndarray
 
 
 def descend_lanes(
@@ -146,7 +148,24 @@ def descend_lanes(
         ended, given_up[part] = _on_host(stack, numbers[part], lane.rows(part), tolerance, steps, many)
         lane.put(part, ended)
     cost = np.where(given_up, approached(lane, numbers), lane.best.cost)
-    return Ends(lane.best, lane.converged, lane.steps, cost, given_up, lane.damping)
+    return Ends(lane.best, lane.converged, lane.steps, cost, given_up, lane.damping, lane.promised)
+
+
+def go_on(ends: Ends, lanes: np.ndarray, run: Callable[[np.ndarray, np.ndarray], Ends]) -> None:
+    """Continue those of some descents that have neither converged nor been given up, in place.
+
+    Args:
+        lanes: their numbers.
+        run: descends from the points z of lanes, from their numbers and these.
+    """
+    lanes = lanes[~ends.converged[lanes] & ~ends.beaten[lanes] & np.isfinite(ends.cost[lanes])]
+    if lanes.size:
+        more = run(lanes, ends.normal.z[lanes])
+        ends.steps[lanes] += more.steps
+        better = more.cost <= ends.cost[lanes]
+        more = more._replace(steps=ends.steps[lanes])
+        for mine, new in zip(jax.tree_util.tree_leaves(ends), jax.tree_util.tree_leaves(more), strict=True):
+            mine[lanes[better]] = new[better]
 
 
 def device_for(lanes: int) -> Any:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from hystfit.fitting.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.lanes import Stack, descend_lanes
+from hystfit.fitting.lanes import Ends, Stack, descend_lanes, go_on
 from hystfit.fitting.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.polish import EXACT, STEPS, polish
 from hystfit.fitting.thinning import thin
 from hystfit.fitting.trust_region import TrustRegion
+from hystfit.inference.normal import Normal
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
@@ -58,15 +59,16 @@ class LeastSquares(AbstractEstimator):
         short = thin(problem)
         objective = problem.objective if short is None else short
         ended = self._run(objective, starts)
-        # The first start continues too, because a worse basin may lead after a few steps.
+        costs = ended.cost
         total, thinned = (float(np.asarray(of.batch.weight).sum()) for of in (problem.objective, objective))
-        error = problem.scales.y * np.sqrt(2 * float(ended.cost.min()) / thinned)
+        error = problem.scales.y * np.sqrt(2 * float(costs.min()) / thinned)
         if not (self.brief and error > _FAR * self.most):
-            for number in dict.fromkeys((int(np.argmin(ended.cost)), 0)):
-                self._continue(objective, ended, number)
-        costs, steps = ended.cost, int(ended.steps.sum())
-        number = int(np.argmin(costs))
-        z, cost, success, linearized = ended.z[number], float(costs[number]), bool(ended.converged[number]), None
+            # The first start too: a worse basin may lead after a few steps.
+            going = np.unique([0, int(np.argmin(costs))])
+            for _ in range(ROUNDS):
+                go_on(ended, going, lambda _, z: self._run(objective, z))
+        number, steps = int(np.argmin(costs)), int(ended.steps.sum())
+        z, cost, success, linearized = ended.normal.z[number], float(costs[number]), bool(ended.converged[number]), None
         if self.brief:
             cost *= total / thinned
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
@@ -85,34 +87,14 @@ class LeastSquares(AbstractEstimator):
         costs[number] = finished.cost
         return Estimate(finished.x, finished.cost, finished.converged, message, steps + finished.evaluations, costs)
 
-    def _continue(self, objective: Objective, ended: _Ended, number: int) -> None:
-        """Further rounds for one start, in place."""
-        for _ in range(ROUNDS):
-            if ended.converged[number] or ended.beaten[number] or not np.isfinite(ended.cost[number]):
-                return
-            again = self._run(objective, ended.z[number][None])
-            if again.cost[0] <= ended.cost[number]:
-                for mine, new in zip(ended[:3], again[:3], strict=True):
-                    mine[number] = new[0]
-            ended.steps[number] += again.steps[0]
-
-    def _run(self, objective: Objective, starts: np.ndarray) -> _Ended:
+    def _run(self, objective: Objective, starts: np.ndarray) -> Ends:
         if self.method == "lm":
-            ends = descend_lanes(Stack.of([objective]), np.zeros(len(starts), int), starts, gain=ROUGH, steps=ROUND)
-            return _Ended(ends.normal.z, ends.cost, ends.converged, ends.steps, ends.beaten)
+            return descend_lanes(Stack.of([objective]), np.zeros(len(starts), int), starts, gain=ROUGH, steps=ROUND)
         runs = [_dogleg(objective, to_device(z)) for z in starts]  # one compilation serves any number of starts
-        parts = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
-        return _Ended(*parts, np.zeros(len(starts), bool))
-
-
-class _Ended(NamedTuple):
-    """End points of S descents: unconstrained z, half the squared misfits, which converged, steps, and which were given up."""
-
-    z: Float[np.ndarray, "S p"]
-    cost: Float[np.ndarray, " S"]
-    converged: np.ndarray
-    steps: np.ndarray
-    beaten: np.ndarray
+        z, cost, converged, taken = (np.array([np.asarray(v) for v in part]) for part in zip(*runs, strict=True))
+        count, p = z.shape
+        normal = Normal(z, cost, np.zeros((count, p)), np.zeros((count, p, p)))  # type: ignore[arg-type]
+        return Ends(normal, converged, taken, cost.copy(), np.zeros(count, bool), np.zeros(count), np.zeros(count))
 
 
 def dogleg() -> LeastSquares:

@@ -73,6 +73,10 @@ class Coordinates(eqx.Module):
     n_records: int = eqx.field(static=True)
     constants: tuple[Any, ...] = ()
     constant_at: tuple[int, ...] = eqx.field(static=True, default=())
+    ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
+
+    # Methods of an equinox module are trees, which takes longer to make than these take to run.
+    __getattribute__ = object.__getattribute__
 
     def at(self, tree: Any) -> Coordinates:
         """The same coordinates with the constants of a tree for every record: for predictions of another one."""
@@ -81,8 +85,6 @@ class Coordinates(eqx.Module):
             np.broadcast_to(leaves[k], np.shape(old)) for k, old in zip(self.constant_at, self.constants, strict=True)
         ]
         return eqx.tree_at(lambda c: c.constants, self, tuple(map(to_device, rows))) if rows else self
-
-    ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
     @property
     def own_count(self) -> int:
