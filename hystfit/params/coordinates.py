@@ -75,9 +75,6 @@ class Coordinates(eqx.Module):
     constant_at: tuple[int, ...] = eqx.field(static=True, default=())
     ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
-    # Methods of an equinox module are trees, which takes longer to make than these take to run.
-    __getattribute__ = object.__getattribute__
-
     def at(self, tree: Any) -> Coordinates:
         """The same coordinates with the constants of a tree for every record: for predictions of another one."""
         leaves = jax.tree_util.tree_leaves(tree)
