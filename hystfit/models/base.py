@@ -45,6 +45,8 @@ class AbstractHysteresis(AbstractDynamics):
     """Reason why models of this class have no inverse, with {name} for the class name; "" if they have one."""
     either_way: ClassVar[bool] = False
     """Whether the model describes loops of both directions, regardless of `needs`."""
+    jumps: ClassVar[bool] = False
+    """Whether the output jumps where the input passes a threshold, which no derivative tells (`step_errors`)."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that give the number of elements of a parameter: names of parameters by setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
@@ -142,11 +144,6 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
-    def jumps(self) -> bool:
-        """Whether the output jumps where the input passes a threshold, which no derivative tells (`step_errors`)."""
-        return any(leaf.info.stepwise for leaf in leaves_of(self))
-
-    @property
     def degrades(self) -> bool:
         """Whether the model describes loops that lose strength or stiffness."""
         return self.needs is not None and self.needs.damage
@@ -211,13 +208,7 @@ class AbstractHysteresis(AbstractDynamics):
         return ()
 
     def step_errors(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """A model of this structure with standard errors in place of the parameters in which the output is piecewise constant.
-
-        All others are NaN, because derivatives of the output give their errors.
-
-        Args:
-            records: those of the fit.
-        """
+        """The model with standard errors for the parameters in which its output is piecewise constant; the others are NaN."""
         return jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), self)
 
     def plays(self) -> tuple[PlayWeights, ...]:
