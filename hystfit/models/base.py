@@ -45,8 +45,6 @@ class AbstractHysteresis(AbstractDynamics):
     """Reason why models of this class have no inverse, with {name} for the class name; "" if they have one."""
     either_way: ClassVar[bool] = False
     """Whether the model describes loops of both directions, regardless of `needs`."""
-    jumps: ClassVar[bool] = False
-    """Whether the output jumps where the input passes a threshold, which no derivative tells (`step_errors`)."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that give the number of elements of a parameter: names of parameters by setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
