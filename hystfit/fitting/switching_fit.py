@@ -17,7 +17,8 @@ from hystfit.inference.problem import Problem
 class Switching(Convex):
     """Thresholds that the model itself reads off the records (`start`), and the weights that fit best at these, without a ridge.
 
-    The search is exact and needs no starting values.
+    The search is exact and needs no starting values. Cross-validation keeps the thresholds, as that of a convex fit keeps a lag: a record
+    has few jumps, and one held out may leave a threshold so wide a range that a whole half cycle is predicted on the wrong side.
     """
 
     strengths: tuple[float, ...] = eqx.field(static=True, default=(0.0,))

@@ -142,11 +142,6 @@ class AbstractHysteresis(AbstractDynamics):
         return False
 
     @property
-    def jumps(self) -> bool:
-        """Whether the output jumps where the input passes a threshold, which no derivative tells (`step_errors`)."""
-        return any(leaf.info.stepwise for leaf in leaves_of(self))
-
-    @property
     def degrades(self) -> bool:
         """Whether the model describes loops that lose strength or stiffness."""
         return self.needs is not None and self.needs.damage
@@ -211,13 +206,7 @@ class AbstractHysteresis(AbstractDynamics):
         return ()
 
     def step_errors(self, records: Sequence[Record]) -> AbstractHysteresis:
-        """A model of this structure with standard errors in place of the parameters in which the output is piecewise constant.
-
-        All others are NaN, because derivatives of the output give their errors.
-
-        Args:
-            records: those of the fit.
-        """
+        """The model with standard errors for the parameters in which its output is piecewise constant; the others are NaN."""
         return jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), self)
 
     def plays(self) -> tuple[PlayWeights, ...]:

@@ -70,6 +70,7 @@ class AbstractComposition(AbstractHysteresis):
     degrades = _of_any("degrades")
     has_inverse = _of_all("has_inverse")
     has_rest = _of_any("has_rest")
+    jumps = _of_any("jumps")
     from_saturation = _of_any("from_saturation")
 
     def prepared(self, record: Record) -> Record:

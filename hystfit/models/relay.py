@@ -42,6 +42,7 @@ class Relay(AbstractHysteresis):
         "a relay has no inverse: its output takes two levels, and no input leads to values between them"
     )
     rate_independent: ClassVar[bool] = True
+    jumps: ClassVar[bool] = True
     c_template: ClassVar[str] = "relay"
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "switching"

@@ -75,6 +75,11 @@ class AbstractDynamics(eqx.Module):
         return True
 
     @property
+    def jumps(self) -> bool:
+        """Whether the output jumps where the input passes a threshold, which no derivative tells."""
+        return False
+
+    @property
     def has_fast_run(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False
