@@ -101,9 +101,10 @@ def candidates(data: Dataset) -> Candidates:
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
     last = () if plays_fail else tuple(against)
     able = {name: model for name, model in able.items() if name not in last}
-    # Signed weights need no negation, and some models are tried both ways.
+    # Some models are tried both ways.
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
-    before = lambda name, model: "negate+" if falls(data) and model.has_inverse and name not in both_ways else ""
+    either = lambda name, model: model.either_way or not model.has_inverse or name in both_ways
+    before = lambda name, model: "negate+" if falls(data) and not either(name, model) else ""
     late = tuple(name for name in able if speeds < _speeds_needed(name))
     closed = {
         name: before(name, model) + name

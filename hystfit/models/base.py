@@ -44,7 +44,7 @@ class AbstractHysteresis(AbstractDynamics):
     no_inverse: ClassVar[str] = ""
     """Reason why models of this class have no inverse, with {name} for the class name; "" if they have one."""
     either_way: ClassVar[bool] = False
-    """Whether the model describes loops of both directions, regardless of `needs`."""
+    """Whether the model describes loops of both directions and outputs that fall as the input rises, regardless of `needs`."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that give the number of elements of a parameter: names of parameters by setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}

@@ -69,6 +69,7 @@ class AbstractComposition(AbstractHysteresis):
     hardens = _of_any("hardens")
     degrades = _of_any("degrades")
     has_inverse = _of_all("has_inverse")
+    either_way = _of_any("either_way")
     has_rest = _of_any("has_rest")
     jumps = _of_any("jumps")
     from_saturation = _of_any("from_saturation")

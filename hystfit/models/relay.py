@@ -29,8 +29,7 @@ class Relay(AbstractHysteresis):
     The output is linear in the levels and piecewise constant in the thresholds: between the same two samples every threshold gives the
     same output. They are found by an exact search, and their standard errors come from the samples around the jumps. Where the first
     input lies between the thresholds, the state before a record is that of its first output, and without an output that of the nearer
-    threshold. A record whose output falls as the input rises has high < low, or `negate` before a relay with thresholds of the other
-    sign.
+    threshold. A record whose output falls as the input rises has high < low.
 
     Source: Mayergoyz (2003), Mathematical Models of Hysteresis and Their Applications, chapter 1.
 
@@ -46,7 +45,8 @@ class Relay(AbstractHysteresis):
     c_template: ClassVar[str] = "relay"
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "switching"
-    needs: ClassVar[Needs] = Needs(direction="counter-clockwise")
+    either_way: ClassVar[bool] = True
+    needs: ClassVar[Needs] = Needs()
 
     up: Scalar = param(0.5, unit="u", stepwise=True, doc="input above which the output jumps to the high level")
     down: Scalar = param(-0.5, unit="u", stepwise=True, doc="input below which the output jumps to the low level")
