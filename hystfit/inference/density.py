@@ -86,19 +86,14 @@ class Density(eqx.Module):
         return jnp.where(self.objective.broken(r[0]), -jnp.inf, value), shift, root
 
     def _products(self, x: Float[Array, "m p"], noise: AbstractNoise) -> tuple[Scalar, Float[Array, "m m"]]:
-        """Log density of no residuals, and products of whitened signals: the residual of the first x, and what it has more than the others."""
+        """Log density of no residuals, and products of whitened signals: the residual of the first x, and its excess over each other."""
         left, right = np.tril_indices(len(x))
 
         def update(carry: tuple[Array, ...], r: Array, weight: Array, gap: Array) -> tuple[Array, ...]:
             signals = jnp.concatenate([r[:1], r[0] - r[1:]])
             state, e, logs = noise.steps(carry[0], signals, gap, weight)
-            on = weight > 0
-            e = jnp.where(on, e, 0.0)
-            return (
-                state,
-                carry[1] + jnp.where(on, noise.density(jnp.zeros_like(logs), logs), 0.0),
-                carry[2] + e[left] * e[right],
-            )
+            e, none = jnp.where(weight > 0, e, 0.0), noise.density(jnp.zeros_like(logs), logs)
+            return state, carry[1] + jnp.where(weight > 0, none, 0.0), carry[2] + e[left] * e[right]
 
         start = noise.start_of(len(x)), jnp.zeros(()), jnp.zeros(left.size)
         _, plain, products = self._accumulate(x, start, update)
