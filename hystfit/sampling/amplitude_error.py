@@ -31,8 +31,8 @@ from hystfit.sampling.weight_equations import (
 )
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
-# Exponent of the fractional Brownian motion; 0.5 is a Wiener process. The errors of 38 loops left out, 28 of simulated devices of four kinds
-# and 10 measured, have the largest likelihood for 0.87; its logarithm is at most 0.5 lower from 0.82 to 0.92, and 6 for 0.5.
+# Exponent of the fractional Brownian motion; 0.5 is a Wiener process. The errors of 38 loops left out, 28 of simulated devices of four
+# kinds and 10 measured, have the largest likelihood for 0.87; its logarithm is at most 0.5 lower from 0.82 to 0.92, and 6 for 0.5.
 _SMOOTH = 0.85
 # Moves of the weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation.
 _MOVES = 300
