@@ -131,6 +131,17 @@ class Density(eqx.Module):
         return not self._scans or self.noise.tree(jnp.zeros(len(self.noise.kinds))).has_shapes
 
     @property
+    def is_heavy(self) -> bool:
+        """Whether one likelihood fills much of the cache: trajectories, or a step with a loop of its own, such as several substeps.
+
+        200 at once take 4.4 ms each for Jiles-Atherton, 8 at once 2.5 ms; for Bouc-Wen 0.07 and 0.14 ms.
+        """
+        if self.keeps_trajectories:
+            return True
+        model, zero = self.objective.coordinates.assemble(jnp.zeros(self.p), 0), jnp.zeros(())
+        return _has_loop(jax.make_jaxpr(lambda state: model.step(state, zero, zero, zero))(model.init(zero)))
+
+    @property
     def _scans(self) -> bool:
         """Whether the scan over the samples can include the noise."""
         return self.objective.coordinates.assemble(jnp.zeros(self.p)).one_scan
@@ -198,3 +209,15 @@ class Density(eqx.Module):
         r, J = self.objective.linearize(x)
         value, (by_noise, by_residual) = slopes(z[self.p :], r)
         return value, jnp.einsum("rt,rtp->p", by_residual, J), by_noise
+
+
+def _has_loop(program: Any) -> bool:
+    """Whether a program of JAX, or one within it, has a loop."""
+    inner = lambda step: jax.tree_util.tree_leaves(
+        tuple(step.params.values()), is_leaf=lambda part: hasattr(part, "eqns")
+    )
+    return any(
+        step.primitive.name in ("scan", "while")
+        or any(_has_loop(part) for part in inner(step) if hasattr(part, "eqns"))
+        for step in program.eqns
+    )

@@ -22,7 +22,7 @@ from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
 ROWS = 200  # places at once where only sums are kept
-TOGETHER = 8  # places at once where trajectories are kept: more do not fit into the cache
+TOGETHER = 8  # places at once where they are heavy: more do not fit into the cache
 
 
 class Target(eqx.Module):
@@ -192,4 +192,4 @@ def log_posterior(density: Density, z: Array) -> Array:
 
 def _at_once(function: Callable[[Array], Any], density: Density, rows: Array) -> Any:
     """A function of each row, of as many at once as the cache has room for."""
-    return jax.lax.map(function, rows, batch_size=TOGETHER if density.keeps_trajectories else min(ROWS, len(rows)))
+    return jax.lax.map(function, rows, batch_size=TOGETHER if density.is_heavy else min(ROWS, len(rows)))
