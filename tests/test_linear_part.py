@@ -8,6 +8,9 @@ import scipy.linalg
 
 import hystfit as hf
 from hystfit import priors
+from hystfit.inference.noise import White
+from hystfit.inference.problem import Problem
+from hystfit.models import LogCreep, Sum
 from hystfit.outcome import Status
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.sample import sample
@@ -83,6 +86,14 @@ def test_densities_of_many_places_are_those_of_each(noise):
     densities, z = log_densities_and_z(target, q)
     np.testing.assert_allclose(densities, jax.jit(lambda q: jax.lax.map(target, q))(q), rtol=1e-9)
     np.testing.assert_allclose(z, target.unwhitened(q), atol=1e-9)
+
+
+def test_few_places_are_computed_at_once_where_a_step_has_a_loop_of_its_own():
+    data = several()
+    density = lambda model: Problem(model, data).with_noise(White()).density
+    assert not density(hf.BoucWen()).is_heavy
+    assert density(hf.JilesAtherton()).is_heavy  # substeps
+    assert density(Sum(hf.BoucWen(), LogCreep())).is_heavy  # trajectories of its parts
 
 
 def test_gradient_is_that_of_the_density(setup):
