@@ -12,6 +12,7 @@ import pytest
 import hystfit as hf
 from hystfit.inference.weights import smoothness_penalty
 from hystfit.models import Preisach
+from hystfit.sampling import amplitude_error
 from hystfit.sampling.amplitude_error import AmplitudeError, Strokes, _gap, posterior_mean
 from hystfit.sampling.weight_equations import weight_priors
 
@@ -46,15 +47,22 @@ def sampled() -> tuple[hf.Posterior, hf.Record]:
     return hf.sample(fit, "weights", chains=2, draws=150, extend=1), loops[1]
 
 
-def test_variance_is_that_of_a_wiener_process_given_its_zeros() -> None:
-    fitted = np.array([-1.3, 0.2, 0.9, 2.0])
-    process = lambda a, b: np.minimum.outer(a - fitted[0], b - fitted[0])  # zero at the first of them
-    for level in (-0.7, 0.5, 1.2, 2.6):
-        at, rest = np.array([level]), fitted[1:]
-        known = process(at, rest) @ np.linalg.solve(process(rest, rest), process(rest, at))
-        assert _gap(level, fitted) == pytest.approx((process(at, at) - known).item(), rel=1e-12)
-    assert _gap(-2.0, fitted) == pytest.approx(0.7)  # the same backwards
+def test_variance_is_that_of_fractional_brownian_motion_given_its_zeros(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Against the moving average of white noise that defines it (Mandelbrot and Van Ness 1968), and the bridge of a Wiener process."""
+    fitted, power = np.array([-1.3, 0.2, 0.9, 2.0]), amplitude_error._SMOOTH - 0.5
+    edges = np.concatenate([-np.geomspace(1e6, 5, 4000), np.linspace(-5, 3, 16_000)[1:]])
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    average = lambda t: (np.maximum(t - middle, 0) ** power - np.maximum(-middle, 0) ** power) * np.sqrt(np.diff(edges))
+    unit = average(1.0)
+    for level in (-2.5, -0.7, 0.5, 1.2, 2.6):
+        rows = np.array([average(t) - average(fitted[0]) for t in (*fitted[1:], level)])
+        whole = rows @ rows.T / (unit @ unit)
+        wanted = whole[3, 3] - whole[3, :3] @ np.linalg.solve(whole[:3, :3], whole[:3, 3])
+        assert _gap(level, fitted) == pytest.approx(wanted, rel=0.01)
     assert _gap(0.21, fitted) == 0.0  # the same amplitude
+    monkeypatch.setattr(amplitude_error, "_SMOOTH", 0.5)
+    assert _gap(0.5, fitted) == pytest.approx(0.3 * 0.4 / 0.7)
+    assert _gap(-2.0, fitted) == pytest.approx(0.7)
 
 
 def test_strokes_cut_off_by_the_ends_have_the_swing_of_their_neighbor() -> None:
@@ -112,7 +120,7 @@ def test_the_error_is_zero_at_fitted_amplitudes_and_grows_with_the_output(sample
     np.testing.assert_allclose(np.exp(beyond.levels), [0.3, 2.0])
     assert (beyond.sd(between.u / 0.4, between.y) == 0).all()
     np.testing.assert_allclose(beyond.sd(between.u, 3 * between.y), 3 * beyond.sd(between.u, between.y))
-    assert beyond.freedom > 1
+    assert beyond.freedom == 1  # one amplitude was left out, whatever the samples of its loop
     assert (beyond.sd(np.ones(20), np.ones(20)) == 0).all()  # an input that does not move
 
 

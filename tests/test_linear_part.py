@@ -8,10 +8,14 @@ import scipy.linalg
 
 import hystfit as hf
 from hystfit import priors
+from hystfit.inference.noise import White
+from hystfit.inference.problem import Problem
+from hystfit.models import LogCreep, Sum
 from hystfit.outcome import Status
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import given_others, prepare
+from hystfit.sampling.target import log_densities_and_z
 
 NARROW = {"offset": priors.Normal(0.3, 0.003)}  # about as narrow as the likelihood
 
@@ -56,6 +60,40 @@ def test_density_is_that_of_all_parameters_times_the_jacobian(setup):
         value, stretch = with_jacobian(jnp.asarray(q))
         differences.append(float(value - of_z(target.unwhitened(jnp.asarray(q))) - stretch))
     assert np.ptp(differences) < 1e-8
+
+
+def several() -> hf.Dataset:
+    """Two records without some samples, the second with noise of half the size; one of uneven steps."""
+    rng, records = np.random.default_rng(3), []
+    for k, t in enumerate((np.arange(120) / 120, np.sort(rng.uniform(size=90)))):
+        u = np.sin(2 * np.pi * 4 * t) * (0.4 + 0.6 * t)
+        y = np.asarray(hf.simulate(hf.BoucWen(c=2.0, mu=0.5, tau=2.0, rho=0.5, offset=0.3), u)[0])
+        y = y + 0.02 / (1 + k) * rng.normal(size=t.size)
+        weight = np.where(np.arange(t.size) % 17 == 5, 0.0, (1.0 + k) ** 2)
+        records.append(hf.Record(t=t, u=u, y=y, weight=weight, name=str(k)))
+    return hf.Dataset(tuple(records))
+
+
+@pytest.mark.parametrize("noise", ["iid", "ou", "ar1"])
+def test_densities_of_many_places_are_those_of_each(noise):
+    """In one scan for all signals, against whole trajectories and against coordinates computed apart."""
+    fit = hf.fit("bouc-wen", several(), starts=1)
+    target = given_others(prepare(fit, noise=noise), jax.random.key(0)).target
+    assert target.linear is not None
+    assert len(target.linear.places) >= 3  # c and either offset
+    assert not target.density.keeps_trajectories
+    q = jnp.asarray(np.random.default_rng(4).normal(size=(5, len(target.center))))
+    densities, z = log_densities_and_z(target, q)
+    np.testing.assert_allclose(densities, jax.jit(lambda q: jax.lax.map(target, q))(q), rtol=1e-9)
+    np.testing.assert_allclose(z, target.unwhitened(q), atol=1e-9)
+
+
+def test_few_places_are_computed_at_once_where_a_step_has_a_loop_of_its_own():
+    data = several()
+    density = lambda model: Problem(model, data).with_noise(White()).density
+    assert not density(hf.BoucWen()).is_heavy
+    assert density(hf.JilesAtherton()).is_heavy  # substeps
+    assert density(Sum(hf.BoucWen(), LogCreep())).is_heavy  # trajectories of its parts
 
 
 def test_gradient_is_that_of_the_density(setup):

@@ -300,7 +300,14 @@ class Kinked(Target):
         return -1e3 * jnp.abs(v[0]) - jnp.where(jnp.abs(v[1]) < 0.1, 0.0, (jnp.abs(v[1]) - 0.1) * 1e4) - 0.5 * v[2] ** 2
 
 
-class Funnel(Target):
+class Given(Target):
+    """A target whose density has no parameters but its coordinates v."""
+
+    def log_density_and_z(self, v, lean=False):
+        return self.log_density(v, lean), v
+
+
+class Funnel(Given):
     """Neal's funnel (2003), in which one step size does not fit."""
 
     def __call__(self, q):
@@ -311,7 +318,7 @@ class Funnel(Target):
         return self(self.q_of(v))
 
 
-class LogGamma(Target):
+class LogGamma(Given):
     """Logarithms of gamma variables of shape 2, of which the second is added to the first."""
 
     def log_density(self, v, lean=False):
@@ -322,7 +329,7 @@ class LogGamma(Target):
         return jax.value_and_grad(self.log_density)(v)
 
 
-class SkewedWidths(Target):
+class SkewedWidths(Given):
     """Logarithms of independent gamma variables of shape 4, in units of their curvature at the mode."""
 
     def log_density(self, v, lean=False):
@@ -356,7 +363,7 @@ def independent(target: Target, seed: int, draws: int) -> np.ndarray:
     chains, drawn = independence.Independence(chains=2)._chains(target, mixture, places, (seed, 1), None), []
     for chain in chains:
         chain.draw(draws, lambda: None)
-        drawn.append(np.asarray(target.v_of(np.concatenate([chunk["q"] for chunk in chain.chunks]), np)))
+        drawn.append(np.concatenate([chunk["z"] for chunk in chain.chunks]))
     return np.concatenate(drawn)
 
 

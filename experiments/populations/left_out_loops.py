@@ -2,7 +2,7 @@
 
 Of three soft magnetic materials each loop but the largest is left out in turn and predicted from the others. Weights that may be negative
 describe minor loops that the classical model does not; levels are denser where the branches are steep. The second form, and that errors
-grow as a Wiener process in the logarithm of the amplitude, were chosen with these loops in view; `simulated_loops.py` has others.
+grow with the logarithm of the amplitude, were chosen with these loops in view; how fast they grow, with those of `simulated_loops.py`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Error of weights over loops of an amplitude that was not fitted, from posteriors without single amplitudes and without several.
 
 Noise and prior of the weights tell how well they are known if the model is true. How far it is not, loops show that are left out: the error
-grows with the ratio of their amplitude to those fitted. Over the swing of the output it is described by a Wiener process in the logarithm
-of the amplitude that is zero at fitted amplitudes, as Brownian motion between known points: it needs no length, and no unit. Its one
-parameter is the variance of relative error over an e-fold of amplitude.
+grows with the ratio of their amplitude to those fitted. Over the swing of the output it is described by fractional Brownian motion
+(Mandelbrot and Van Ness 1968, SIAM Rev. 10) in the logarithm of the amplitude that is zero at fitted amplitudes: it needs no length, and
+no unit. Its one parameter is the variance of relative error over an e-fold of amplitude, known from as many values as amplitudes are left
+out.
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ from hystfit.sampling.weight_equations import (
 )
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
+# Exponent of the fractional Brownian motion; 0.5 is a Wiener process. The errors of 38 loops left out, 28 of simulated devices of four
+# kinds and 10 measured, have the largest likelihood for 0.87; its logarithm is at most 0.5 lower from 0.82 to 0.92, and 6 for 0.5.
+_SMOOTH = 0.85
 # Moves of the weights, after a tenth of them, for a mean with a small error beside the posterior's standard deviation.
 _MOVES = 300
 
@@ -41,13 +45,13 @@ class AmplitudeError:
     Attributes:
         levels: logarithms of the fitted swings of the input, rising.
         variance: of the error without noise over the output's swing, for an e-fold of amplitude.
-        freedom: number of degrees of freedom with which it is known.
+        freedom: number of degrees of freedom with which it is known: the amplitudes left out, for the error of each has one cause.
         length: samples over which the error is correlated.
     """
 
     levels: np.ndarray
     variance: float
-    freedom: float
+    freedom: int
     length: int
 
     @classmethod
@@ -70,7 +74,7 @@ class AmplitudeError:
         noise = sum(
             float(np.median(posterior[name])) ** 2 for name in ("noise_white", "noise_slow") if name in posterior.names
         )
-        numbers, squares, lengths, freedom = set(), [], [], 0.0
+        squares, gaps, lengths = [], [], []
         for first, last in itertools.combinations(edges, 2):
             held = [(of >= first) & (of < last) for of in level]
             weights = [np.where(mask, 0.0, record.weight) for mask, record in zip(held, problem.data, strict=True)]
@@ -84,11 +88,12 @@ class AmplitudeError:
                     on = left & (of == number)
                     swing = one.swing_of(record.y, record.used)[on]
                     excess = max(np.mean(error[on] ** 2) - noise, 0.0)
-                    squares.append(excess / max(np.mean(swing**2), noise) / _gap(levels[number], fitted))
+                    squares.append(excess / max(np.mean(swing**2), noise))
+                    gaps.append(_gap(levels[number], fitted))
                     lengths.append(correlation_length(error[on]))
-                    freedom += (number not in numbers) * on.sum() / lengths[-1]
-                    numbers.add(number)
-        return cls(levels, float(np.mean(squares)), freedom, int(np.median(lengths)))
+        # Not a mean of ratios: what is left over small gaps is noise for the most part.
+        variance = float(np.sum(squares) / np.sum(gaps))
+        return cls(levels, variance, levels.size - 1, int(np.median(lengths)))
 
     def sd(self, u: np.ndarray, y: np.ndarray) -> Float[np.ndarray, " T"]:
         """Standard deviation of the error over an input u with output y, shapes (T,) [y]."""
@@ -98,13 +103,19 @@ class AmplitudeError:
 
 
 def _gap(level: float, fitted: np.ndarray) -> float:
-    """Variance at a level of a Wiener process of unit variance over a unit that is zero at fitted levels, rising."""
-    near, k = float(np.abs(fitted - level).min()), int(np.searchsorted(fitted, level))
-    if near <= APART:
+    """Variance at a level of fractional Brownian motion of unit variance over a unit that is zero at fitted levels, rising."""
+    if np.abs(fitted - level).min() <= APART:
         return 0.0
-    if k in (0, fitted.size):
-        return near
-    return float((level - fitted[k - 1]) * (fitted[k] - level) / (fitted[k] - fitted[k - 1]))
+    at, zeros = level - fitted[0], fitted[1:] - fitted[0]
+    together = _covariance(at, zeros)
+    known = together @ np.linalg.solve(_covariance(zeros[:, None], zeros), together) if zeros.size else 0.0
+    return float(_covariance(at, at) - known)
+
+
+def _covariance(a: np.ndarray | float, b: np.ndarray | float) -> np.ndarray:
+    """Of fractional Brownian motion at a and b."""
+    power = lambda distance: np.abs(distance) ** (2 * _SMOOTH)
+    return np.asarray(0.5 * (power(a) + power(b) - power(np.subtract(a, b))))
 
 
 @dataclasses.dataclass(frozen=True)

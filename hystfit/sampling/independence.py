@@ -77,7 +77,7 @@ class Independence(AbstractSampler):
         if not begin:
             return None
         mixture: Mixture | None = Mixture(begin["share"], begin["center"], begin["root"])
-        places = Batch(begin["q"], begin["log_density"], begin["score"])
+        places = Batch(*(begin[field.name] for field in dataclasses.fields(Batch)))
         for attempt in range(1, _ATTEMPTS + 1):
             if mixture is None:
                 break
@@ -103,7 +103,7 @@ class Independence(AbstractSampler):
         tries = 2 * math.ceil(0.5 * _TRIES / max(efficiency(places.score), _COVERED))  # even
         return [
             _Chain(target, mixture, tries, start, (*seed, k), folder, f"{self.name}-{seed[1]}-{k}")
-            for k, start in enumerate(zip(places.q[at], scores, strict=True))
+            for k, start in enumerate(zip(places.z[at], scores, strict=True))
         ]
 
     def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> dict[str, np.ndarray]:
@@ -169,13 +169,14 @@ class _Chain:
     @property
     def offers(self) -> Batch:
         """All draws of the mixture so far."""
-        return Batch.joined([Batch(chunk["offers"], chunk["densities"], chunk["scores"]) for chunk in self.chunks])
+        names = [field.name for field in dataclasses.fields(Batch)]
+        return Batch.joined([Batch(*(chunk[f"offered_{name}"] for name in names)) for chunk in self.chunks])
 
     def _chunk(self, number: int) -> dict[str, np.ndarray]:
         """Chunk number `number`: every draw is the end of `tries` Metropolis steps."""
         rng = np.random.default_rng([*self.seed, number])
         offered = Batch.of(self.target, self.mixture, rng, _CHUNK * self.tries)
-        before, score = (self.chunks[-1]["q"][-1], float(self.chunks[-1]["score"])) if number else self.start
+        before, score = (self.chunks[-1]["z"][-1], float(self.chunks[-1]["score"])) if number else self.start
         levels = np.log(rng.uniform(size=len(offered.q)))
         at, places = -1, np.empty(len(offered.q), int)  # -1: where the chunk begins
         for k, (offer, level) in enumerate(zip(offered.score.tolist(), levels.tolist(), strict=True)):
@@ -185,13 +186,8 @@ class _Chain:
         moved = np.diff(places, prepend=-1) != 0
         places = places[self.tries - 1 :: self.tries]
         stay = places < 0
-        q = np.where(stay[:, None], before, offered.q[places])
-        return {
-            "q": q,
-            "z": np.asarray(self.target.unwhitened(q)),
-            "offers": offered.q,
-            "densities": offered.log_density,
-            "scores": offered.score,
+        return {f"offered_{field.name}": getattr(offered, field.name) for field in dataclasses.fields(Batch)} | {
+            "z": np.where(stay[:, None], before, offered.z[places]),
             "score": np.asarray(score),
             "acceptance": moved.reshape(_CHUNK, self.tries).mean(axis=1),
         }

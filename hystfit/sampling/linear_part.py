@@ -72,18 +72,20 @@ class LinearPart(eqx.Module):
         """z with these parameters, from that of the others and from v, which has e in their places."""
         return self._of(density, z, v)[1]
 
-    def log_density(self, density: Density, z: Float[Array, " d"], v: Float[Array, " d"]) -> Scalar:
-        """Log posterior over the others and e; minus infinity beyond a bound."""
-        value, z, amounts, inside = self._of(density, z, v)
+    def log_density_and_z(
+        self, density: Density, z: Float[Array, " d"], v: Float[Array, " d"], lean: bool = False
+    ) -> tuple[Scalar, Float[Array, " d"]]:
+        """Log posterior over the others and e, minus infinity beyond a bound, and `z_of`; with `lean`, see `Density.integrated`."""
+        value, z, amounts, inside = self._of(density, z, v, lean)
         coordinates, at, e = density.objective.coordinates, jnp.asarray(self.places), v[jnp.asarray(self.places)]
         by_z = jnp.log(jnp.abs(coordinates.slope(z[: density.p])[at]))
         total = value + density.log_prior(z) - jnp.sum(by_z) + 0.5 * jnp.sum(self.precision * amounts**2 - e**2)
-        return jnp.where(inside & jnp.isfinite(total), total, -jnp.inf)
+        return jnp.where(inside & jnp.isfinite(total), total, -jnp.inf), z
 
-    def _of(self, density: Density, z: Array, v: Array) -> tuple[Scalar, Array, Array, Array]:
+    def _of(self, density: Density, z: Array, v: Array, lean: bool = False) -> tuple[Scalar, Array, Array, Array]:
         """Log of the integral over these parameters, z, their amounts in `moves`, and whether they are within bounds."""
         at = jnp.asarray(self.places)
-        value, shift, root = density.integrated(z.at[at].set(self.reference), self.moves, self.precision)
+        value, shift, root = density.integrated(z.at[at].set(self.reference), self.moves, self.precision, lean)
         amounts = jax.scipy.linalg.solve_triangular(root, shift + v[at], lower=True, trans=1)
         coordinates = density.objective.coordinates
         x = coordinates.physical(z.at[at].set(self.reference)[: density.p]) + amounts @ self.moves

@@ -16,9 +16,8 @@ from scipy.special import logsumexp, softmax
 from scipy.stats import genpareto
 
 from hystfit.params.host_arrays import to_device
-from hystfit.sampling.target import Target, log_densities
+from hystfit.sampling.target import ROWS, Target, log_densities_and_z
 
-ROWS = 200  # places whose densities are computed in one call
 _FREEDOM = 10.0  # of the t distributions; 5 was no better
 _WIDER = 1.1  # times the scale of the weighted places of a component: weights stay bounded where a posterior is skewed
 _COMPONENTS = 5  # one alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70
@@ -100,11 +99,13 @@ class Batch:
 
     Attributes:
         q: places, shape (n, d).
+        z: unconstrained parameters there, shape (n, d).
         log_density: of the target, shape (n,).
         score: logarithms of importance weights, shape (n,).
     """
 
     q: Float[np.ndarray, "n d"]
+    z: Float[np.ndarray, "n d"]
     log_density: Float[np.ndarray, " n"]
     score: Float[np.ndarray, " n"]
 
@@ -112,16 +113,16 @@ class Batch:
     def of(cls, target: Target, mixture: Mixture, rng: np.random.Generator, n: int) -> Batch:
         """`n` draws of a mixture, a multiple of `ROWS`."""
         q = mixture.draw(rng, n)
-        parts = [np.asarray(log_densities(target, to_device(rows))) for rows in q.reshape(-1, ROWS, q.shape[1])]
-        density = np.nan_to_num(np.concatenate(parts), nan=-np.inf, posinf=-np.inf)
-        return cls(q, density, density - mixture.log_density(q))
+        parts = [log_densities_and_z(target, to_device(rows)) for rows in q.reshape(-1, ROWS, q.shape[1])]
+        density, z = (np.concatenate([np.asarray(part[k]) for part in parts]) for k in (0, 1))
+        density = np.nan_to_num(density, nan=-np.inf, posinf=-np.inf)
+        return cls(q, z, density, density - mixture.log_density(q))
 
     @classmethod
     def joined(cls, batches: list[Batch]) -> Batch:
         """Batches, end to end."""
-        return cls(
-            *(np.concatenate([getattr(batch, name) for batch in batches]) for name in ("q", "log_density", "score"))
-        )
+        names = (field.name for field in dataclasses.fields(cls))
+        return cls(*(np.concatenate([getattr(batch, name) for batch in batches]) for name in names))
 
     @property
     def balanced(self) -> Batch:

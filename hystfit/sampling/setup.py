@@ -28,7 +28,7 @@ from hystfit.params.host_arrays import compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.results.result import FitResult
 from hystfit.sampling.linear_part import LinearPart
-from hystfit.sampling.target import TOGETHER, Target
+from hystfit.sampling.target import Target, log_posterior
 
 MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
@@ -83,12 +83,7 @@ class Setup(Prepared):
     def log_density(self, z: np.ndarray) -> np.ndarray:
         """Log posterior over z of draws, shape (chains, draws, d); that of a target contains the slopes of its coordinates."""
         rows = to_device(z.reshape(-1, z.shape[-1]))
-        return np.asarray(_log_posterior(self.target.density, rows)).reshape(z.shape[:-1])
-
-
-@compiled
-def _log_posterior(density: Density, z: Array) -> Array:
-    return jax.lax.map(lambda row: density.log_density(row, lean=True), z, batch_size=TOGETHER)
+        return np.asarray(log_posterior(self.target.density, rows)).reshape(z.shape[:-1])
 
 
 @compiled

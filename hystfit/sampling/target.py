@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -20,7 +21,8 @@ from hystfit.sampling.noise_coordinates import NoiseCoordinates
 from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
-TOGETHER = 8  # places at once where trajectories are kept: more do not fit into the cache
+ROWS = 200  # places at once where only sums are kept
+TOGETHER = 8  # places at once where they are heavy: more do not fit into the cache
 
 
 class Target(eqx.Module):
@@ -109,12 +111,20 @@ class Target(eqx.Module):
 
         With `lean`, see `Density.log_density`.
         """
+        return self.log_density_and_z(v, lean)[0]
+
+    def log_density_and_z(
+        self, v: Float[Array, " d"], lean: bool = False
+    ) -> tuple[Float[Array, ""], Float[Array, " d"]]:
+        """`log_density` and z, which coordinates given others have only from the same simulations."""
         bend = self.bend.log_slope(v)
         if self.linear is not None:
             z, change = self.z_and_slope(self.bend.unbent(self.linear.without(v)))
-            return self.linear.log_density(self.density, z, v) + change + bend
-        z, change = self.z_and_slope(self.bend.unbent(v))
-        return self.density.log_density(z, lean) + change + bend
+            total, z = self.linear.log_density_and_z(self.density, z, v, lean)
+        else:
+            z, change = self.z_and_slope(self.bend.unbent(v))
+            total = self.density.log_density(z, lean)
+        return total + change + bend, z
 
     def slope(self, v: Float[Array, " d"]) -> tuple[Float[Array, ""], Float[Array, " d"]]:
         """`log_density` and its gradient."""
@@ -165,5 +175,21 @@ def _unwhitened(target: Target, q: Array) -> Array:
 @compiled
 def log_densities(target: Target, q: Array) -> Array:
     """Log posterior at q of shape (n, d), for as many at once as the cache has room for."""
-    together = TOGETHER if target.density.keeps_trajectories or target.linear is not None else len(q)
-    return jax.lax.map(lambda row: target.log_density(target.v_of(row), lean=True), q, batch_size=together)
+    return _at_once(lambda row: target.log_density(target.v_of(row), lean=True), target.density, q)
+
+
+@compiled
+def log_densities_and_z(target: Target, q: Array) -> tuple[Array, Array]:
+    """`log_densities`, and z of the same shape as q."""
+    return _at_once(lambda row: target.log_density_and_z(target.v_of(row), lean=True), target.density, q)
+
+
+@compiled
+def log_posterior(density: Density, z: Array) -> Array:
+    """Log posterior over z at z of shape (n, d)."""
+    return _at_once(lambda row: density.log_density(row, lean=True), density, z)
+
+
+def _at_once(function: Callable[[Array], Any], density: Density, rows: Array) -> Any:
+    """A function of each row, of as many at once as the cache has room for."""
+    return jax.lax.map(function, rows, batch_size=TOGETHER if density.is_heavy else min(ROWS, len(rows)))

@@ -93,6 +93,17 @@ class AbstractNoise(eqx.Module):
     def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
         """One sample: (state, innovation scaled to unit variance, log variance). The state ignores samples of weight 0."""
 
+    def start_of(self, count: int) -> Float[Array, "..."]:
+        """`init` for several signals that are filtered at once."""
+        return jnp.broadcast_to(self.init(), (count, *self.init().shape))
+
+    def steps(
+        self, state: Float[Array, "..."], signals: Float[Array, " m"], gap: Scalar, weight: Scalar
+    ) -> tuple[Float[Array, "..."], Float[Array, " m"], Scalar]:
+        """`step` of several signals of one record, from a state of `start_of`."""
+        state, e, logs = jax.vmap(self.step, in_axes=(0, 0, None, None))(state, signals, gap, weight)
+        return state, e, logs[0]
+
     @abc.abstractmethod
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]
@@ -201,10 +212,25 @@ class AbstractNoise(eqx.Module):
             return plain, jnp.zeros(0), jnp.zeros((0, 0))
         shapes, residual = e[..., 1:].reshape(-1, count), e[..., 0].reshape(-1)
         own = jnp.concatenate([jnp.ones(count - k), precision])
-        factor = jnp.linalg.cholesky(jnp.diag(own) + shapes.T @ shapes)
-        half = jax.scipy.linalg.solve_triangular(factor, shapes.T @ residual, lower=True)
-        value = plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor)))
+        value, half, factor = _integral(plain, shapes.T @ residual, shapes.T @ shapes, own)
         return value, half[count - k :], factor[count - k :, count - k :]
+
+
+def integral(
+    plain: Scalar, products: Float[Array, "m m"], precision: Float[Array, " k"]
+) -> tuple[Scalar, Float[Array, " k"], Float[Array, "k k"]]:
+    """`AbstractNoise.integrated` of Gaussian noise from products of whitened signals, m = k + 1, of which the first is the residual.
+
+    Args:
+        plain: log density where all residuals are zero.
+    """
+    return _integral(plain - 0.5 * products[0, 0], products[1:, 0], products[1:, 1:], precision)
+
+
+def _integral(plain: Array, pull: Array, gram: Array, precision: Array) -> tuple[Array, Array, Array]:
+    factor = jnp.linalg.cholesky(jnp.diag(precision) + gram)
+    half = jax.scipy.linalg.solve_triangular(factor, pull, lower=True)
+    return plain + 0.5 * jnp.sum(half**2) - jnp.sum(jnp.log(jnp.diag(factor))), half, factor
 
 
 def resample(

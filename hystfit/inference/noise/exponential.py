@@ -52,10 +52,21 @@ class AbstractSlow(AbstractNoise):
 
     def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
         """Predict over the gap, then update with the sample."""
-        decay, gain, total, after = self._gain(state[1], gap, weight)
-        mean = decay * state[0]
-        v = r - mean
-        return jnp.stack([mean + gain * v, after]), v / jnp.sqrt(total), jnp.log(total)
+        state, e, logs = self.steps(state, r[None], gap, weight)
+        return state, e[0], logs
+
+    def start_of(self, count: int) -> Float[Array, "..."]:
+        """State: the means of all signals, and their variance."""
+        return jnp.append(jnp.zeros(count), self.noise_slow**2)
+
+    def steps(
+        self, state: Float[Array, "..."], signals: Float[Array, " m"], gap: Scalar, weight: Scalar
+    ) -> tuple[Float[Array, "..."], Float[Array, " m"], Scalar]:
+        """The signals share their variance."""
+        decay, gain, total, after = self._gain(state[-1], gap, weight)
+        means = decay * state[:-1]
+        v = signals - means
+        return jnp.append(means + gain * v, after), v / jnp.sqrt(total), jnp.log(total)
 
     def log_density(self, setting: Setting, r: Float[Array, "R T"]) -> Scalar:
         """See `AbstractNoise.log_density`; where the samples of each record count alike, variances have a closed form."""
