@@ -14,6 +14,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
 from hystfit.models.design import DesignMatrix
+from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.smooth_system import Layout, Offsets, SmoothSystem
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut
@@ -100,12 +101,10 @@ class Split:
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
     """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
     models = space.of_records(x, len(records), np.asarray)
-    model = next(models)
-    if (
-        of_several := getattr(model, "design_matrices", None)
-    ) is not None:  # of models whose records differ in weights alone
-        return of_several([record.u for record in records])
-    models = itertools.chain([model], models)
+    first = next(models)
+    if isinstance(first, Preisach):  # whose records differ in weights alone
+        return first.design_matrices([record.u for record in records])
+    models = itertools.chain([first], models)
     return (model.design_matrix(record.u, record.dt) for model, record in zip(models, records, strict=True))
 
 

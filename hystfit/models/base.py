@@ -43,8 +43,6 @@ class AbstractHysteresis(AbstractDynamics):
 
     no_inverse: ClassVar[str] = ""
     """Reason why models of this class have no inverse, with {name} for the class name; "" if they have one."""
-    either_way: ClassVar[bool] = False
-    """Whether the model describes loops of both directions and outputs that fall as the input rises, regardless of `needs`."""
     counts: ClassVar[Mapping[str, str]] = {}
     """Settings that give the number of elements of a parameter: names of parameters by setting."""
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {}
@@ -135,6 +133,11 @@ class AbstractHysteresis(AbstractDynamics):
         True for any model without a delay, even with `no_inverse`: with the margin, `check` would not propose `damper` for a damper.
         """
         return not self.delays
+
+    @property
+    def either_way(self) -> bool:
+        """Whether the model describes loops of both directions and outputs that fall as the input rises, regardless of `needs`."""
+        return False
 
     @property
     def hardens(self) -> bool:

@@ -15,10 +15,8 @@ _FIRST = 5  # thresholds of either kind, spread over those of the jumps, of whic
 _PLACES = 16  # thresholds tried at a time where one of them is moved
 _ROUNDS = 4  # turns at moving one threshold and the other; the second changes nothing in records without noise
 _EQUAL = 1e-9  # of the output's variance: sums of squares that differ by rounding alone
-_JUMPS, _GRID = (
-    200,
-    30,
-)  # jumps whose inputs tell the error of a threshold, at most; scatters, and half the thresholds, that are summed over
+_JUMPS = 200  # jumps whose inputs tell the error of a threshold, at most
+_GRID = 30  # scatters, and half the thresholds, that the error of a threshold is summed over
 
 
 def relay_state(u: Float[np.ndarray, " T"], up: float, down: float) -> Bool[np.ndarray, " T"]:

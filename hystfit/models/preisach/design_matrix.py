@@ -18,9 +18,8 @@ from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.relay_codes import Code, rises_first, staircase_of, ties
 from hystfit.models.preisach.staircase import Staircase, together
 
-_TOGETHER = (
-    2**14
-)  # samples of several inputs whose columns are computed in one pass: 30 MB of rows where these have 150 entries
+# Samples of several inputs whose columns are computed in one pass: 30 MB of rows where these have 150 entries.
+_TOGETHER = 2**14
 
 
 @dataclasses.dataclass(frozen=True)
