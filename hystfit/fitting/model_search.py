@@ -82,9 +82,8 @@ def _closed_forms(run: ComparisonRun, closed: Sequence[str]) -> list[Candidate]:
 
 def _terms(run: ComparisonRun) -> tuple[Structure, bool]:
     """What the search found before and beside its plays, and whether it took a pure delay."""
-    found, delay = (
-        structure_of(run.standings.fits[SEARCH].model) if SEARCH in run.standings.fits else (Structure(), False)
-    )
+    fits = run.standings.fits
+    found, delay = structure_of(fits[SEARCH].model) if SEARCH in fits else (Structure(), False)
     return dataclasses.replace(found, falls=falls(run.data)), delay
 
 
