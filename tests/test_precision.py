@@ -124,6 +124,7 @@ INDEPENDENT = {
         "SignedPreisach",
         "TabulatedPreisach",
         "Relaxation",
+        "Relay",
         "SaturatingRate",
         "SecondOrder",
         "Series",

@@ -124,15 +124,16 @@ class CandidateFits:
         sized = isinstance(given, AbstractHysteresis) or ":" in one.name.replace(".py:", "")
         ready = None
         if not sized:
-            given, ready = self._sized(one, model, progress, of_last)
+            chosen, ready = self._sized(one, model, progress, of_last)
+            given = given if chosen is None else chosen
         one.sizes = None  # with its equations
         early = self._early.get(model_name(given)) if isinstance(given, AbstractHysteresis) else None
         one.solved = early or solve_model(given, self.data, self.options, self._worth(_LOWERED, model), ready)
 
     def _sized(
         self, one: Candidate, model: AbstractHysteresis, progress: Progress, of_last: tuple[Problem, Split] | None
-    ) -> tuple[AbstractHysteresis | str, FitSetup | None]:
-        """The model of the size that suits the data, and its setup where it is known; without choices its name.
+    ) -> tuple[AbstractHysteresis | None, FitSetup | None]:
+        """The model of the size that suits the data, and its setup where it is known; none of a model without choices.
 
         Args:
             of_last: problem and equations of the last fit.
@@ -148,7 +149,7 @@ class CandidateFits:
         sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress, self._known)
         chosen, one.choices = sizes.chosen(model)
         if not one.choices:
-            return one.name, None
+            return None, None
         if (ready := sizes.setup(chosen)) is not None and ready.problem.equations is not None:
             self._equations = ready.problem, ready.problem.equations
         return chosen, ready

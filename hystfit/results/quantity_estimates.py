@@ -68,7 +68,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         sizes = {"%": 100.0, "{u}": scales.u, "{y}": scales.y, "{energy}": scales.y * scales.u * excitation.energy}
         natural = sizes.get(QUANTITIES[name].unit, abs(y[0]))
         with np.errstate(invalid="ignore"):  # infinite where a model near this one has no value
-            change = (y[1 : 1 + x.size] - y[1 + x.size :]) / (2 * step / size)  # with each parameter by its own size
+            change = y[1 : 1 + x.size] - y[1 + x.size :]  # none of a quantity that the model has not
+            change = change / (2 * step / size)[: change.size]  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural, known)
         if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
             one = dataclasses.replace(one, reason=_MISSING[name])

@@ -18,7 +18,6 @@ from jaxtyping import Array, Float
 from hystfit.config import require_seed, verb
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
-from hystfit.inference.fittable import check_smooth
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import SEEN, AbstractPrior, HalfNormal, LogNormal, Normal
@@ -79,7 +78,6 @@ def sample(
         HystfitError: settings, priors or a folder that cannot be used; an optional package that is missing.
     """
     seed = require_seed(seed)
-    check_smooth(result.problem.space, "sampling")
     if isinstance(sampler, str) and sampler == "auto":
         sampler = suited_sampler(result, noise, priors)
         if sampler == "independence" and not set(settings) <= set(_settings_of(SAMPLERS.find(sampler))):

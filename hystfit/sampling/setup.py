@@ -15,6 +15,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.noise_refinement import refine
 from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
 from hystfit.inference.density import Density
+from hystfit.inference.fittable import check_smooth
 from hystfit.inference.newton import Optimum, maximize
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
@@ -123,6 +124,7 @@ def prepare(
         priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
         by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
     """
+    check_smooth(result.problem.space, "sampling")
     problem = result.problem.with_loss("linear")
     if len(problem.space) > MOST:
         raise ParameterError(

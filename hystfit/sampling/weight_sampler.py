@@ -24,6 +24,7 @@ from jaxtyping import Array
 
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors
+from hystfit.inference.fittable import check_smooth
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
@@ -78,6 +79,7 @@ class Weights(AbstractSampler):
     def prepare(
         self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> WeightSetup:
+        check_smooth(result.problem.space, "sampling")
         return WeightSetup.of(result, noise, priors)
 
     def run(self, setup: WeightSetup, seed: int, folder: Path | None, report: Progress) -> Raw:
