@@ -69,6 +69,8 @@ MEASURED = {
     "preisach:measured:measured": ("measured reversal curves", "measured minor loops"),
     "uncertainty:bands:run": ("piezo", "damper", "magnetic"),
     "ukf:measured:measured": ("measured",),
+    "structures:run:coupons": ("coupon",),
+    "magnetics:run:families": ("MnZn_ferrite: all", "MnZn_ferrite: interior"),
 }
 
 

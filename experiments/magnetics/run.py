@@ -112,7 +112,7 @@ def major_loops(results: Results) -> list:
 
 def families(results: Results) -> list:
     """tanh on all loops of a ferrite, and each interior loop left out and predicted."""
-    if (loaded := results.load("MnZn_ferrite: all", "mag_ja_bh/MnZn_ferrite")) is None:
+    if (loaded := results.load(("MnZn_ferrite: all", "MnZn_ferrite: interior"), "mag_ja_bh/MnZn_ferrite")) is None:
         return []
     # Each loop counts by its own range: otherwise the largest decides alone.
     data, rows = hf.Dataset(tuple(r.with_sigma(np.full(len(r), np.ptp(r.y))) for r in hf.Dataset.of(loaded[0]))), []

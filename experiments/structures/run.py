@@ -89,8 +89,8 @@ def strained(results: Results, path: Path) -> list:
     noise = STRAIN_NOISE * np.random.default_rng(0).normal(size=len(record))
     fit = hf.fit("steel-02", record.replace(u=record.u + noise), starts=STARTS)
     errors = [100 * abs(fit[name].value / truth[name] - 1) for name in NAMES]
-    results.add("coupon with noisy strain: error of b, %", errors[NAMES.index("b")])
-    results.add("coupon with noisy strain: error of a3, %", errors[NAMES.index("a3")])
+    results.add("coupons: noisy strain, error of b, %", errors[NAMES.index("b")])
+    results.add("coupons: noisy strain, error of a3, %", errors[NAMES.index("a3")])
     return [f"{record.name}, strain noise {STRAIN_NOISE:g}", *errors, fit.status]
 
 
