@@ -194,6 +194,27 @@ def test_a_line_beside_it_is_fitted_too() -> None:
     assert abs(estimate(result, "up")[0] - 21.0) < 2 * estimate(result, "up")[1]
 
 
+@pytest.mark.parametrize("cooler", [False, True])
+def test_a_controlled_room_is_as_warm_on_average_while_the_heater_is_on(cooler: bool) -> None:
+    """The output drives the input, which turns back at the thresholds: the mean input at both levels tells no direction."""
+    sign, room, on = (-1 if cooler else 1), 19.6, 1.0
+    rooms, states = [], []
+    for _ in range(1200):
+        room += (
+            0.02 * (on * (26 - room) + (1 - on) * (14 - room))
+            if not cooler
+            else 0.02 * (14 * on + 26 * (1 - on) - room)
+        )
+        on = 0.0 if sign * (room - 20) > 1 else 1.0 if sign * (room - 20) < -1 else on
+        rooms.append(room)
+        states.append(on)
+    result = hf.fit("relay", hf.Record(np.array(rooms), np.array(states)))
+    assert result.train.rmse < 1e-9
+    for name, true in (("up", 21.0), ("down", 19.0)):
+        value, error = estimate(result, name)
+        assert abs(value - true) < 2 * error < 0.4
+
+
 def test_it_is_saved_and_opened(tmp_path: Path) -> None:
     result = hf.fit("negate+relay", NOISY)
     result.save(tmp_path / "fit")

@@ -40,7 +40,8 @@ def resting_on_first_state(record: Record) -> Record:
     same = high == high[0]
     if same.all():
         return record
-    farthest = u[same].max() if u[same].mean() > u[~same].mean() else u[same].min()
+    rises = _rises(u, high, np.flatnonzero(high[1:] != high[:-1]))
+    farthest = u[same].max() if rises == high[0] else u[same].min()
     if record.first > 0 and record.u[0] == farthest:  # prepared before
         return record
     t = None if record.t is None else np.append(record.t[0] - record.dt[0], record.t)
@@ -59,6 +60,22 @@ def _split(y: np.ndarray, weight: np.ndarray) -> float:
     between = moment**2 * (1.0 / below + 1.0 / np.maximum(weight.sum() - below, 1e-300))
     k = int(np.argmax(np.where(y[1:] > y[:-1], between, -1.0)))
     return 0.5 * float(y[k] + y[k + 1])
+
+
+def _rises(u: np.ndarray, high: np.ndarray, changes: np.ndarray) -> bool:
+    """Whether an output of two levels rises with the input, so that it is high, and jumps up, at larger inputs.
+
+    Both tell: a comparator jumps both ways at one input, and the inputs of a thermostat have one mean while it heats and while it cools.
+
+    Args:
+        high: whether the output is, shape (n,).
+        changes: numbers of the samples before its jumps.
+    """
+    middle, up = 0.5 * (u[changes] + u[changes + 1]), high[changes + 1]
+    apart = u[high].mean() - u[~high].mean()
+    if up.any() and not up.all():
+        apart += middle[up].mean() - middle[~up].mean()
+    return bool(apart >= 0)
 
 
 class _Samples(NamedTuple):
@@ -106,9 +123,9 @@ class _Samples(NamedTuple):
         """Inputs before and after each jump of the output to the high state, and to the low one, shapes (N, 2)."""
         at = np.flatnonzero(self.weight > 0)
         level = self.y[at] > _split(self.y[at], self.weight[at])
-        if level.any() and not level.all() and self.u[at][level].mean() < self.u[at][~level].mean():
-            level = ~level  # an output that falls as the input rises
         changes = self._changes(at, level)
+        if changes.size and not _rises(self.u[at], level, changes):
+            level = ~level
         return self._inputs(at, changes, level[changes + 1])
 
     def jumps_beside(self, up: float, down: float) -> tuple[np.ndarray, np.ndarray]:
