@@ -200,11 +200,7 @@ def test_a_controlled_room_is_as_warm_on_average_while_the_heater_is_on(cooler: 
     sign, room, on = (-1 if cooler else 1), 19.6, 1.0
     rooms, states = [], []
     for _ in range(1200):
-        room += (
-            0.02 * (on * (26 - room) + (1 - on) * (14 - room))
-            if not cooler
-            else 0.02 * (14 * on + 26 * (1 - on) - room)
-        )
+        room += 0.02 * ((26 if on != cooler else 14) - room)
         on = 0.0 if sign * (room - 20) > 1 else 1.0 if sign * (room - 20) < -1 else on
         rooms.append(room)
         states.append(on)
