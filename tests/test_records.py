@@ -582,6 +582,11 @@ def test_numbers_of_a_record_are_shared_with_its_copies_and_with_nothing_that_ca
     frozen = u.view()
     frozen.flags.writeable = False  # the array behind it can still be written to
     assert not np.shares_memory(hf.Record(u=frozen, y=y).u, u)
+    view = u.view()
+    u.flags.writeable = False
+    other = hf.Record(u=u, y=y)
+    view[3] = 9.0
+    assert other.u[3] == record.u[3] != 9.0
 
 
 @pytest.mark.parametrize("place", [0, 7, 49])

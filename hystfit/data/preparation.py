@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, TypeGuard
+import weakref
+from typing import Any
 
 import numpy as np
 
@@ -136,24 +137,24 @@ def integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
 
 
-def _is_frozen(values: object) -> TypeGuard[np.ndarray]:
-    """Whether these are floating-point numbers that cannot be written to through any array."""
-    frozen = type(values) is np.ndarray and values.base is None and not values.flags.writeable
-    return frozen and values.dtype == np.float64
+_columns = weakref.WeakValueDictionary[int, np.ndarray]()  # those of all records, by their identity
 
 
 def column(name: str, values: object) -> np.ndarray:
     """Numbers of shape (T,) that cannot be written to, so that later changes of the argument do not reach the record.
 
-    A copy, except of an array that cannot be written to itself, as those of another record.
+    A copy, except of the column of another record. An array of the user may have views that can be written to, although it cannot.
     """
+    if (known := _columns.get(id(values))) is not None and known is values and not known.flags.writeable:
+        return known
     try:
-        array = values if _is_frozen(values) else real_numbers(values)
+        array = real_numbers(values)
     except (TypeError, ValueError) as error:
         raise DataError(f"{name} must be numbers: {error}") from error
     if array.ndim != 1:
         raise DataError(f"{name} must be one-dimensional, got shape {array.shape}")
     array.flags.writeable = False
+    _columns[id(array)] = array
     return array
 
 

@@ -63,7 +63,7 @@ class ComparisonRun:
         self.data, self.left_out = data, left_out
         self.standings = Standings(data, purpose, all_validated=bool(named))
         self.errors: list[Exception] = []
-        self.fits = CandidateFits(data, left_out, options, named, self.standings)
+        self.candidate_fits = CandidateFits(data, left_out, options, named, self.standings)
         self._shown, self._workers = shown, workers
         self._solved: dict[str, Solved] = {}
 
@@ -74,14 +74,14 @@ class ComparisonRun:
     def run_again(self, names: Sequence[str], options: FitOptions) -> None:
         """Forget what was found, and run candidates with other options."""
         self.standings.clear()
-        self.fits.restart(options)
+        self.candidate_fits.restart(options)
         self.errors = []
         self.run(names)
 
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
         """Candidates after their first fits."""
         candidates = [Candidate(name) for name in names]
-        self._each(self.fits.first, candidates)
+        self._each(self.candidate_fits.first, candidates)
         return candidates
 
     def finish(self, candidates: Sequence[Candidate], *, past_white: bool = True) -> None:
@@ -97,12 +97,12 @@ class ComparisonRun:
         """Fit and validate the model with the best first fit; returns those that may still win."""
         waiting = self._keep_finished(candidates)
         for one in waiting:
-            one.row = self.fits.excluded(one)
+            one.row = self.candidate_fits.excluded(one)
         ahead = leader([one for one in waiting if one.row is None], self.standings.equal)
         if ahead is not None:
-            self._each(self.fits.fit, [ahead])
-            ahead.row = ahead.row or self.fits.beaten(ahead)
-            self._each(self.fits.validate, [ahead] if ahead.row is None else [])
+            self._each(self.candidate_fits.fit, [ahead])
+            ahead.row = ahead.row or self.candidate_fits.beaten(ahead)
+            self._each(self.candidate_fits.validate, [ahead] if ahead.row is None else [])
         return self._keep_finished(waiting)
 
     def skip(self, names: Sequence[str], reason: str) -> None:
@@ -144,7 +144,7 @@ class ComparisonRun:
 
     def judged(self, name: str) -> FitResult:
         """A fit with its standard errors."""
-        self.fits.release()
+        self.candidate_fits.release()
         known = self.standings.fits[name]
         result = self._solved[name].judged()
         if known.left_out is not None:

@@ -75,7 +75,7 @@ def _closed_forms(run: ComparisonRun, closed: Sequence[str]) -> list[Candidate]:
     first, *others = closed
     waiting = run.looked_at(others)
     if (spacing := _spacing(run, waiting)) > 1:  # the errors of all must be those on the same samples
-        run.run_again((first,), dataclasses.replace(run.fits.options, spacing=spacing))
+        run.run_again((first,), dataclasses.replace(run.candidate_fits.options, spacing=spacing))
         waiting = run.looked_at(others)
     return run.after_next(waiting)
 
@@ -148,7 +148,7 @@ def _spacing(run: ComparisonRun, waiting: Sequence[Candidate]) -> int:
     least, best = min(firsts, key=lambda first: first.ranked, default=None), run.standings.best_row
     if least is not None and least.model is not None:
         if best is None or least.error / run.standings.span < best.score / 100:
-            return run.fits.correlation_of_model(least.model)
+            return run.candidate_fits.correlation_of_model(least.model)
     return 1 if best is None else correlation_of(run.standings.fits[best.asked])
 
 

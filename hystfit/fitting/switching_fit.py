@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import equinox as eqx
 import numpy as np
 
@@ -22,8 +20,6 @@ class Switching(Convex):
     """
 
     strengths: tuple[float, ...] = eqx.field(static=True, default=(0.0,))
-
-    needs_starts: ClassVar[bool] = False
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the starts matter where all weights are fixed alone.
