@@ -59,7 +59,9 @@ def isotherm():
     return hf.Record(p, amount + np.random.default_rng(91028).normal(0, 0.6, p.size))
 
 
-@pytest.mark.parametrize(("record", "family"), [(ramp, "negate+preisach"), (isotherm, "preisach")])
+@pytest.mark.parametrize(
+    ("record", "family"), [pytest.param(ramp, "negate+preisach", marks=pytest.mark.slow), (isotherm, "preisach")]
+)
 def test_check_advises_the_model_that_a_fit_takes(record, family):
     """One comparison serves both; advice of its own ended where a lag left noise, or with fewer choices of cells."""
     advice, taken = check(record()).advice, hf.fit("auto", record())

@@ -784,6 +784,7 @@ def test_creep_is_found_at_one_pace_where_models_without_time_leave_more_than_no
     assert "creep" in found.rows[0].name
 
 
+@pytest.mark.slow
 def test_friction_of_bristles_at_one_pace_is_tried_where_others_leave_more_than_noise():
     """Three amplitudes at one frequency: to count as one speed is no reason to leave out the model of the device."""
     t = np.arange(0, 12, 0.012)

@@ -29,7 +29,7 @@ def fitted() -> hf.FitResult:
     return hf.fit(truth, hf.Record(u=u, y=y), starts=1, fix={"rho": 0.5, "n": 1.0, "skew": 0.0})
 
 
-@pytest.fixture(scope="module", params=["ou", "discrepancy"])
+@pytest.fixture(scope="module", params=["ou", pytest.param("discrepancy", marks=pytest.mark.slow)])
 def setup(request, fitted):
     return given_others(prepare(fitted, noise=request.param, priors=NARROW), jax.random.key(0))
 
@@ -74,11 +74,15 @@ def several() -> hf.Dataset:
     return hf.Dataset(tuple(records))
 
 
-@pytest.mark.parametrize("noise", ["iid", "ou", "ar1"])
-def test_densities_of_many_places_are_those_of_each(noise):
+@pytest.fixture(scope="module")
+def fitted_to_several() -> hf.FitResult:
+    return hf.fit("bouc-wen", several(), starts=1)
+
+
+@pytest.mark.parametrize("noise", ["ou", *(pytest.param(name, marks=pytest.mark.slow) for name in ("iid", "ar1"))])
+def test_densities_of_many_places_are_those_of_each(fitted_to_several, noise):
     """In one scan for all signals, against whole trajectories and against coordinates computed apart."""
-    fit = hf.fit("bouc-wen", several(), starts=1)
-    target = given_others(prepare(fit, noise=noise), jax.random.key(0)).target
+    target = given_others(prepare(fitted_to_several, noise=noise), jax.random.key(0)).target
     assert target.linear is not None
     assert len(target.linear.places) >= 3  # c and either offset
     assert not target.density.keeps_trajectories

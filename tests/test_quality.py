@@ -721,6 +721,7 @@ def test_the_part_before_the_damage_is_proposed_for_a_fit(tmp_path, capsys):
     assert capsys.readouterr().out.rstrip().endswith(f"hystfit fit {tmp_path}/wall.csv --window=:{end:.10g}")
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_failure_is_where_later_strokes_stay_below_80_percent_of_the_largest_force(tmp_path, capsys):
     """Twelve growing cycles of 100 samples; on its way to the ninth upper peak the device breaks."""
     t = np.arange(1200) / 100
@@ -761,7 +762,12 @@ def test_a_falling_amplitude_is_not_taken_as_lost_stiffness():
     assert report.advice is not None
 
 
-@pytest.mark.parametrize("seed", range(16))
+LONG_COMPARISONS = (0, 1, 3, 4, 5, 7, 12, 15)  # seeds of records that many models are fitted to
+
+
+@pytest.mark.parametrize(
+    "seed", [pytest.param(k, marks=pytest.mark.slow if k in LONG_COMPARISONS else ()) for k in range(16)]
+)
 def test_any_record_gets_a_report_that_json_can_hold(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.choice([2, 3, 7, 25, 60]))
@@ -888,8 +894,8 @@ def test_units_and_origins_change_no_finding(kind, u_power, y_power):
         (60, "stepped", "steel", "linear", 1e-3, 20, "none"),
         (17, "ramp", "line", "exponential", 0.0, 20, "whole seconds"),
         (17, "one amplitude", "plays", "none", 1e-3, 20, "none"),
-        (60, "chirp", "steel", "logarithmic", 1e-3, None, "uneven"),
-        (60, "one reversal", "plays", "none", 0.3, 1, "even"),
+        pytest.param((60, "chirp", "steel", "logarithmic", 1e-3, None, "uneven"), marks=pytest.mark.slow),
+        pytest.param((60, "one reversal", "plays", "none", 0.3, 1, "even"), marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.error_ratios import mean_error_ratio
 from hystfit.fitting.structure_search import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
 from hystfit.quality.plays import play_positions
@@ -94,16 +95,22 @@ def test_a_pure_delay_is_found_judged_without_and_put_in_front(delay: int) -> No
     assert found.delay.seconds == pytest.approx(found.delay.samples / 100)
     assert not found.lags
     assert not found.speed_dependent
-    report = hf.check(record)
-    assert has(report.findings, Code.DELAY)
-    assert report.advice is not None
-    assert report.advice.model.startswith("delay:")
+    assert has(examined(record).findings, Code.DELAY)
     started = hf.Delay().start([record])
     assert float(started.lag) == pytest.approx(delay, abs=1.0)
     assert started.longest > delay
     search = search_structure(hf.Dataset.of(record), plays=8)
     assert model_name(search.model).startswith("delay:longest=")
     assert search.score < 0.01 * np.ptp(record.y)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [12, 35])
+def test_a_pure_delay_is_in_the_advice(delay: int) -> None:
+    report = hf.check(_timed(delay))
+    assert has(report.findings, Code.DELAY)
+    assert report.advice is not None
+    assert report.advice.model.startswith("delay:")
 
 
 @pytest.mark.parametrize("other", [{"lag": 12.0}, {"lag": 35.0}, {"viscosity": 3.0}, {}])
@@ -157,16 +164,31 @@ def _beating(count: int = 1500) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return t, u, y + 0.002 * np.ptp(y) * NOISE[:count]
 
 
-def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None:
+def _drifting() -> tuple[hf.Record, hf.Record, float]:
+    """Such a record, the same with a steady drift, and the change by it."""
     t, u, y = _beating()
     drift = 0.05 * np.ptp(y) * t / t[-1]
-    steady, drifting = hf.Record(u, y, t), hf.Record(u, y + drift, t)
+    return hf.Record(u, y, t), hf.Record(u, y + drift, t), drift[-1]
+
+
+def _change(notes: Iterable[Note]) -> float:
+    """The change that the one note on a drift states."""
+    (note,) = (note for note in notes if note.code is Code.DRIFT)
+    (change,) = re.findall(r"drifts by (\S+)", note.text)
+    return float(change)
+
+
+def test_a_steady_drift_of_unlike_cycles_is_found_and_named_by_the_fit() -> None:
+    steady, drifting, drift = _drifting()
     assert not has(examined(steady).findings, Code.DRIFT)
     assert not has(hf.fit("prandtl-ishlinskii", steady).notes, Code.DRIFT)
-    for notes in (hf.check(drifting).findings, hf.fit("prandtl-ishlinskii", drifting).notes):
-        (note,) = (note for note in notes if note.code is Code.DRIFT)
-        (change,) = re.findall(r"drifts by (\S+)", note.text)
-        assert float(change) == pytest.approx(drift[-1], rel=0.1)
+    assert _change(hf.fit("prandtl-ishlinskii", drifting).notes) == pytest.approx(drift, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_steady_drift_of_unlike_cycles_is_found_by_check() -> None:
+    _, drifting, drift = _drifting()
+    assert _change(hf.check(drifting).findings) == pytest.approx(drift, rel=0.1)
 
 
 def test_a_drift_that_a_fading_state_follows_is_named_and_no_first_half_cycle_is_blamed() -> None:
@@ -188,11 +210,18 @@ def test_noise_alone_is_no_butterfly_no_damage_and_no_creep() -> None:
         assert has(report.findings, Code.SINGLE_VALUED)
         assert not has(report.findings, Code.CROSSING, Code.DEGRADING, Code.DRIFT, Code.NOT_CLOSED)
         assert report.verdict("creep").verdict != "yes"
-    assert hf.check(record).advice is None
     butterfly = hf.Record(
         u := 10 * np.sin(2 * np.pi * t), np.tanh(u - 4 * np.cos(2 * np.pi * t)) ** 2 + 0.01 * noise, t
     )
     assert has(examined(butterfly).findings, Code.CROSSING)
+
+
+@pytest.mark.slow
+def test_no_model_is_advised_for_noise_alone() -> None:
+    t = np.arange(1000) / 100
+    assert (
+        hf.check(hf.Record(10 * np.sin(2 * np.pi * t), np.random.default_rng(26).normal(size=1000), t)).advice is None
+    )
 
 
 def _growing_from_rest() -> np.ndarray:

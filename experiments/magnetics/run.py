@@ -2,7 +2,7 @@
 
     python experiments/magnetics/run.py [--quick] [--out FOLDER]
 
-The quick form fits the two ferrites and scores one of five folds. Writes results.json and the tables to out/ and, in the full form with all
+The quick form fits one ferrite and scores one of five folds. Writes results.json and the tables to out/ and, in the full form with all
 data, RESULTS.md here. Exit status: see experiments/common.py.
 """
 
@@ -89,7 +89,7 @@ def half_width(u: np.ndarray, y: np.ndarray) -> float:
 def major_loops(results: Results) -> list:
     """Jiles-Atherton on the largest loop of each material, as published and with pinning that falls with the magnetization."""
     rows = []
-    for name in MATERIALS[:2] if results.quick else MATERIALS:
+    for name in MATERIALS[:1] if results.quick else MATERIALS:
         if (loaded := results.load(f"{name}: major", f"mag_ja_bh/{name}")) is None:
             continue
         record = hf.Dataset.of(loaded[0])[-1]

@@ -69,7 +69,8 @@ def predictions(results: Results) -> list:
             held_out(results, rows, "piezo b: fit Model, predict Test", model, test, refit_offset=True)
             early, late = test.window(None, 27), test.window(27, None)
             held_out(results, rows, "piezo c: fit 27 s of Test, predict the rest", early, late)
-    for name, label in (("struct_slotboom/u-damper", "U-damper"), ("steel_resspylab/example_1", "steel 1")):
+    yielding = (("struct_slotboom/u-damper", "U-damper"), ("steel_resspylab/example_1", "steel 1"))
+    for name, label in yielding[:1] if results.quick else yielding:
         if (loaded := results.load(label, name)) is not None:
             split = round(0.6 * len(loaded[0]))
             train, test = loaded[0].window(None, split), loaded[0].window(split, None)
@@ -143,7 +144,7 @@ def refused(results: Results) -> list:
         if (loaded := results.load(name, name)) is None:
             continue
         fit = hf.fit(hf.BoucWenForce(), loaded[0])
-        verdict = hf.check(loaded[0]).verdict("bouc-wen")
+        verdict = hf.check(loaded[0], data_only=results.quick).verdict("bouc-wen")
         results.add(f"{name}: refused by the fit", float(not fit.usable))
         results.add(f"{name}: refused by the check", float(verdict.verdict == "no"))
         rows.append([name, fit.train.nrmse_percent, str(fit.status), str(fit.notes[0]) if fit.notes else ""])
