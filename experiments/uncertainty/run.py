@@ -25,7 +25,7 @@ import coverage
 import default_priors
 import one_amplitude
 import sbc
-import ten_seeds
+import several_seeds
 from common import Results, arguments
 
 import hystfit as hf
@@ -53,12 +53,12 @@ class Page:
                 self.results.add(number, value)
             self.parts.append(stored["text"])
             return
-        before, started = set(self.results.numbers), time.perf_counter()
+        before, started = set(self.results.numbers), time.process_time()
         made = SECTIONS[name](self.results)
         if made is None:
             return
         text = "\n".join(f"## {title}\n\n{words}" for title, words in made.items())
-        text += f"\n({time.perf_counter() - started:.0f} s)\n"
+        text += f"\n({time.process_time() - started:.0f} s of processor time)\n"
         self.parts.append(text)
         if file is not None:
             numbers = {k: v for k, v in self.results.numbers.items() if k not in before}
@@ -81,8 +81,8 @@ def coverages(results: Results) -> dict[str, str]:
 
 def sampled(results: Results) -> dict[str, str]:
     """The table of posteriors under its title."""
-    words = f"Coverage of central 95 % intervals of samplers, {coverage.REPLICATES} records of {coverage.SHORT} samples"
-    return {words: coverage.samplers(results, results.out / "samplers.jsonl")}
+    words = f"Coverage of central 95 % intervals of the default sampler, records of {coverage.SHORT} samples"
+    return {words: coverage.posteriors(results, results.out / "posteriors.jsonl")}
 
 
 def calibrations(results: Results) -> dict[str, str]:
@@ -110,13 +110,13 @@ SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
     },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
     "bands": bands.run,
-    "ten-seeds": ten_seeds.run,
+    "seeds": several_seeds.run,
     "calibration": calibrations,
     "default-priors": wide,
     "coverage": coverages,
-    "samplers": sampled,
+    "posteriors": sampled,
 }
-FULL = ("grid", "long-run", "bands", "ten-seeds", "default-priors", "samplers")
+FULL = ("grid", "long-run", "bands", "seeds", "default-priors", "posteriors")
 
 
 def main() -> None:
