@@ -107,14 +107,19 @@ def run(results: Results) -> dict[str, str]:
     return {"Predictive bands of 90 % on measured samples that were not fitted": table(head, rows)}
 
 
+def chains_of(results: Results, name: str, noise: str) -> Path:
+    """The folder in which the chains of a case are stored; those of `several_seeds` from the first seed are the same."""
+    return results.out / "bands" / f"{name}-{noise}"
+
+
 def _stored(results: Results, case: Case, data: hf.Record | Dataset, noise: str) -> list[object]:
     """A row of the table, computed now or by an earlier run; its numbers are added."""
-    file = results.out / "bands" / f"{case.name}-{noise}.json"
+    chains = chains_of(results, case.name, noise)
+    file = chains.with_suffix(".json")
     if not file.exists():
         fitted, held = case.split(data)
         fit = hf.fit(case.model, fitted, fix=case.fix, free=case.free)
-        made = one(case.name, fit, held, noise, file.with_suffix(""))
-        file.parent.mkdir(exist_ok=True)
+        made = one(case.name, fit, held, noise, chains)
         scratch = file.with_suffix(".part")
         scratch.write_text(json.dumps(made), encoding="utf-8")
         scratch.replace(file)

@@ -25,7 +25,7 @@ OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
 BLOCKS = ("sandwich", "bootstrap")
 POSTERIORS = {"AR(1) + white": 100, "repeating + white": 40}  # replicates of the default sampler
 SHORT = SAMPLES // 2  # samples of the records that are sampled
-REPLICATES, RIGHT, SOME = 100, 60, 25
+REPLICATES, RIGHT, SOME, FEW = 100, 60, 25, 15
 # Estimates and standard errors of the four parameters, whether 95 % intervals cover, whether notes warned of recurring model error
 # ("warned") or of anything that makes errors unreliable ("alarm").
 Row = dict[str, Any]
@@ -180,6 +180,8 @@ def replicates_of(kind: str, method: str, quick: bool) -> int:
         return 12
     if method in ("default", *BLOCKS) or (method == "ou" and "repeating" not in kind and "strong" not in kind):
         return REPLICATES
+    if method == "profile":
+        return FEW
     return RIGHT if method == "discrepancy" and "repeating" in kind else SOME
 
 

@@ -10,9 +10,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
-from bands import CASES
+from bands import CASES, chains_of
 from common import Results, table
 
 import hystfit as hf
@@ -77,7 +78,7 @@ def run(results: Results) -> dict[str, str]:
         done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
         for seed in range(len(done), SEEDS[name]):
             made = fit() if made is None else made
-            done.append(_one(made, seed))
+            done.append(_one(made, seed, chains_of(results, name, "auto") if seed == 0 else None))
             with file.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(done[-1]) + "\n")
         results.add(f"{name}: seeds of {SEEDS[name]} with usable chains", sum(row["usable"] for row in done))
@@ -91,10 +92,10 @@ def run(results: Results) -> dict[str, str]:
     return {"The default sampler from several seeds, least and largest values over the seeds": table(head, rows)}
 
 
-def _one(fit: hf.FitResult, seed: int) -> dict[str, object]:
-    """One run; processor time includes compilation."""
+def _one(fit: hf.FitResult, seed: int, folder: Path | None) -> dict[str, object]:
+    """One run, whose chains are stored in a folder; processor time includes compilation."""
     begin = time.process_time()
-    made = hf.sample(fit, seed=seed)
+    made = hf.sample(fit, seed=seed, folder=folder)
     ess, rhat = float(np.min([made.convergence.bulk, made.convergence.tail])), float(np.max(made.convergence.rhat))
     divergent = int(made.stats["diverging"].sum())
     usable = made.status not in UNUSABLE and ess >= GOOD_ESS and rhat <= GOOD_RHAT and divergent == 0
