@@ -23,7 +23,7 @@ from hystfit.uncertainty.block_covariance import covariance
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
 BLOCKS = ("sandwich", "bootstrap")
-POSTERIORS = {"AR(1) + white": 100, "repeating + white": 40}  # replicates of the default sampler
+POSTERIORS = {"AR(1) + white": 100, "repeating + white": 25}  # replicates of the default sampler
 SHORT = SAMPLES // 2  # samples of the records that are sampled
 REPLICATES, RIGHT, SOME, FEW = 100, 60, 25, 15
 # Estimates and standard errors of the four parameters, whether 95 % intervals cover, whether notes warned of recurring model error
