@@ -21,7 +21,7 @@ from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import GOOD_ESS, GOOD_RHAT
 
 SEEDS = dict(
-    bundled=10, thin=10, small=10, magnetic=10, coupon=10, piezo=4, damper=4
+    bundled=10, thin=10, small=10, magnetic=10, coupon=10, piezo=3, damper=3
 )  # a seed of the last two takes 40 to 70 s
 UNUSABLE = (Status.NOT_CONVERGED, Status.DIVERGING)
 
