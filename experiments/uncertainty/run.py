@@ -76,13 +76,14 @@ SECTIONS: dict[str, Section] = {
     },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
     "bands": bands.run,
-    "seeds": several_seeds.run,
+    "seeds": several_seeds.short,
+    "seeds-of-sets": several_seeds.long,
     "calibration": calibrations,
     "default-priors": wide,
     "coverage": coverages,
     "posteriors": sampled,
 }
-FULL = ("grid", "long-run", "bands", "seeds", "default-priors", "posteriors")
+FULL = ("grid", "long-run", "bands", "seeds", "seeds-of-sets", "default-priors", "posteriors")
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +20,12 @@ import hystfit as hf
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import GOOD_ESS, GOOD_RHAT
 
-SEEDS = dict(
-    bundled=10, thin=10, small=10, magnetic=10, coupon=10, piezo=3, damper=3
-)  # a seed of the last two takes 40 to 70 s
+SEEDS, FEW = (
+    10,
+    3,
+)  # of a record that takes a second, and of the sets of `bands`, a seed of which takes 40 to 70 s of processor time
 UNUSABLE = (Status.NOT_CONVERGED, Status.DIVERGING)
+Fit = Callable[[], hf.FitResult]
 
 
 def bundled() -> hf.FitResult:
@@ -57,39 +59,50 @@ def _simulated(model: hf.BoucWen, u: np.ndarray, white: float, slow: float) -> h
     return hf.fit("bouc-wen", hf.Record(t=0.01 * np.arange(u.size), u=u, y=y))
 
 
-def fits(results: Results) -> Iterator[tuple[str, Callable[[], hf.FitResult]]]:
-    """The records that are found, as fits to be made; those that take longest come last."""
-    yield from {"bundled": bundled, "thin": thin, "small": small}.items()
+def short(results: Results) -> dict[str, str]:
+    """A table of the records that take seconds."""
+    fits: dict[str, Fit] = {"bundled": bundled, "thin": thin, "small": small}
     loaded = results.load("coupon:", "steel_resspylab/example_1")
     if loaded is not None:
-        yield "coupon", lambda: coupon(next(iter(hf.Dataset.of(loaded[0]))))
-    for case in reversed(CASES):
+        fits["coupon"] = lambda: coupon(next(iter(hf.Dataset.of(loaded[0]))))
+    return {
+        f"The default sampler from {SEEDS} seeds, least and largest values over the seeds": _table(results, fits, SEEDS)
+    }
+
+
+def long(results: Results) -> dict[str, str]:
+    """A table of the sets of `bands` whose data are found."""
+    fits: dict[str, Fit] = {}
+    for case in CASES:
         loaded = results.load(f"{case.name}:", case.source)
         if loaded is not None:
             fitted = case.split(loaded[0])[0]
-            yield case.name, lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
+            fits[case.name] = lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
+    return {
+        f"The default sampler from {FEW} seeds, least and largest values over the seeds": _table(results, fits, FEW)
+    }
 
 
-def run(results: Results) -> dict[str, str]:
-    """A table of the records; every run is kept, and a later one goes on after it."""
+def _table(results: Results, fits: dict[str, Fit], seeds: int) -> str:
+    """A row for each record; every run is kept, and a later one goes on after it."""
     rows = []
-    for name, fit in fits(results):
+    for name, fit in fits.items():
         file, made = results.out / f"seeds-{name}.jsonl", None
         done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
-        for seed in range(len(done), SEEDS[name]):
+        for seed in range(len(done), seeds):
             made = fit() if made is None else made
             done.append(_one(made, seed, chains_of(results, name, "auto") if seed == 0 else None))
             with file.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(done[-1]) + "\n")
-        results.add(f"{name}: seeds of {SEEDS[name]} with usable chains", sum(row["usable"] for row in done))
+        results.add(f"{name}: seeds of {seeds} with usable chains", sum(row["usable"] for row in done))
         column = lambda key, done=done: [row[key] for row in done]
         statuses = ", ".join(f"{column('status').count(status)} {status}" for status in sorted(set(column("status"))))
         drawn = ", ".join(sorted(set(column("sampler"))))
         worst = [min(column("ess")), max(column("rhat")), sum(column("divergent")), max(column("draws"))]
-        rows.append([name, len(done), done[0]["noise"], drawn, statuses, *worst, np.median(column("seconds"))])
-    head = ["record", "seeds", "noise model", "sampler", "status", "least ESS", "largest R-hat", "divergent", "most draws",
+        rows.append([name, done[0]["noise"], drawn, statuses, *worst, np.median(column("seconds"))])
+    head = ["record", "noise model", "sampler", "status", "least ESS", "largest R-hat", "divergent", "most draws",
             "median processor time, s"]  # fmt: skip
-    return {"The default sampler from several seeds, least and largest values over the seeds": table(head, rows)}
+    return table(head, rows)
 
 
 def _one(fit: hf.FitResult, seed: int, folder: Path | None) -> dict[str, object]:
