@@ -128,6 +128,21 @@ def test_damaged_data_are_no_missing_data(common, tmp_path: Path, monkeypatch: p
         results.load("piezo", "piezo_dbo/model")
 
 
+def test_a_page_has_all_stored_sections_and_names_the_others(common, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.syspath_prepend(str(EXPERIMENTS / "uncertainty"))
+    from sections import Page
+
+    sections = {name: lambda results, name=name: {name: "words"} for name in ("x", "y", "z")}
+    (tmp_path / "expected.json").write_text("{}")
+    for name, missing in (("z", "x, y"), ("x", "y"), ("y", "")):
+        page = Page(common.Results(tmp_path, quick=False), sections)
+        page.add(name)
+        page.write(tmp_path)
+        text = (tmp_path / "RESULTS.md").read_text()
+        assert (f"not computed: {missing}." in text) == bool(missing)
+    assert [line for line in text.splitlines() if line.startswith("## ")] == ["## x", "## y", "## z"]
+
+
 @pytest.mark.parametrize("name", ["duhem", "preisach"])
 def test_limits_are_near_their_values_or_name_what_they_guard(name: str) -> None:
     expected = json.loads((EXPERIMENTS / name / "expected.json").read_text())

@@ -350,11 +350,21 @@ def test_axes_of_the_mass_matrix_are_as_long_as_the_posterior_is_wide(fitted):
 
 
 def test_nuts_adapts_again_where_transitions_diverge(fitted, monkeypatch):
+    """Acceptance from draws of the funnel itself; it scatters by 0.13 over seeds, and about half of them diverge at first."""
     funnel, nuts = of_kind(Funnel, fitted, [1.0] * 6), Nuts(warmup=200, target_accept=0.65)
-    share = lambda warm: nuts.chunk(funnel, warm, jnp.asarray(warm["q"]), jax.random.key(7))["acceptance"].mean()
-    again = share(nuts.warm(funnel, jax.random.key(1)))
+    rng = np.random.default_rng(0)
+    v = 2 * rng.normal(size=(4, 1))
+    starts = jnp.asarray(np.hstack([v, np.exp(v / 2) * rng.normal(size=(4, 5))]))
+    share = lambda warm: np.mean(
+        [nuts.chunk(funnel, warm, q, jax.random.key(k))["acceptance"].mean() for k, q in enumerate(starts)]
+    )
+    seeds = [jax.random.key(seed) for seed in range(16)]
+    further = [nuts.warm(funnel, seed) for seed in seeds]
     monkeypatch.setattr("hystfit.sampling.nuts._AGAIN", 0)
-    assert again > share(nuts.warm(funnel, jax.random.key(1))) + 0.05
+    first = [nuts.warm(funnel, seed) for seed in seeds]
+    again = [(after, before) for after, before in zip(further, first, strict=True) if after["size"] != before["size"]]
+    assert len(again) >= 5
+    assert np.mean([share(after) - share(before) for after, before in again]) > 0.05
 
 
 def independent(target: Target, seed: int, draws: int) -> np.ndarray:

@@ -22,7 +22,7 @@ def section(path: str, heading: str) -> str:
     found = re.search(rf"^(#+) {re.escape(heading)}\n(.*?)(?=^#|\Z)", text, flags=re.DOTALL | re.MULTILINE)
     if not found:
         raise ValueError(f"{path} has no section {heading!r}")
-    return re.sub(r"\n\(\d+ s\)\s*$", "", found[2]).strip()
+    return re.sub(r"\n\(\d+ s of processor time\)\s*$", "", found[2]).strip()
 
 
 def coverage() -> str:

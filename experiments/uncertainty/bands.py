@@ -3,7 +3,7 @@
 Beside the coverage stands a proper score, the continuous ranked probability score (CRPS: Gneiting and Raftery 2007), under the noise
 model that `hf.sample` chooses and under independent noise.
 
-A coverage counts only where the chains have converged: they are extended until then, up to the last number of `DRAWS`.
+A coverage counts only where the chains of the default sampler have converged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling.predictive import predictive_draws
 
-DRAWS = (2000, 4000, 8000)  # of each chain
 COUNT = 4000  # predictive draws: from 400, coverages differ by half a percent between seeds
 BAND = 0.9
 
@@ -104,18 +103,23 @@ def run(results: Results) -> dict[str, str]:
         if loaded is not None:
             rows += [_stored(results, case, loaded[0], noise) for noise in ("auto", "iid")]
     head = ["set", "noise model", "90 % bands cover, %", "mean width, % of range", "CRPS, % of range", "error of the median, % of range",
-            "draws", "least ESS", "largest R-hat", "divergent, %", "status of the chains"]  # fmt: skip
+            "sampler", "draws", "least ESS", "largest R-hat", "divergent, %", "status of the chains"]  # fmt: skip
     return {"Predictive bands of 90 % on measured samples that were not fitted": table(head, rows)}
+
+
+def chains_of(results: Results, name: str, noise: str) -> Path:
+    """The folder in which the chains of a case are stored; those of `several_seeds` from the first seed are the same."""
+    return results.out / "bands" / f"{name}-{noise}"
 
 
 def _stored(results: Results, case: Case, data: hf.Record | Dataset, noise: str) -> list[object]:
     """A row of the table, computed now or by an earlier run; its numbers are added."""
-    file = results.out / "bands" / f"{case.name}-{noise}.json"
+    chains = chains_of(results, case.name, noise)
+    file = chains.with_suffix(".json")
     if not file.exists():
         fitted, held = case.split(data)
         fit = hf.fit(case.model, fitted, fix=case.fix, free=case.free)
-        made = one(case.name, fit, held, noise, file.with_suffix(""))
-        file.parent.mkdir(exist_ok=True)
+        made = one(case.name, fit, held, noise, chains)
         scratch = file.with_suffix(".part")
         scratch.write_text(json.dumps(made), encoding="utf-8")
         scratch.replace(file)
@@ -133,19 +137,9 @@ def crps(draws: np.ndarray, y: np.ndarray) -> float:
     return float(np.mean(np.mean(np.abs(draws - y), axis=0) - apart))
 
 
-def until_converged(fit: hf.FitResult, noise: str, run: Path) -> hf.Posterior:
-    """Draws of the fewest numbers of `DRAWS` with which the chains converge; of the last number where they do not."""
-    more = dict(noise=noise, seed=0, folder=run)
-    for number in DRAWS[:-1]:
-        made = hf.sample(fit, draws=number, **more)
-        if made.status is not Status.NOT_CONVERGED:
-            return made
-    return hf.sample(fit, draws=DRAWS[-1], **more)
-
-
 def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) -> dict[str, object]:
-    """A row of the table, and the numbers in it; the chains are stored in the folder `run` and extended from there."""
-    made = until_converged(fit, noise, run)
+    """A row of the table, and the numbers in it; the chains are stored in the folder `run`."""
+    made = hf.sample(fit, noise=noise, seed=0, folder=run)
     draws, y = predictive_draws(made, held, COUNT, 0)[:, held.used], held.y[held.used]
     low, middle, high = np.quantile(draws, [0.5 - BAND / 2, 0.5, 0.5 + BAND / 2], axis=0)
     span, words = float(np.ptp(y)), "default" if noise == "auto" else noise
@@ -165,6 +159,7 @@ def one(name: str, fit: hf.FitResult, held: hf.Record, noise: str, run: Path) ->
     chains = made.convergence
     percent = [100 * inside, 100 * float(np.mean(high - low)) / span, 100 * score, 100 * error]
     of_chains = [
+        made.sampler,
         made.draws.shape[0] * made.draws.shape[1],
         float(np.min([chains.bulk, chains.tail])),
         float(np.max(chains.rhat)),

@@ -23,9 +23,9 @@ from hystfit.uncertainty.block_covariance import covariance
 FITS = ("iid", "default", "ar1", "ou", "discrepancy")
 OTHERS = ("sandwich", "bootstrap", "profile", "UKF covariance")
 BLOCKS = ("sandwich", "bootstrap")
-SAMPLED = (("AR(1) + white", "independence"), ("AR(1) + white", "emcee"), ("repeating + white", "emcee"))
+POSTERIORS = {"AR(1) + white": 100, "repeating + white": 25}  # replicates of the default sampler
 SHORT = SAMPLES // 2  # samples of the records that are sampled
-REPLICATES, RIGHT, SOME = 100, 60, 25
+REPLICATES, RIGHT, SOME, FEW = 100, 60, 25, 15
 # Estimates and standard errors of the four parameters, whether 95 % intervals cover, whether notes warned of recurring model error
 # ("warned") or of anything that makes errors unreliable ("alarm").
 Row = dict[str, Any]
@@ -86,10 +86,9 @@ def by_filter(measured: hf.Record) -> Row:
     return _row(np.asarray(ukf.coordinates.physical(z))[at], sd[at])
 
 
-def by_sampler(result: hf.FitResult, sampler: str) -> Row:
+def by_sampler(result: hf.FitResult) -> Row:
     """Central intervals of a posterior; the noise model is the one that `sample` chooses."""
-    settings = {"chains": 2, "draws": 400} if sampler == "independence" else {"walkers": 32, "draws": 500}
-    made = hf.sample(result, sampler, seed=0, **settings)
+    made = hf.sample(result, seed=0, chains=2, draws=400)
     draws = np.stack([made[name].ravel() for name in NAMES])
     low, high = np.quantile(draws, [0.025, 0.975], axis=1)
     inside = (low < VALUES) & (VALUES < high)
@@ -102,8 +101,8 @@ def row_of(kind: str, method: str, seed: int) -> Row:
         return by_fit(plain(kind, seed))
     if method in FITS:
         return by_fit(hf.fit(TRUTH, record(kind, seed), start="model", starts=1, noise=method))
-    if (kind, method) in SAMPLED:
-        return by_sampler(plain(kind, seed, SHORT), method)
+    if method == "posterior":
+        return by_sampler(plain(kind, seed, SHORT))
     if method == "UKF covariance":
         return by_filter(record(kind, seed))
     return by_profile(plain(kind, seed)) if method == "profile" else by_covariance(plain(kind, seed), method)
@@ -181,6 +180,8 @@ def replicates_of(kind: str, method: str, quick: bool) -> int:
         return 12
     if method in ("default", *BLOCKS) or (method == "ou" and "repeating" not in kind and "strong" not in kind):
         return REPLICATES
+    if method == "profile":
+        return FEW
     return RIGHT if method == "discrepancy" and "repeating" in kind else SOME
 
 
@@ -220,13 +221,13 @@ def run(results: Results, file: Path | None) -> dict[str, str]:
     return tables
 
 
-def samplers(results: Results, file: Path) -> str:
+def posteriors(results: Results, file: Path) -> str:
     """Central intervals of posteriors on shorter records."""
     store, lines = Store(file), []
-    for kind, method in SAMPLED:
-        found = summary([store.get(kind, method, seed) for seed in range(REPLICATES)])
-        lines.append([kind, method, 100 * found.covered, 100 * found.least, found.width])
-        results.add(f"coverage: {kind}, {method}", found.covered)
+    for kind, replicates in POSTERIORS.items():
+        found = summary([store.get(kind, "posterior", seed) for seed in range(replicates)])
+        lines.append([kind, replicates, 100 * found.covered, 100 * found.least, found.width])
+        results.add(f"coverage: {kind}, posterior", found.covered)
     return table(
-        ["error", "sampler", "95 % covered, %", "least of four", "standard deviation / spread of the means"], lines
+        ["error", "records", "95 % covered, %", "least of four", "standard deviation / spread of the means"], lines
     )

@@ -3,17 +3,15 @@
     python experiments/uncertainty/run.py [--quick] [--out FOLDER] [--only SECTION ...]
 
 Writes results.json to out/ and, in full, the page RESULTS.md here; the full form resumes from the sections of an earlier one in out/.
+With --only, the page of all sections in out/ is written there and names those that are missing.
 Exit status: see experiments/common.py.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import sys
-import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are too small for threads
@@ -25,46 +23,14 @@ import coverage
 import default_priors
 import one_amplitude
 import sbc
-import ten_seeds
+import several_seeds
 from common import Results, arguments
+from sections import Page, Section
 
 import hystfit as hf
 
 HERE = Path(__file__).resolve().parent
 warnings.filterwarnings("ignore", category=RuntimeWarning, module="numpy")  # columns without a finite error bar
-
-
-class Page:
-    """Sections of the page; the full form stores each finished section with its numbers, and a later run resumes from there."""
-
-    def __init__(self, results: Results):
-        self.results = results
-        self.parts: list[str] = []
-        self.kept = None if results.quick else results.out / "sections"
-        if self.kept is not None:
-            self.kept.mkdir(parents=True, exist_ok=True)
-
-    def add(self, name: str) -> None:
-        """A section, computed now or read from an earlier run."""
-        file = None if self.kept is None else self.kept / f"{name}.json"
-        if file is not None and file.exists():
-            stored = json.loads(file.read_text(encoding="utf-8"))
-            for number, value in stored["numbers"].items():
-                self.results.add(number, value)
-            self.parts.append(stored["text"])
-            return
-        before, started = set(self.results.numbers), time.perf_counter()
-        made = SECTIONS[name](self.results)
-        if made is None:
-            return
-        text = "\n".join(f"## {title}\n\n{words}" for title, words in made.items())
-        text += f"\n({time.perf_counter() - started:.0f} s)\n"
-        self.parts.append(text)
-        if file is not None:
-            numbers = {k: v for k, v in self.results.numbers.items() if k not in before}
-            scratch = file.with_suffix(".part")
-            scratch.write_text(json.dumps({"text": text, "numbers": numbers}, indent=1), encoding="utf-8")
-            scratch.replace(file)
 
 
 def coverages(results: Results) -> dict[str, str]:
@@ -81,8 +47,8 @@ def coverages(results: Results) -> dict[str, str]:
 
 def sampled(results: Results) -> dict[str, str]:
     """The table of posteriors under its title."""
-    words = f"Coverage of central 95 % intervals of samplers, {coverage.REPLICATES} records of {coverage.SHORT} samples"
-    return {words: coverage.samplers(results, results.out / "samplers.jsonl")}
+    words = f"Coverage of central 95 % intervals of the default sampler, records of {coverage.SHORT} samples"
+    return {words: coverage.posteriors(results, results.out / "posteriors.jsonl")}
 
 
 def calibrations(results: Results) -> dict[str, str]:
@@ -100,7 +66,7 @@ def wide(results: Results) -> dict[str, str]:
 
 
 # In the order of the page; those of FULL (long samplers, measured loops) run only in the full form.
-SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
+SECTIONS: dict[str, Section] = {
     "well-determined": lambda r: {
         "Least squares and samplers on a well-determined problem": agreement.well_determined(r)
     },
@@ -110,13 +76,14 @@ SECTIONS: dict[str, Callable[[Results], dict[str, str] | None]] = {
     },
     "one-amplitude": lambda r: {f"One amplitude: {k}": v for k, v in one_amplitude.run(r).items()},
     "bands": bands.run,
-    "ten-seeds": ten_seeds.run,
+    "seeds": several_seeds.short,
+    "seeds-of-sets": several_seeds.long,
     "calibration": calibrations,
     "default-priors": wide,
     "coverage": coverages,
-    "samplers": sampled,
+    "posteriors": sampled,
 }
-FULL = ("grid", "long-run", "bands", "ten-seeds", "default-priors", "samplers")
+FULL = ("grid", "long-run", "bands", "seeds", "seeds-of-sets", "default-priors", "posteriors")
 
 
 def main() -> None:
@@ -130,16 +97,13 @@ def main() -> None:
     if not given.quick:
         for name in [name for name in results.expected if name.endswith(", quick")]:
             del results.expected[name]  # checked in the short form only
-    page = Page(results)
+    page = Page(results, SECTIONS)
     for name in SECTIONS:
         if name in (given.only or SECTIONS) and not (given.quick and name in FULL):
             page.add(name)
-    if given.only:
-        return
-    head = "# Width and coverage of error bars\n\nWritten by `run.py` (full form).\n\n"
-    target = results.out if given.quick or results.skipped else HERE
-    (target / "RESULTS.md").write_text(head + "\n".join(page.parts), encoding="utf-8")
-    results.finish()
+    page.write(results.out if given.quick or given.only or results.skipped else HERE)
+    if not given.only:
+        results.finish()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The default sampler from ten seeds on seven records: four measured, a bundled one, and two whose posteriors are hard.
+"""The default sampler from several seeds on seven records: four measured, a bundled one, and two whose posteriors are hard.
 
 Thin: so little saturation that data determine c (1 - mu) and mu c tau, and their parts only through the priors. Small: one small amplitude
 under slow and white noise, which does not determine tau and rho. The measured ones are a steel coupon and the sets of `bands`. Of these
@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
-from bands import CASES
+from bands import CASES, chains_of
 from common import Results, table
 
 import hystfit as hf
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import GOOD_ESS, GOOD_RHAT
 
-SEEDS = 10
+SEEDS, FEW = (
+    10,
+    3,
+)  # of a record that takes a second, and of the sets of `bands`, a seed of which takes 40 to 70 s of processor time
 UNUSABLE = (Status.NOT_CONVERGED, Status.DIVERGING)
+Fit = Callable[[], hf.FitResult]
 
 
 def bundled() -> hf.FitResult:
@@ -54,54 +59,59 @@ def _simulated(model: hf.BoucWen, u: np.ndarray, white: float, slow: float) -> h
     return hf.fit("bouc-wen", hf.Record(t=0.01 * np.arange(u.size), u=u, y=y))
 
 
-def fits(results: Results) -> Iterator[tuple[str, Callable[[], hf.FitResult]]]:
-    """The records that are found, as fits to be made."""
-    yield from {"bundled": bundled, "thin": thin, "small": small}.items()
+def short(results: Results) -> dict[str, str]:
+    """A table of the records that take seconds."""
+    fits: dict[str, Fit] = {"bundled": bundled, "thin": thin, "small": small}
+    loaded = results.load("coupon:", "steel_resspylab/example_1")
+    if loaded is not None:
+        fits["coupon"] = lambda: coupon(next(iter(hf.Dataset.of(loaded[0]))))
+    return {
+        f"The default sampler from {SEEDS} seeds, least and largest values over the seeds": _table(results, fits, SEEDS)
+    }
+
+
+def long(results: Results) -> dict[str, str]:
+    """A table of the sets of `bands` whose data are found."""
+    fits: dict[str, Fit] = {}
     for case in CASES:
         loaded = results.load(f"{case.name}:", case.source)
         if loaded is not None:
             fitted = case.split(loaded[0])[0]
-            yield case.name, lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
-    loaded = results.load("coupon:", "steel_resspylab/example_1")
-    if loaded is not None:
-        yield "coupon", lambda: coupon(next(iter(hf.Dataset.of(loaded[0]))))
+            fits[case.name] = lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
+    return {
+        f"The default sampler from {FEW} seeds, least and largest values over the seeds": _table(results, fits, FEW)
+    }
 
 
-def run(results: Results) -> dict[str, str]:
-    """A table of the records; every run is kept, and a later one goes on after it."""
+def _table(results: Results, fits: dict[str, Fit], seeds: int) -> str:
+    """A row for each record; every run is kept, and a later one goes on after it."""
     rows = []
-    for name, fit in fits(results):
+    for name, fit in fits.items():
         file, made = results.out / f"seeds-{name}.jsonl", None
         done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
-        for seed in range(len(done), SEEDS):
+        for seed in range(len(done), seeds):
             made = fit() if made is None else made
-            done.append(_one(made, seed))
+            done.append(_one(made, seed, chains_of(results, name, "auto") if seed == 0 else None))
             with file.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(done[-1]) + "\n")
-        results.add(f"{name}: seeds of {SEEDS} with usable chains", sum(row["usable"] for row in done))
+        results.add(f"{name}: seeds of {seeds} with usable chains", sum(row["usable"] for row in done))
         column = lambda key, done=done: [row[key] for row in done]
         statuses = ", ".join(f"{column('status').count(status)} {status}" for status in sorted(set(column("status"))))
-        worst = [min(column("ess")), max(column("rhat")), sum(column("divergent"))]
-        rows.append([name, done[0]["noise"], statuses, *worst, max(column("draws")), np.median(column("seconds"))])
-    head = [
-        "record",
-        "noise model",
-        "status",
-        "least ESS",
-        "largest R-hat",
-        "divergent",
-        "most draws",
-        "processor time, s",
-    ]
-    return {f"The default sampler from {SEEDS} seeds, least and largest values over the seeds": table(head, rows)}
+        drawn = ", ".join(sorted(set(column("sampler"))))
+        worst = [min(column("ess")), max(column("rhat")), sum(column("divergent")), max(column("draws"))]
+        rows.append([name, done[0]["noise"], drawn, statuses, *worst, np.median(column("seconds"))])
+    head = ["record", "noise model", "sampler", "status", "least ESS", "largest R-hat", "divergent", "most draws",
+            "median processor time, s"]  # fmt: skip
+    return table(head, rows)
 
 
-def _one(fit: hf.FitResult, seed: int) -> dict[str, object]:
-    """One run; processor time includes compilation."""
+def _one(fit: hf.FitResult, seed: int, folder: Path | None) -> dict[str, object]:
+    """One run, whose chains are stored in a folder; processor time includes compilation."""
     begin = time.process_time()
-    made = hf.sample(fit, seed=seed)
+    made = hf.sample(fit, seed=seed, folder=folder)
     ess, rhat = float(np.min([made.convergence.bulk, made.convergence.tail])), float(np.max(made.convergence.rhat))
     divergent = int(made.stats["diverging"].sum())
     usable = made.status not in UNUSABLE and ess >= GOOD_ESS and rhat <= GOOD_RHAT and divergent == 0
     return {"status": str(made.status), "ess": ess, "rhat": rhat, "divergent": divergent, "usable": usable, "noise": made.noise,
-            "draws": made.draws.shape[0] * made.draws.shape[1], "seconds": time.process_time() - begin}  # fmt: skip
+            "sampler": made.sampler, "draws": made.draws.shape[0] * made.draws.shape[1],
+            "seconds": time.process_time() - begin}  # fmt: skip
