@@ -123,7 +123,8 @@ class ComparisonRun:
 
         started = time.perf_counter()
         try:
-            work(one, say)
+            with self.candidate_fits.few_runs(one.name):
+                work(one, say)
         except _SOLVER_ERRORS as error:
             one.row = Row(one.name, one.name, status=Status.FAILED, note=f"left out: {error}")
             one.failure = error
@@ -146,7 +147,8 @@ class ComparisonRun:
         """A fit with its standard errors."""
         self.candidate_fits.release()
         known = self.standings.fits[name]
-        result = self._solved[name].judged()
+        with self.candidate_fits.few_runs(name):
+            result = self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
         return result.with_notes(
