@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -164,17 +165,16 @@ class Damper(AbstractHysteresis):
         return recursion((1.0, np.append(-left[1:], 0.0)), driven[:, None])[:, 0]
 
     def start(self, records: Sequence[Record]) -> Damper:
-        """Stroke and speed of the records, the best of a few leads and lags, then of a few strains; a linear solve gives the weights."""
+        """Stroke and speed of the records, and the best of a few strains, leads and lags; the weights follow from a linear solve."""
         place, out, interval = input_range(records), output_range(records), sampling_interval(records)
         ranges = {"center": place.center, "half": place.half, "speed": speed(records, LARGE)}
         model = dataclasses.replace(self, **ranges, viscous=0.2 * out.half, offset=out.center)
         heads = [record.segment(0, min(len(record), SAMPLES)) for record in records]
-        best = min(
-            (dataclasses.replace(model, lead=lead)._with_lag(heads, interval) for lead in _LEADS), key=lambda s: s[1]
-        )
-        # The stops of x have little to do with the lag of the velocity.
-        strained = [dataclasses.replace(best[0], strain=strain) for strain in _STRAINS]
-        return min(strained, key=lambda start: start._misfit(heads))
+        pairs = itertools.product(_STRAINS, _LEADS)
+        starts = [
+            dataclasses.replace(model, strain=strain, lead=lead)._with_lag(heads, interval) for strain, lead in pairs
+        ]
+        return min(starts, key=lambda start: start[1])[0]
 
     def _with_lag(self, records: Sequence[Record], interval: float) -> tuple[Damper, float]:
         """The same damper with the lag that leaves the smallest misfit, and that misfit."""
