@@ -1,6 +1,7 @@
 """Process-wide settings: precision, device and compiler of JAX, threads of linear algebra. Importing it loads no numerical library."""
 
 import contextlib
+import contextvars
 import ctypes
 import functools
 import numbers
@@ -9,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Literal, ParamSpec, TypeVar
 
 from hystfit.errors import ParameterError, PrecisionError
 
@@ -44,6 +45,41 @@ def set_compiler_flags() -> None:
 
     flags = [_WHOLE_LOOPS, _WIDE_VECTORS, *([_LLVM_EMITTERS] if __version__.startswith(_HAS_LLVM_EMITTERS) else [])]
     os.environ["XLA_FLAGS"] = " ".join(flags)
+
+
+# Compiling without optimization takes 0.3 to 0.4 of the time, and the program 1.5 to 2.2 times as long (normal equations of four models).
+# With the widest vectors LLVM then gave a Preisach inverse a wrong sign; the tests run in this form.
+_UNOPTIMIZED = {"xla_backend_optimization_level": 0, "xla_cpu_prefer_vector_width": 256}
+_runs: contextvars.ContextVar[Literal["many", "few", "few long"]] = contextvars.ContextVar("runs", default="many")
+
+
+@contextlib.contextmanager
+def expect_few_runs(*, long: bool = False) -> Iterator[None]:
+    """Context in which each program runs a few hundred times at most: fewer programs are compiled, and small ones quickly unless `long`.
+
+    Args:
+        long: whether most of the time is that of runs.
+    """
+    token = _runs.set("few long" if long else "few")
+    try:
+        yield
+    finally:
+        _runs.reset(token)
+
+
+def few_runs() -> bool:
+    """Whether fewer programs are worth longer runs, see `expect_few_runs`."""
+    return _runs.get() != "many"
+
+
+def compiles_quickly() -> bool:
+    """Whether small programs are compiled without optimization, see `expect_few_runs`."""
+    return _runs.get() == "few" and platform() == "cpu"
+
+
+def program_options(unoptimized: bool) -> dict[str, int] | None:
+    """Options of XLA for one program: None for those of the process."""
+    return _UNOPTIMIZED if unoptimized else None
 
 
 # Settings of `mallopt` by number: bytes from which an array gets pages of its own (M_MMAP_THRESHOLD), free bytes above which memory is

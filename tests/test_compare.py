@@ -554,6 +554,26 @@ def test_an_error_that_grew_from_the_first_fit_of_one_model_stops_no_better_one(
     assert {row.asked: row.score_percent for row in run.standings.rows} == dict.fromkeys(begun, 1.0)
 
 
+@pytest.mark.parametrize("alpha", [1.0, 1.6], ids=["left noise", "left more"])
+def test_models_with_more_parameters_are_looked_at_where_simpler_ones_leave_more_than_noise(monkeypatch, alpha):
+    """A loop of Bouc-Wen, of which a cubic term is left in the second case."""
+    u = np.sin(np.linspace(0, 40, 800)) * np.linspace(0.3, 1.0, 800)
+    y = np.asarray(hf.simulate(hf.BoucWen(c=0.8, mu=0.6, tau=8.0, rho=0.4), u)[0]) + 0.2 * (alpha - 1) * u**3
+    record = hf.Record(u, y + 0.005 * np.ptp(y) * np.random.default_rng(0).normal(size=800))
+    names, looked, first = ("bouc-wen-asymmetric", "bouc-wen-force", "bouc-wen"), [], CandidateFits.first
+    monkeypatch.setattr(CandidateFits, "first", lambda of, one, say: looked.append(one.name) or first(of, one, say))
+    shown = ShownProgress(lambda *_: None, [SEARCH, *names])
+    run = ComparisonRun(hf.Dataset.of(record), "auto", "prediction", FitOptions(), {}, shown, Workers(1))
+    run.run([SEARCH])
+    run.run_until_settled([], names)
+    if alpha == 1.0:
+        assert looked == [SEARCH, "bouc-wen", "bouc-wen-force"]
+        assert run.standings.best_row.asked == "bouc-wen"
+    else:
+        assert set(looked) == {SEARCH, *names}
+    assert {row.asked for row in run.standings.rows} == {SEARCH, *names}
+
+
 def test_progress_counts_a_model_once_and_those_that_join():
     shares = []
     shown = ShownProgress(lambda text, share: shares.append((text, share)), ["plays", "relays"])

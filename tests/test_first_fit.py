@@ -11,9 +11,14 @@ from scipy.stats import qmc
 import hystfit as hf
 from hystfit.config import set_compiler_flags
 from hystfit.data.dataset import Dataset
+from hystfit.fitting.candidate_fits import CandidateFits
+from hystfit.fitting.contender import Candidate
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.least_squares import LeastSquares
+from hystfit.fitting.standings import Standings
+from hystfit.inference.problem import Problem
 from hystfit.models import starting
 from hystfit.models.registry import make_model
 from hystfit.params.hypercube import latin_hypercube
@@ -118,6 +123,36 @@ def test_the_error_of_a_first_look_is_that_of_all_samples():
     start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
     look = LeastSquares().quick().estimate(problem, start)
     assert look.cost == pytest.approx(0.5 * np.sum(problem.misfit(look.x) ** 2), rel=0.2)
+
+
+def test_a_fit_that_cannot_win_ends_before_the_derivatives_on_all_samples(monkeypatch):
+    """Their program takes far longer to compile than a simulation."""
+    u = 50 * (1 + np.sin(np.linspace(0, 40, 6000)))
+    y = np.asarray(hf.simulate(hf.BoucWen(c=0.15, mu=0.4, tau=0.03, rho=0.4), u)[0])
+    noise = 0.01 * np.ptp(y)
+    record = hf.Record(u, y + noise * np.random.default_rng(0).normal(size=6000))
+    problem, points = started_problem(make_model("bouc-wen"), Dataset((record,)))
+    start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
+    assert LeastSquares().up_to(1.1 * noise).estimate(problem, start).converged
+    monkeypatch.setattr(Problem, "linearization", None)
+    found = LeastSquares().up_to(0.9 * noise).estimate(problem, start)
+    assert not found.converged
+    assert problem.error_where_held_out(problem.misfit(found.x)) == pytest.approx(noise, rel=0.05)
+
+
+def test_a_fit_starts_from_what_its_first_look_started_from(monkeypatch):
+    """Starting values of a damper take longer than its fit."""
+    u = np.sin(np.linspace(0, 30, 600)) * np.linspace(0.4, 1.0, 600)
+    y = u + 0.3 * np.tanh(10 * np.gradient(u)) + 0.01 * np.random.default_rng(0).normal(size=600)
+    data, begun, start = Dataset((hf.Record(u, y, 0.01 * np.arange(600)),)), [], hf.Damper.start
+    monkeypatch.setattr(hf.Damper, "start", lambda model, records: begun.append(model) or start(model, records))
+    fits = CandidateFits(data, "auto", FitOptions(), {}, Standings(data, "prediction", all_validated=False))
+    one, quiet = Candidate("damper"), lambda _: None
+    fits.first(one, quiet)
+    fits.fit(one, quiet)
+    assert len(begun) == 1
+    assert one.solved is not None
+    np.testing.assert_allclose(one.solved.estimate.x, hf.fit("damper", data).x, rtol=1e-9)
 
 
 def test_records_of_similar_length_share_the_program_of_a_grid(monkeypatch):

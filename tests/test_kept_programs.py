@@ -7,12 +7,14 @@ import pytest
 from jax import export
 
 import hystfit as hf
-from hystfit.config import PROGRAM_FOLDER
+from hystfit.config import PROGRAM_FOLDER, expect_few_runs
 from hystfit.fitting import lanes
 from hystfit.fitting.lanes import Stack
 from hystfit.models import simulation
 from hystfit.params import kept_programs
-from hystfit.params.kept_programs import kept
+from hystfit.params.host_arrays import compiled
+from hystfit.params.kept_programs import kept, unoptimized
+from hystfit.runs.threads import Workers
 from hystfit.sampling.truncated_normal import draw_truncated
 
 U, DT = np.sin(np.arange(9.0)), np.ones(9)
@@ -46,8 +48,8 @@ def only(folder):
     return path
 
 
-def by_scan(model):
-    return np.asarray(simulation.run(model, jnp.asarray(U), jnp.asarray(DT))[0])
+def by_scan(model, u=U):
+    return np.asarray(simulation.run(model, jnp.asarray(u), jnp.asarray(DT))[0])
 
 
 def test_another_process_traces_nothing(only, monkeypatch):
@@ -115,3 +117,30 @@ def test_the_folder_keeps_what_was_used_last(only, folder, monkeypatch):
     afresh()(hf.BoucWen(scheme="exact"))
     (left,) = folder.iterdir()
     assert left != only
+
+
+def test_small_programs_of_few_runs_are_compiled_quickly():
+    """In the threads of such work too, but neither those of many samples nor of work whose runs take most of the time."""
+    few = lambda: unoptimized([np.zeros(100), "predict"])
+    assert not few()
+    with expect_few_runs():
+        assert Workers(2).run([few, few]) == [True, True]
+        assert not unoptimized([np.zeros(2**13)])
+        with expect_few_runs(long=True):
+            assert not few()
+    assert not few()
+
+
+def _doubled(model, x):
+    return simulation._run(model, 2 * x, DT, None)[0]
+
+
+def test_a_program_from_the_folder_that_is_compiled_quickly_computes_the_same(folder):
+    with expect_few_runs():
+        np.testing.assert_allclose(afresh()(hf.BoucWen()), by_scan(hf.BoucWen()), rtol=1e-14)
+
+
+def test_a_quickly_compiled_program_computes_the_same_with_another_one_within_it():
+    """The one within takes no options of its own."""
+    with expect_few_runs():
+        np.testing.assert_allclose(compiled(_doubled)(hf.BoucWen(), U), by_scan(hf.BoucWen(), 2 * U), rtol=1e-14)

@@ -9,13 +9,13 @@ import pytest
 import scipy.optimize
 
 import hystfit as hf
-from hystfit.config import first_device
+from hystfit.config import expect_few_runs, first_device
 from hystfit.data.dataset import Dataset
 from hystfit.fitting import lanes
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.lanes import Stack, descend_lanes
 from hystfit.fitting.multistart import starting_vectors
-from hystfit.inference.normal import normal_at, normal_in_scan, suits_one_scan
+from hystfit.inference.normal import normal_at, normal_in_scan, normal_on_host, suits_one_scan
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 
@@ -65,8 +65,8 @@ def test_normal_equations_are_those_of_finite_differences(model: AbstractHystere
     steps = 1e-5 * np.eye(z.size)
     J = np.stack([(at(z + step) - at(z - step)) / 2e-5 for step in steps], axis=1)
     assert suits_one_scan(objective)
-    for form in (normal_at, normal_in_scan, functools.partial(normal_in_scan, block=16)):
-        found = jax.jit(form)(objective, z)
+    forms = (normal_at, normal_in_scan, functools.partial(normal_in_scan, block=16))
+    for found in (normal_on_host(objective, z), *(jax.jit(form)(objective, z) for form in forms)):
         np.testing.assert_allclose(found.cost, 0.5 * at(z) @ at(z), rtol=1e-12)
         size = np.linalg.norm(J, axis=0) + 1e-12
         np.testing.assert_allclose(found.gradient / size, J.T @ at(z) / size, atol=2e-5)
@@ -79,6 +79,24 @@ def lanes_of(count: int) -> tuple[list[Problem], Stack, np.ndarray]:
     rng = np.random.default_rng(0)
     starts = [p.space.unconstrained(p.space.vector(model)) + 0.3 * rng.normal(size=len(p.space)) for p in posed]
     return posed, Stack.of([p.objective for p in posed]), np.stack(starts)
+
+
+@pytest.mark.parametrize("offsets", [False, True], ids=["one record", "an offset for each of two"])
+def test_lanes_of_one_problem_end_alike_by_the_program_of_the_last_steps(offsets: bool, monkeypatch) -> None:
+    """Where few runs are expected, a descent compiles no program of its own."""
+    model = hf.BoucWen(c=1.1, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
+    records = [problem(model, seed).data[0] for seed in range(1 + offsets)]
+    posed = Problem(model, [record.replace(name=str(k)) for k, record in enumerate(records)])
+    z = posed.space.unconstrained(posed.space.vector(model))
+    starts = z + 0.1 * np.random.default_rng(0).normal(size=(3, z.size))
+    descend = lambda: descend_lanes(Stack.of([posed.objective]), np.zeros(3, int), starts, gain=1e-6, steps=30)
+    expected = descend()
+    monkeypatch.setattr(lanes, "_linearized", None)
+    with expect_few_runs():
+        found = descend()
+    np.testing.assert_array_equal(found.steps, expected.steps)
+    np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-9)
+    np.testing.assert_allclose(found.normal.z, expected.normal.z, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("records", [[0, 0, 1, 2], [4, 5, 5], [5], [1, 1, 4], [3, 0, 0, 4]], ids=str)

@@ -61,7 +61,8 @@ def compare(
             judged on the fitted samples; that of a model with elements has its default size, is judged by cross-validation on at most
             2048 samples or so, and stops once the choices that lowered the error of another such model would not suffice. Records that
             differ at equal inputs by more than a usable fit errs get one model, because none changes the verdict; where the residuals are
-            noise and show no loop, models that iterate are left out.
+            noise and show no loop, models that iterate are left out; they are tried from those with the fewest parameters on, until
+            one leaves white residuals as small as the noise of the output.
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.

@@ -18,8 +18,10 @@ from hystfit.fitting.contender import Candidate, leader
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.left_out import LeftOut
+from hystfit.fitting.sizes import weights_of
 from hystfit.fitting.standings import Standings
 from hystfit.fitting.trial import with_left_out
+from hystfit.models.registry import make_model
 from hystfit.outcome import Code, Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.quality.held_out import Scheme, inner_loops
@@ -30,6 +32,8 @@ from hystfit.runs.threads import Workers
 _SOLVER_ERRORS = (HystfitError, np.linalg.LinAlgError, ArithmeticError, RuntimeError)
 
 WHITE = "the residuals of the best model are noise"
+
+_SIDE_BY_SIDE = 2  # first fits at a time, whatever the number of cores, on which results must not depend
 
 _Work = Callable[[Candidate, Callable[[str], object]], None]
 
@@ -84,6 +88,26 @@ class ComparisonRun:
         self._each(self.candidate_fits.first, candidates)
         return candidates
 
+    def run_until_settled(self, waiting: list[Candidate], names: Sequence[str]) -> None:
+        """Finish candidates, after first fits of others, from those with the fewest parameters on.
+
+        One that errs by no more than the noise is fitted at once: where its residuals are white, the others are not looked at.
+
+        Args:
+            waiting: candidates after their first fits.
+            names: of the others.
+        """
+        ahead = sorted(names, key=lambda name: weights_of(make_model(name)))
+        while ahead:
+            looked, ahead = self.looked_at(ahead[:_SIDE_BY_SIDE]), ahead[_SIDE_BY_SIDE:]
+            waiting = [*waiting, *looked]
+            if any(one.first is not None and self.standings.is_noise(one.first.error) for one in looked):
+                waiting = self.after_next(waiting)
+                if self.standings.is_settled():
+                    break
+        self.finish(waiting, past_white=False)
+        self.skip(ahead, WHITE)
+
     def finish(self, candidates: Sequence[Candidate], *, past_white: bool = True) -> None:
         """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
         waiting = self._keep_finished(candidates)
@@ -123,7 +147,8 @@ class ComparisonRun:
 
         started = time.perf_counter()
         try:
-            work(one, say)
+            with self.candidate_fits.few_runs(one.name):
+                work(one, say)
         except _SOLVER_ERRORS as error:
             one.row = Row(one.name, one.name, status=Status.FAILED, note=f"left out: {error}")
             one.failure = error
@@ -146,7 +171,8 @@ class ComparisonRun:
         """A fit with its standard errors."""
         self.candidate_fits.release()
         known = self.standings.fits[name]
-        result = self._solved[name].judged()
+        with self.candidate_fits.few_runs(name):
+            result = self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
         return result.with_notes(

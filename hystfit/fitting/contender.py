@@ -50,6 +50,7 @@ class Candidate:
         result: its verdict.
         first: the first fit, where there was one.
         failure: why there is no result.
+        started: models with starting values from the records, the best first, where they are those of its fit too.
         seconds: time of its fits and validation.
     """
 
@@ -61,6 +62,7 @@ class Candidate:
     result: FitResult | None = None
     first: First | None = None
     failure: Exception | None = None
+    started: tuple[AbstractHysteresis, ...] = ()
     seconds: float = 0.0
 
 

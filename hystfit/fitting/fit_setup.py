@@ -49,7 +49,13 @@ class FitSetup:
 
 
 def set_up_fit(
-    model: AbstractHysteresis, data: Dataset, options: FitOptions, *, held: bool = False, notes: tuple[Note, ...] = ()
+    model: AbstractHysteresis,
+    data: Dataset,
+    options: FitOptions,
+    *,
+    held: bool = False,
+    notes: tuple[Note, ...] = (),
+    started: tuple[AbstractHysteresis, ...] = (),
 ) -> FitSetup:
     """Set up a fit: the problem, its estimator and starting points.
 
@@ -57,6 +63,7 @@ def set_up_fit(
         options: options of the fit. Isolated outliers of the output are fitted only with a noise model or a robust loss.
         held: whether parameters in `fix` without a value keep that of the model, instead of one estimated from the data.
         notes: notes on earlier choices.
+        started: models with starting values from the data, the best first, where they are known.
     """
     check_fittable(model, data)
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
@@ -65,7 +72,7 @@ def set_up_fit(
     common: dict[str, Any] = {"free": free, "tie": options.tie, "loss": options.loss, "spacing": options.spacing}
     if start != "model":
         fix = _fixed_values(model, fix) if held else fix
-        problem, points = started_problem(model, data, fix=fix, **common)
+        problem, points = started_problem(model, data, started, fix=fix, **common)
         if isinstance(start, Mapping):
             points = (points[0].replace(**start),)
             problem = Problem(points[0], data, fix=fix, **common)
@@ -100,11 +107,11 @@ def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
 
 
 def started_problem(
-    model: AbstractHysteresis, data: Dataset, **options: Any
+    model: AbstractHysteresis, data: Dataset, started: tuple[AbstractHysteresis, ...] = (), **options: Any
 ) -> tuple[Problem, tuple[AbstractHysteresis, ...]]:
-    """The problem of a model with starting values from the records, and all models to start from."""
+    """The problem of a model with starting values from the records, and all models to start from; `started` has them already."""
     check_fittable(model, data)
-    points = model.starting_points(list(data.map(model.prepared)))
+    points = started or model.starting_points(list(data.map(model.prepared)))
     return Problem(points[0], data, **options), points
 
 

@@ -17,9 +17,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.config import device_of_many, first_device
+from hystfit.config import device_of_many, few_runs, first_device
 from hystfit.fitting.levenberg_marquardt import Lane, advanced, approached, beaten
-from hystfit.inference.normal import Normal, normal_at, normal_in_scan, suits_lanes, suits_one_scan
+from hystfit.inference.normal import (
+    Normal,
+    normal_at,
+    normal_in_scan,
+    normal_on_host,
+    suits_lanes,
+    suits_one_scan,
+)
 from hystfit.inference.objective import Objective
 from hystfit.params.coordinates import REAL
 from hystfit.params.host_arrays import compiled
@@ -191,13 +198,18 @@ def _on_host(
     """Lanes at their ends, and which were given up. Arrays are padded to a chunk, so that one program serves any number of lanes."""
     room_for, samples, bounded = _chunk(stack.samples, many), stack.samples, stack.bounded
     linearized = _linearized_beside if many else _linearized
+    alone = few_runs() and not many and not any(stack.own)  # by the program that other uses need too
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
     data, place = _of_records(stack, records, room_for) if any(stack.own) else (stack, records)
     given_up, count = np.zeros(len(records), bool), len(records)
     going = np.arange(count)
     while going.size:
-        where, points = padded(place[going]), padded(lane.trial[going])
-        new = Normal(*_first(linearized(data, where, points, np.int64(going.size)), going.size))
+        if alone:
+            each = [normal_on_host(stack.objective, z) for z in lane.trial[going]]
+            new = Normal(*map(np.stack, zip(*each, strict=True)))
+        else:
+            where, points = padded(place[going]), padded(lane.trial[going])
+            new = Normal(*_first(linearized(data, where, points, np.int64(going.size)), going.size))
         with np.errstate(all="ignore"):  # from simulations that are not finite, whose steps are rejected
             lane.put(going, advanced(lane.rows(going), new, gain, samples, bounded, np))
         given_up |= beaten(lane, records)

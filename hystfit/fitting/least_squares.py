@@ -73,12 +73,14 @@ class LeastSquares(AbstractEstimator):
             cost *= total / thinned
             return Estimate(problem.space.physical(z), cost, success, "a first look", steps, costs)
         if np.isfinite(z).all() and np.isfinite(cost):
-            exact, most = () if short is not None else (STEPS, EXACT), self.most if success else np.inf
-            z, cost, success, more, linearized, beaten = polish(problem, z, *exact, most=most)
+            if success and self.most < np.inf:  # a simulation takes less time to compile than its derivatives
+                x = problem.space.physical(z)
+                if problem.error_where_held_out(problem.misfit(x)) > self.most:
+                    return Estimate(x, cost, False, "not finished", steps, costs)
+            exact = () if short is not None else (STEPS, EXACT)
+            z, cost, success, more, linearized = polish(problem, z, *exact)
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
-            if beaten:
-                return Estimate(problem.space.physical(z), cost, False, "not finished", steps, costs)
         x = problem.space.physical(z)
         if success and np.isfinite(z).all() and not any(problem.at_bound(x, ON_BOUND)):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)

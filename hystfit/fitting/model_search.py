@@ -117,7 +117,7 @@ def _iterated(run: ComparisonRun, chosen: Candidates, waiting: list[Candidate], 
         elif number and _resonance_needed(run):
             run.skip(names, RESONANCE)
         else:
-            run.finish([*waiting, *run.looked_at(names)], past_white=False)
+            run.run_until_settled(waiting, names)
         waiting = []
 
 

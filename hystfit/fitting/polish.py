@@ -28,7 +28,7 @@ _BLUR = 0.01  # rounding error of an output, relative to ROUNDING
 class Polished(NamedTuple):
     """End point of a polish: unconstrained z, its cost, whether it converged, and the number of linearizations.
 
-    `linearized` is `Problem.linearization` at z, None if another point was linearized last. `beaten`: no step was taken, see `most`.
+    `linearized` is `Problem.linearization` at z, None if another point was linearized last.
     """
 
     z: np.ndarray
@@ -36,7 +36,6 @@ class Polished(NamedTuple):
     converged: bool
     evaluations: int
     linearized: Linearization | None
-    beaten: bool = False
 
 
 def polish(
@@ -46,7 +45,6 @@ def polish(
     within: float = NEAR,
     *,
     held: np.ndarray | None = None,
-    most: float = np.inf,
 ) -> Polished:
     """Minimize half the sum of squared misfits from a point near the minimum.
 
@@ -58,7 +56,6 @@ def polish(
         steps: most linearizations.
         within: distance from the minimum, in standard errors of the linear model, at which the fit has converged.
         held: which parameters are not moved, shape (p,), bool; None for none.
-        most: error of the start on held-out samples [y] above which no step is taken.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
@@ -66,8 +63,6 @@ def polish(
     gain = gain_within(within, samples)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
-    if linearized is not None and most < np.inf and problem.error_where_held_out(linearized.misfit) > most:
-        return Polished(at.z, at.cost, False, evaluations, linearized, beaten=True)
     while evaluations < steps:
         floor = _floor(problem, at.x, samples, largest)
         if not np.isfinite(at.cost + floor):

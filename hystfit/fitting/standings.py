@@ -91,8 +91,16 @@ class Standings:
 
     def may_win(self, name: str) -> bool:
         """Whether a model that leaves nothing but the noise of the output could win."""
-        noise = max((fit.baselines.noise or 0.0 for fit in self.fits.values()), default=0.0)
-        return 100 * noise / self.span < self.most(Status.OK, make_model(name))
+        return 100 * self.noise / self.span < self.most(Status.OK, make_model(name))
+
+    @property
+    def noise(self) -> float:
+        """Rms noise of the output, 0 where it is not known [y]."""
+        return max((fit.baselines.noise or 0.0 for fit in self.fits.values()), default=0.0)
+
+    def is_noise(self, error: float) -> bool:
+        """Whether an rms error [y] is not told from the noise of the output, below which no model errs."""
+        return error <= self.equal * self.noise
 
     # -- what the best model leaves --
 
@@ -100,6 +108,11 @@ class Standings:
         """Whether the best model leaves only noise; `paced` also requires `Row.paced` of it to be this, None does not."""
         best = self.best_row
         return best is not None and best.leaves_noise and paced in (None, best.paced)
+
+    def is_settled(self) -> bool:
+        """Whether the best model leaves white residuals as small as the noise of the output."""
+        best = self.best_row
+        return best is not None and self.is_white() and self.is_noise(best.score / 100 * self.span)
 
     def shows_no_loop(self, names: tuple[str, ...]) -> bool:
         """Whether the best model leaves white residuals, and no loop worth the parameters of these models."""

@@ -13,7 +13,7 @@ import numpy as np
 from jax.extend.core import jaxprs_in_params
 from jaxtyping import Array, Float
 
-from hystfit.inference.objective import BROKEN, Objective, bend
+from hystfit.inference.objective import BROKEN, Objective, bend, linearized_runs, misfit_slope
 from hystfit.models.shapes import Scalar
 
 FEW = 12  # parameters up to which one scan sums the normal matrix: it carries a number for each entry
@@ -51,6 +51,20 @@ def normal_at(objective: Objective, z: Float[Array, " p"]) -> Normal:
     blocks = jnp.einsum("rmt,rnt->rmn", slopes, slopes)
     matrix = jnp.zeros((p, p)).at[own[:, :, None], own[:, None, :]].add(blocks)
     return Normal(z, 0.5 * jnp.sum(misfit**2), gradient, matrix).checked()
+
+
+def normal_on_host(objective: Objective, z: Float[np.ndarray, " p"]) -> Normal:
+    """`normal_at` by the program of `linearized`, which the last steps of a fit and its standard errors need too."""
+    with np.errstate(all="ignore"):  # from simulations that are not finite
+        residual, slopes = linearized_runs(objective, objective.coordinates.physical(z, np))
+        misfit, weight = (values.reshape(residual.shape) for values in misfit_slope(objective, residual))
+        own, p = objective.coordinates.own, len(z)
+        slopes = slopes * weight[:, None] * objective.coordinates.slope(z, np)[own][..., None]
+        gradient, matrix = np.zeros(p), np.zeros((p, p))
+        np.add.at(gradient, own, np.einsum("rmt,rt->rm", slopes, misfit))
+        np.add.at(matrix, (own[:, :, None], own[:, None, :]), slopes @ slopes.swapaxes(1, 2))
+        normal = Normal(z, 0.5 * np.sum(misfit**2), gradient, matrix)
+    return normal if all(np.isfinite(value).all() for value in normal) else normal._replace(cost=np.inf)
 
 
 def suits_one_scan(objective: Objective) -> bool:

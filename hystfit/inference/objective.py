@@ -184,6 +184,17 @@ def linearized(
     return residual, out
 
 
+def linearized_runs(
+    objective: Objective, x: Float[np.ndarray, " p"]
+) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R m T"]]:
+    """`Objective.residual` on the host and its derivatives with respect to each record's own m parameters, by the same program."""
+    if objective.apart:
+        residual, own = _linearize_own(objective, x)
+        return np.asarray(residual), np.asarray(own)
+    residual, jacobian = _linearize(objective, x, None)
+    return np.asarray(residual), np.moveaxis(np.asarray(jacobian), -1, 1)
+
+
 def _linearized_apart(
     objective: Objective, x: Float[np.ndarray, " p"], at: np.ndarray
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:

@@ -72,6 +72,7 @@ class AbstractComposition(AbstractHysteresis):
     either_way = _of_any("either_way")
     has_rest = _of_any("has_rest")
     jumps = _of_any("jumps")
+    searches = _of_any("searches")
     from_saturation = _of_any("from_saturation")
 
     def prepared(self, record: Record) -> Record:

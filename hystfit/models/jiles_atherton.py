@@ -59,6 +59,7 @@ class JilesAtherton(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    searches: ClassVar[bool] = True
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"curve": tuple(CURVES)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
@@ -135,6 +136,7 @@ class JilesAtherton(AbstractHysteresis):
         new = self._moved(state, u0, u1)
         return new, self.offset + self.slope * u1 + self.Ms * self.total(new)
 
+    @jax.jit  # traced once for the first curve and the samples, and once for each derivative
     def _moved(self, state: State, u0: Scalar, u1: Scalar) -> State:
         """The state at u1, where He - alpha M = u1: differentiable by the implicit function theorem."""
         s = jnp.sign(u1 - u0)
@@ -152,6 +154,7 @@ class JilesAtherton(AbstractHysteresis):
         """
         return jnp.minimum(low - self.mean_field, state[0]), jnp.maximum(high + self.mean_field, state[0])
 
+    @jax.jit
     def at_field(self, state: State, s: Scalar, field: Scalar) -> State:
         """The state at an effective field, with the anhysteretic curve straight on the way there.
 

@@ -35,6 +35,7 @@ class JilesAthertonField(AbstractHysteresis):
     """
 
     rate_independent: ClassVar[bool] = True
+    searches: ClassVar[bool] = True
     words: ClassVar[Mapping[str, tuple[str, ...]]] = {"curve": tuple(CURVES)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,

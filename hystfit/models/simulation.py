@@ -80,6 +80,11 @@ class AbstractDynamics(eqx.Module):
         return False
 
     @property
+    def searches(self) -> bool:
+        """Whether a step searches for a root, which takes most of the time of a run."""
+        return False
+
+    @property
     def has_fast_run(self) -> bool:
         """Whether `free_run` is faster than a scan over the samples."""
         return False

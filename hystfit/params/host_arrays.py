@@ -12,8 +12,8 @@ import jax
 import numpy as np
 from jax import dtypes
 
-from hystfit.config import on_device, set_compiler_flags
-from hystfit.params.kept_programs import kept
+from hystfit.config import on_device, program_options, set_compiler_flags
+from hystfit.params.kept_programs import kept, unoptimized
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -54,22 +54,28 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     Args:
         function: at the level of a module, of positional arguments that are trees.
     """
-    of_any, programs = eqx.filter_jit(function), dict[Any, Callable[..., _R]]()
+    programs = dict[Any, Callable[..., _R]]()
 
-    def program_for(structure: Any) -> Callable[..., _R]:
+    @functools.cache
+    def of_any(unoptimized: bool) -> Callable[..., _R]:
+        return eqx.filter_jit(function, compiler_options=program_options(unoptimized))
+
+    def program_for(structure: Any, unoptimized: bool) -> Callable[..., _R]:
         def of_leaves(*leaves: Any) -> _R:
             return function(*structure.unflatten(leaves))
 
         of_leaves.__name__ = function.__name__
-        return programs.setdefault(structure, jax.jit(of_leaves))
+        program = jax.jit(of_leaves, compiler_options=program_options(unoptimized))
+        return programs.setdefault((structure, unoptimized), program)
 
     @functools.wraps(function)
     def call(*trees: Any) -> _R:
         leaves, structure = jax.tree_util.tree_flatten(trees)
+        quick = unoptimized(leaves)
         with on_device():
             if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
-                return of_any(*trees)
+                return of_any(quick)(*trees)
             # JAX would flatten the trees once more: half the time of a short simulation.
-            return (programs.get(structure) or program_for(structure))(*leaves)
+            return (programs.get((structure, quick)) or program_for(structure, quick))(*leaves)
 
     return kept(function, call)

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,10 +27,13 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from hystfit.config import PROGRAM_FOLDER, platform
+from hystfit.config import PROGRAM_FOLDER, compiles_quickly, platform, program_options
 from hystfit.version import version_of
 
 _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
+# Numbers in an array of the arguments up to which a program may be compiled without optimization: each linearization of so many samples
+# takes 4 ms more (Bouc-Wen with creep), a comparison makes about a hundred with each program, and compiling one takes 0.5 to 1.7 s less.
+_FEW_NUMBERS = 2**12
 _CHECK = hashlib.sha256().digest_size
 _VERSIONED = ("hystfit", "equinox", "jax", "numpy", "builtins")  # packages whose classes a name and a version describe
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -64,8 +67,9 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
             else:
                 fixed.append(leaf)
                 kinds.append(None)
+        quick = unoptimized(arrays)
         key = (tuple(kinds), structure, tuple((type(leaf), leaf) for leaf in fixed))
-        if key not in programs:
+        if (key, quick) not in programs:
             traced = tuple(kind is not None for kind in kinds)
 
             def flat(*arrays: Any) -> Any:
@@ -77,16 +81,24 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
             # The dtype of a random key has no value.
             shapes = tuple((array.shape, str(array.dtype)) for array in arrays)
             with making:  # chains in threads ask for the same program
-                if key not in programs:
-                    programs[key] = _program(flat, (_name(function), traced, shapes, *key[1:]), exact)
-        program = programs[key]
+                if (key, quick) not in programs:
+                    programs[key, quick] = _program(flat, (_name(function), traced, shapes, *key[1:]), exact, quick)
+        program = programs[key, quick]
         return otherwise(*trees) if program is None else program(*arrays)
 
     return functools.wraps(function)(lambda *trees: (call if PROGRAM_FOLDER in os.environ else otherwise)(*trees))
 
 
+def unoptimized(leaves: Iterable[Any]) -> bool:
+    """Whether a program of these arguments is compiled without optimization: on few numbers, where few runs are expected."""
+    return compiles_quickly() and all(
+        not isinstance(leaf, _ARRAYS) or (leaf.size <= _FEW_NUMBERS and not isinstance(leaf, jax.core.Tracer))
+        for leaf in leaves
+    )
+
+
 def _program(
-    flat: Callable[..., Any], key: tuple[Any, ...], shapes: list[jax.ShapeDtypeStruct]
+    flat: Callable[..., Any], key: tuple[Any, ...], shapes: list[jax.ShapeDtypeStruct], quick: bool
 ) -> Callable[..., Any] | None:
     """A compiled function of arrays, from the folder or exported into it; None where it cannot be kept."""
     try:
@@ -101,7 +113,7 @@ def _program(
         if exported is None:
             exported = export.export(jax.jit(flat), platforms=["cpu"] if platform() == "cpu" else None)(*shapes)
             _write(path, bytes(exported.serialize()))
-        return jax.jit(exported.call)
+        return jax.jit(exported.call, compiler_options=program_options(quick))
     except Exception:  # it cannot be exported, described or written; `otherwise` raises an error of the function itself
         return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 from collections.abc import Sequence
@@ -28,12 +29,15 @@ class ReversalFamily:
     Attributes:
         curves: samples that count, each from its reversal point; the curve nearest to saturation first.
         rising: they rise, from positive saturation.
-        notes: curves that cross, or do not close.
     """
 
     curves: tuple[Record, ...]
     rising: bool
-    notes: tuple[str, ...]
+
+    @functools.cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Curves that cross, or do not close."""
+        return tuple(_notes(self.curves, self.rising))
 
     def words(self) -> str:
         """One line for a report."""
@@ -70,7 +74,7 @@ def reversal_curves(data: Dataset | Sequence[Record]) -> ReversalFamily:
             f"{len(curves)} curves begin at the same input, {curves[0].u[0]:.4g}: each reversal curve must begin at its own reversal, "
             "and these differ by something other than their input"
         )
-    return ReversalFamily(tuple(curves), rises[0], tuple(_notes(curves, rises[0])))
+    return ReversalFamily(tuple(curves), rises[0])
 
 
 def recognize_family(data: Dataset | Sequence[Record]) -> ReversalFamily | None:
@@ -91,7 +95,7 @@ def recognize_family(data: Dataset | Sequence[Record]) -> ReversalFamily | None:
     return family if past and np.ptp(starts) >= _APART * span else None
 
 
-def _notes(curves: list[Record], rising: bool) -> list[str]:
+def _notes(curves: Sequence[Record], rising: bool) -> list[str]:
     span = float(np.ptp(np.concatenate([r.y for r in curves])))
     notes = []
     sign = 1.0 if rising else -1.0

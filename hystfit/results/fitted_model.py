@@ -37,10 +37,10 @@ class FittedModel:
         """The fitted model of each record; they share all but per-record parameters."""
         return tuple(self.problem.space.assembled(self.x, k) for k in range(len(self.data)))
 
-    @property
+    @functools.cached_property
     def model(self) -> AbstractHysteresis:
         """The fitted model, of the type that went in; with several records, that of the first."""
-        return self.models[0]
+        return self.problem.space.assembled(self.x)
 
     @property
     def name(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import contextvars
 import os
 import threading
 from collections.abc import Callable, Sequence
@@ -45,7 +46,7 @@ class Workers:
             return [task() for task in tasks]
         pool = concurrent.futures.ThreadPoolExecutor(min(self.count, len(tasks)), "hystfit")
         try:
-            futures = [pool.submit(_on_device, task) for task in tasks]
+            futures = [pool.submit(contextvars.copy_context().run, _on_device, task) for task in tasks]
             done, _ = concurrent.futures.wait(futures, return_when=concurrent.futures.FIRST_EXCEPTION)
             return [future.result() for future in sorted(done, key=futures.index)]
         except BaseException:
