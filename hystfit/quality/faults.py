@@ -23,7 +23,7 @@ _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is th
 _FAR, _STEPS = 4.0, 6
 _JUMP = 2.0  # the same of an input that jumps there, which the output follows
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
-_MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
+MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
 
@@ -198,7 +198,7 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         y: output, shape (T,).
     """
     found = _at_a_limit(u, y)
-    return found if found.mean() < _MOST_CLIPPED else np.zeros_like(found)
+    return found if found.mean() < MOST_CLIPPED else np.zeros_like(found)
 
 
 def _at_a_limit(u: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from hystfit.reading.column_names import (
     without_role,
 )
 from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.quantity_points import PAIRS
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
     by_equal_steps,
@@ -112,8 +113,12 @@ class ColumnFacts:
         return {k: own - common for k, own in words.items()}
 
     def is_secondary(self, k: int) -> int:
-        """By how many words of its name a column comes after another one of its quantity, as two sides come after their mean."""
-        alike = {j: self._parts[j] for j in self.ranks if self.kinds[j] == self.kinds[k]}
+        """By how many words of its name a column comes after another one of its quantity, as two sides come after their mean.
+
+        A strain is one quantity with a displacement, as a crosshead comes after the strain of the specimen.
+        """
+        group = lambda j: "strain" if self.kinds[j] == "displacement" else self.kinds[j]
+        alike = {j: self._parts[j] for j in self.ranks if group(j) == group(k)}
         mean = next((j for j, own in alike.items() if own & MEANS and self._sides_of(own - MEANS, alike) > 1), None)
         if mean is not None and (k == mean or self._parts[k] & SIDES):
             return int(k != mean)
@@ -132,7 +137,8 @@ class ColumnFacts:
     @functools.cached_property
     def has_two_states(self) -> ByColumn:
         """Whether a column is on or off, as the relay of a thermostat, which follows a quantity that goes up and down, by column."""
-        return ByColumn(lambda k: self.kinds[k] == "" and np.unique(sample(self.table.columns[k])).size == 2)
+        two = lambda k: np.unique(sample(self.table.columns[k])).size == 2
+        return ByColumn(lambda k: self.kinds[k] == "state" or (self.kinds[k] == "" and two(k)))
 
     @functools.cached_property
     def is_share(self) -> ByColumn:
@@ -237,6 +243,13 @@ class ColumnFacts:
     def is_out_of_phase(self, k: int) -> bool:
         """Whether a column is the small component of a signal of a lock-in amplifier."""
         return k in self.components and extent(self.table.columns[k]) < _OF_LARGEST * self._largest_component
+
+    def is_raw_beside(self, i: int, o: int) -> bool:
+        """Whether an output is a sensor's signal in volts, beside a quantity in a unit of its own that belongs to the input as well."""
+        in_volts = lambda k: quantity(self.table.units[k]) in ("", "voltage")
+        usual = lambda k: PAIRS.get((self.kinds[i], self.kinds[k]), 0.0)
+        signal = quantity(self.table.units[o]) == "voltage" != self.kinds[o]
+        return signal and any(usual(k) >= usual(o) > 0 for k in self.ranks if k not in (i, o) and not in_volts(k))
 
     def is_controlled(self, k: int) -> bool:
         """Whether beside a column that was set, what it sets was measured too: a second sensor, or the field of a magnet's current."""
