@@ -178,3 +178,11 @@ def test_curves_are_named_by_the_measured_condition_that_differs(tmp_path: Path)
     assert [record.name for record in hf.Dataset.of(hf.read(path))] == ["current=0", "current=1.5", "current=0.5"]
     only = hf.Dataset.of(hf.read(path, only="1.5"))
     np.testing.assert_allclose(only[0].y, 1.2 * (Y - 30))
+
+
+def test_a_force_that_saturates_with_the_velocity_is_no_rate(tmp_path: Path) -> None:
+    """Its sums are nearly the displacement."""
+    place, speed = np.sin(PHASE), np.cos(PHASE)
+    force = np.tanh(4 * speed)
+    record = one(tmp_path, "one,two,three\n" + rows(",", place, speed, force))
+    assert (record.u_name, record.y_name) == ("one", "three")

@@ -28,6 +28,8 @@ _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
 _SAME_SHAPE, _FEWEST_OF_RATE = 0.99, 10  # correlation, and rows, from which a column is the rate of another
+# The same of its sums, which are free of noise: the sums of a force that saturates with the velocity have 0.994.
+_SAME_SUMS = 0.998
 
 
 def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, many: bool) -> None:
@@ -143,12 +145,12 @@ def _is_rate(column: np.ndarray, of: np.ndarray) -> bool:
     with np.errstate(all="ignore"):  # of numbers near the largest
         of, column = of[known], column[known]
         summed = np.append(0.0, np.cumsum(0.5 * (column[1:] + column[:-1])))
-        return _are_alike(np.gradient(of), column) or _are_alike(_level(of), _level(summed))
+        return _are_alike(np.gradient(of), column, _SAME_SHAPE) or _are_alike(_level(of), _level(summed), _SAME_SUMS)
 
 
-def _are_alike(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two columns have one shape."""
-    return bool(np.ptp(one) > 0 and np.ptp(other) > 0 and np.corrcoef(one, other)[0, 1] > _SAME_SHAPE)
+def _are_alike(one: np.ndarray, other: np.ndarray, least: float) -> bool:
+    """Whether two columns have one shape, by this correlation."""
+    return bool(np.ptp(one) > 0 and np.ptp(other) > 0 and np.corrcoef(one, other)[0, 1] > least)
 
 
 def _level(values: np.ndarray) -> np.ndarray:
