@@ -186,3 +186,11 @@ def test_a_force_that_saturates_with_the_velocity_is_no_rate(tmp_path: Path) -> 
     force = np.tanh(4 * speed)
     record = one(tmp_path, "one,two,three\n" + rows(",", place, speed, force))
     assert (record.u_name, record.y_name) == ("one", "three")
+
+
+def test_a_reference_beside_the_drive_answers(tmp_path: Path) -> None:
+    """The voltages of a circuit by Sawyer and Tower: of the source, across the reference capacitor, and of both elements."""
+    record = one(tmp_path, "Vin [V],V_ref [V],V_total [V]\n" + rows(",", U, Y, U + Y))
+    is_pair(record)
+    alone = one(tmp_path, "Vref [V],Vout [V]\n" + rows(",", U, Y))
+    is_pair(alone)

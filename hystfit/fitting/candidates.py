@@ -22,7 +22,7 @@ from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of
-from hystfit.results.loop_kinds import LoopKind
+from hystfit.results.loop_kinds import LoopKind, may_be_force
 
 # Error of ten plays over that of a single-valued curve, from which weights of either sign are tried on loops of either direction: at most
 # 0.44 on simulated stops and Bouc-Wen springs, 0.55 to 1.7 on force curves of probes and keys, charge curves and voltammograms.
@@ -89,7 +89,7 @@ def candidates(data: Dataset) -> Candidates:
     timed = all(record.t is not None for record in data)
     count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
     speeds, of_any_length = count(), count(0.0)
-    contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
+    contrary, magnetic, force = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
     plays_fail = _plays_fail(data)
     able = {
         name: model
@@ -98,6 +98,7 @@ def candidates(data: Dataset) -> Candidates:
         and (timed or model.rate_independent)
         and of_any_length >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
+        and (force or not any(need.force for need in _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]

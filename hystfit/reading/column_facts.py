@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -47,6 +48,7 @@ _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
+_REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +81,7 @@ class ColumnFacts:
         equal = [k for k in free if kinds[k] == "" and (not named or is_channel(table.names[k]))]
         equal = equal if len(equal) > 2 else []
         components = _lock_in(table, kinds)
-        roles = _roles(table, components)
+        roles = _roles(table, components, kinds)
         ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
         return cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
 
@@ -142,7 +144,10 @@ class ColumnFacts:
 
     @functools.cached_property
     def is_share(self) -> ByColumn:
-        """Whether a column is one of several of one quantity and unit that add up to another, as loads of two cells, by column."""
+        """Whether a column is one of several of one quantity and unit that add up to another, as loads of two cells, by column.
+
+        Voltages add up along a circuit, where each is that of an element.
+        """
         group = lambda k: (self.kinds[k], self.table.units[k])
 
         def whole(j: int, others: list[int]) -> bool:
@@ -152,7 +157,11 @@ class ColumnFacts:
 
         def share(k: int) -> bool:
             alike = [j for j in self.ranks if group(j) == group(k)]
-            return len(alike) > 2 and any(whole(j, [one for one in alike if one != j]) for j in alike if j != k)
+            return (
+                len(alike) > 2
+                and self.kinds[k] != "voltage"
+                and any(whole(j, [one for one in alike if one != j]) for j in alike if j != k)
+            )
 
         return ByColumn(share)
 
@@ -278,13 +287,19 @@ def _lock_in(table: Table, kinds: Mapping[int, str]) -> tuple[int, ...]:
     return components if min(components) >= 0 and kinds.get(components[0]) != "displacement" else ()
 
 
-def _roles(table: Table, components: Sequence[int]) -> dict[int, str]:
-    """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component."""
+def _roles(table: Table, components: Sequence[int], kinds: Mapping[int, str]) -> dict[int, str]:
+    """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component.
+
+    A reference is no set value beside another input of its quantity, as that of Sawyer and Tower's capacitor is none beside the drive.
+    """
     is_length = lambda k, name: (
         split_unit(name)[0].strip().lower() == "y" and quantity(table.units[k]) == "displacement"
     )
     role = lambda k, name: "output" if k in components else "" if is_length(k, name) else column_role(name)
-    return {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
+    roles = {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
+    references = {k for k in roles if roles[k] == "input" and _REFERENCE.search(table.names[k])}
+    driven = {kinds[k] for k in roles if roles[k] == "input" and k not in references}
+    return roles | dict.fromkeys((k for k in references if kinds[k] in driven and kinds[k]), "")
 
 
 def _axes(names: Sequence[str]) -> dict[int, str]:
