@@ -34,6 +34,17 @@ def test_level_ends_are_those_beyond_the_limit_and_are_named() -> None:
     assert has(hf.fit("prandtl-ishlinskii", record).notes, Code.CLIPPED)
 
 
+def test_an_amplifier_may_be_at_its_limits_most_of_the_time() -> None:
+    found = flat_ends(U, np.clip(LAGGING, -2.7, 2.7) + 0.25 * NOISE)
+    assert found.mean() > 0.6
+
+
+@pytest.mark.parametrize("noise", [0.001, 0.0025, 0.006])
+def test_approaches_to_saturation_have_no_corners_under_any_noise(noise: float) -> None:
+    for device in (np.tanh(LAGGING), np.tanh(4 * LAGGING), np.tanh(3 * (U - 1.5 * np.sign(np.gradient(U))))):
+        assert not flat_ends(U, device + 2 * noise * np.resize(NOISE, N) / 0.02).any()
+
+
 def test_a_dead_zone_at_one_end_looks_the_same() -> None:
     found = flat_ends(U, np.maximum(LAGGING, -2.8) + NOISE)
     assert found.any()

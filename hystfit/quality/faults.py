@@ -25,7 +25,7 @@ _JUMP = 2.0  # the same of an input that jumps there, which the output follows
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 # Part of the range within which outputs of a switch are near its levels, and part of the samples that each level has at least.
 _NEAR_LEVEL = 0.05
-MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
+_MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
 
@@ -200,7 +200,7 @@ def clipped_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         y: output, shape (T,).
     """
     found = _at_a_limit(u, y)
-    return found if found.mean() < MOST_CLIPPED else np.zeros_like(found)
+    return found if found.mean() < _MOST_CLIPPED else np.zeros_like(found)
 
 
 def _at_a_limit(u: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.faults import MAD_TO_RMS, MOST_CLIPPED, noise_rms, runs
+from hystfit.quality.faults import MAD_TO_RMS, noise_rms, runs
 
 _WITHIN = 5.0  # times the noise, within which the output is level
 _LEVEL = 1.5  # times the noise: the median deviation over a level end; slopes across the width of the noise have 2 to 3
@@ -13,6 +13,8 @@ _ONWARD = 0.02  # part of the input's range over which the output is level befor
 # Part of the output's range below the level over which it arrives, and the least slope of the last quarter of it over that of the rest:
 # a corner has 1, tanh 0.2, and approaches to saturation less.
 _ARRIVAL, _CORNER = 0.2, 0.5
+# Times the width of the noise that the last quarter has at least: under more noise, Preisach models of steps have corners too.
+_SEEN = 3.0
 _FEWEST = 2  # samples of each of these two parts
 
 
@@ -28,7 +30,7 @@ def flat_ends(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     found = np.zeros(y.size, dtype=bool)
     noise, is_bound = noise_rms(y)
     span = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
-    if noise is None or is_bound or not 0 < 4 * _WITHIN * noise < _ARRIVAL * span or not np.ptp(u) > 0:
+    if noise is None or is_bound or not 0 < _SEEN * _WITHIN * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
         return found
     for values in (y, -y):
         level = float(np.median(values[values > np.nanmax(values) - 2 * _WITHIN * noise]))
@@ -36,7 +38,7 @@ def flat_ends(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         for start, stop in runs(inside):
             if stop - start >= _SHORTEST and _is_end(u, values, (start, stop), level, noise):
                 found[start:stop] = True
-    return found if found.mean() < MOST_CLIPPED else np.zeros_like(found)
+    return found
 
 
 def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, noise: float) -> bool:
