@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.fitting.candidates import candidates
 from hystfit.fitting.contender import Candidate, First, leader
 from hystfit.fitting.convex import search_nonlinear
 from hystfit.fitting.data_check import check
@@ -152,3 +153,15 @@ def test_a_current_against_a_voltage_at_one_rate_holds_for_it_alone():
     of = lambda y_unit: hf.fit("bouc-wen-force", hf.Record(u, y, t, u_unit="V", y_unit=y_unit), starts=1)
     assert has(of("mA").notes, Code.RATE)
     assert not has(of("N").notes, Code.RATE)
+
+
+def test_a_damper_is_tried_on_no_output_of_another_quantity() -> None:
+    """A discharge that leads the stage of a river, as floods rise and fall, is no force; an output without a unit may be one."""
+    time = np.arange(200.0)
+    stage = 2 + np.exp(-(((time - 70) / 20) ** 2)) + 0.6 * np.exp(-(((time - 140) / 25) ** 2))
+    flow = stage**1.6 * np.sqrt(1 + 2 * np.gradient(stage))
+    tried = lambda **units: candidates(hf.Dataset.of(hf.Record(stage, flow, 3600 * time, **units))).names
+    is_damper = lambda names: any("damper" in name for name in names)
+    assert not is_damper(tried(u_unit="m", y_unit="m3/s", y_name="Discharge"))
+    assert is_damper(tried(u_unit="mm", y_unit="N"))
+    assert is_damper(tried())

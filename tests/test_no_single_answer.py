@@ -1,15 +1,17 @@
 """Data to which one model of hysteresis is no answer: curves without a loop, and records of several states."""
 
 import dataclasses
+import shlex
 
 import numpy as np
 import pytest
 
 import hystfit as hf
 from hystfit.outcome import Code, Status
-from hystfit.outcome.note import has
+from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import curve_scatter
 from hystfit.quality.equal_inputs import none_describes, records_apart
+from hystfit.results.report.answer import Wording, next_commands
 
 from .conftest import examined
 
@@ -92,6 +94,17 @@ def test_records_of_two_states_are_asked_for_one_of_them(two_states: hf.Dataset)
     result = hf.fit("preisach-magnetic:n=16", two_states, noise="iid")
     assert result.status is Status.POOR
     assert has(result.notes, Code.RECORDS_DIFFER)
+
+
+def test_the_command_for_one_record_is_quoted_for_a_shell() -> None:
+    """Names of loops side by side have blanks: "0 deg"."""
+    note = warn(Code.RECORDS_DIFFER, "")
+    result = hf.fit("prandtl-ishlinskii", made(LOOP, play(LOOP, 0.2), name="0 deg"), noise="iid")
+    result = dataclasses.replace(
+        result, status=Status.POOR, notes=(dataclasses.replace(note, option=("only", "0 deg")),)
+    )
+    first = next_commands(result, Wording())[0]
+    assert shlex.split(first)[-1] == "--only=0 deg"
 
 
 def test_the_least_error_is_that_of_the_samples() -> None:

@@ -52,3 +52,21 @@ def _returning(u: np.ndarray) -> slice:
 
     first, last = passes(u[-1])[0], passes(u[0])[-1]
     return slice(first, None) if u.size - first > last + 1 else slice(0, last + 1)
+
+
+def of_rate(u: np.ndarray, y: np.ndarray) -> float:
+    """By how much of its size an output has the sign of the rate of its input, -1 to 1; 0 of an input at rest.
+
+    It is near 1 for the current that charges a device and for the voltage that a flux induces, -1 where the sensor has the other sign, and
+    near 0 where the output follows the input itself. Outputs count by their size, as noise about zero has any sign.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+    """
+    both = np.isfinite(u) & np.isfinite(y)
+    if both.sum() < FEWEST:
+        return 0.0
+    with np.errstate(all="ignore"):  # of numbers near the largest
+        size = float(np.abs(y[both]).sum())
+        return float(np.sign(np.gradient(u[both])) @ y[both]) / size if 0 < size < np.inf else 0.0

@@ -16,13 +16,13 @@ from hystfit.fitting.verdict import turns_back
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.baselines import Baselines
-from hystfit.quality.faults import CLEAR, noise_rms
+from hystfit.quality.faults import CLEAR, is_switched, noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of
-from hystfit.results.loop_kinds import LoopKind
+from hystfit.results.loop_kinds import LoopKind, may_be_force
 
 # Error of ten plays over that of a single-valued curve, from which weights of either sign are tried on loops of either direction: at most
 # 0.44 on simulated stops and Bouc-Wen springs, 0.55 to 1.7 on force curves of probes and keys, charge curves and voltammograms.
@@ -84,10 +84,12 @@ def candidates(data: Dataset) -> Candidates:
         curves = [name for name, model in models.items() if model.from_saturation and _drives(model, data)]
         # Free masses take a tenth of the time of bounded ones, and their error may tell that these cannot win.
         return Candidates(tuple(sorted(curves, key=lambda name: models[name].has_inverse)) or (SEARCH,))
+    if all(is_switched(record.y[record.used]) for record in data):  # no other model has two levels alone
+        return Candidates(tuple(name for name, model in models.items() if model.jumps and "+" not in name))
     timed = all(record.t is not None for record in data)
     count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
     speeds, of_any_length = count(), count(0.0)
-    contrary, magnetic = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC
+    contrary, magnetic, force = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
     plays_fail = _plays_fail(data)
     able = {
         name: model
@@ -96,6 +98,7 @@ def candidates(data: Dataset) -> Candidates:
         and (timed or model.rate_independent)
         and of_any_length >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
+        and (force or not any(need.force for need in _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]

@@ -7,19 +7,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import of_rate
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fitted import Fitted
-from hystfit.outcome import Code, Note
+from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK, plays_residuals
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, conducts, place_of
+from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, conducts, flat_words, place_of, rate_note
+from hystfit.quality.flat_ends import flat_ends
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import APART, clear_reversals, cycles
+from hystfit.quality.record_quality import is_rate
 from hystfit.quality.summary import delay_of, outliers_of, paces
 from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
 
@@ -84,7 +87,10 @@ def _followed_drift(fitted: Fitted) -> Note | None:
 
 
 def _at_one_rate(data: Dataset) -> Note | None:
-    """A warning where currents against voltages were measured at one rate, or at an unknown one."""
+    """A warning of a rate whose integral makes the loop, and of currents against voltages at one rate, or at an unknown one."""
+    rates = (is_rate(data.units, of_rate(r.u, r.y)) for r in data if r.t is not None)
+    if any(rates):
+        return dataclasses.replace(rate_note(data.units, certain=True), severity=Severity.WARNING)
     if not conducts(data.units) or paces(data) > 1:
         return None
     text = (
@@ -125,7 +131,8 @@ def _clipped(data: Dataset) -> Note | None:
         return warn(Code.CLIPPED, text)
     count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
     if not count:
-        return None
+        level = sum(int(flat_ends(record.u[record.used], record.y[record.used]).sum()) for record in data)
+        return warn(Code.CLIPPED, flat_words(level)) if level else None
     return warn(
         Code.CLIPPED,
         f"{count} samples of the output stay at its limit while the input moves, and were fitted: if the sensor was saturated, "

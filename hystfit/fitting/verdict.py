@@ -19,7 +19,7 @@ from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resol
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
-from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms
+from hystfit.quality.faults import FEWEST_SAMPLES, is_switched, noise_rms, runs
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
@@ -38,6 +38,9 @@ from hystfit.results.metrics import Metrics
 
 _LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
 _ENOUGH = 30  # residuals of a record needed to call them white
+# Part of the shortest time at a level, by which a switch and its model may be apart: a thermostat that is logged 27 times meanwhile, with
+# noise of half a step of the temperature, has 0.11.
+_MISTIMED = 0.25
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
@@ -119,6 +122,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
             "a single-valued curve describes the data equally well: any hysteresis is below the noise of single samples"
         )
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
+    if fitted.model.jumps and (mistimed := _mistimed(fitted)) is not None:
+        return Status.OK, [mistimed]
     poor = None if white else _poor_fit_reason(fitted, unexplained)
     if poor is not None:
         status, reasons = poor
@@ -140,6 +145,34 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     status = Status.ROUGH if rough else Status.OK
     visible = percent > VISIBLE and fitted.may_change and not fitted.model.degrades
     return status, [*rough, *(_damaged(fitted) if rough or visible else [])]
+
+
+def _mistimed(fitted: Fitted) -> Note | None:
+    """A note where the output and the model switch as often, and apart by little of the time between: errors of the sampling and noise.
+
+    The rms error counts each of these samples with the whole step, whatever the model of the thresholds.
+    """
+    latest, wrong, samples = 0, 0, 0
+    for record, row in zip(fitted.data, fitted.rows, strict=True):
+        y = record.y[record.used]
+        if not is_switched(y):
+            return None
+        upper = y > 0.5 * (y.min() + y.max())
+        apart = np.abs(row) > 0.5 * np.ptp(y)
+        jumps = np.flatnonzero(np.diff(upper)) + 1
+        between = np.diff(jumps)
+        if between.size < _CYCLED or np.count_nonzero(np.diff(upper ^ apart)) != jumps.size:
+            return None
+        lengths = np.diff(runs(apart), axis=1)
+        latest = max(latest, int(lengths.max(initial=0)))
+        if latest > _MISTIMED * between.min():
+            return None
+        wrong, samples = wrong + int(apart.sum()), samples + y.size
+    text = (
+        f"the output switches as often as the model, and up to {latest} samples apart: {100 * wrong / samples:.2g} % of the samples are at "
+        "the other level meanwhile, as the thresholds are passed between samples or within the noise of the input"
+    )
+    return Note(Code.MEASUREMENT_NOISE, text) if wrong else None
 
 
 def _change_by_input_noise(fitted: Fitted) -> float:

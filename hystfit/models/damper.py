@@ -66,7 +66,7 @@ class Damper(AbstractHysteresis):
     takes_rate: ClassVar[bool] = True
     has_fast_run: ClassVar[bool] = True
     estimator: ClassVar[str] = "convex"
-    needs: ClassVar[Needs] = Needs(time=True, rate=True, direction="clockwise", regularized=True)
+    needs: ClassVar[Needs] = Needs(time=True, rate=True, direction="clockwise", force=True, regularized=True)
 
     spring: Float[Array, " powers"] = param(
         (0.0,) * 4, unit="y", linear=True, doc="force of the displacement: powers 1, 2, 3, 5 of x"

@@ -72,7 +72,7 @@ class _Facts:
     timed: bool
     dynamic: bool
     degrading: bool
-    charges: bool
+    is_rate: bool
     speed_dependent: bool
     creeps: bool
     drifts_logarithmically: bool
@@ -123,7 +123,7 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
         longest_hold=max(r.motion.longest_hold for r in records),
         timed=all(r.sampling.rate is not None for r in records),
         dynamic=dynamic,
-        charges=any(r.charges for r in records),
+        is_rate=any(r.is_rate for r in records),
         degrading=any(r.degrading for r in records),
         speed_dependent=any(r.speed_dependent for r in records),
         creeps=any(r.creeps for r in records),
@@ -173,8 +173,8 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         return ["the input neither reverses nor rests: rate dependence cannot be distinguished from a curve"]
     if needs.time and not facts.timed:
         reasons.append("no usable time: the parameters in units of time cannot be determined")
-    if needs.loop and facts.charges:
-        reasons.append("the output is the current that charges the device: the model describes its integral over time")
+    if needs.loop and facts.is_rate:
+        reasons.append("the output is the rate of what makes the loop: the model describes its integral over time")
     if needs.loop and facts.degrading and not needs.damage:
         reasons.append(
             "the loop loses stiffness or strength (damage or backlash): the model has no terms for degradation or pinching"

@@ -12,7 +12,7 @@ from hystfit.params.units import quantity
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR, MOST
-from hystfit.quality.record_quality import RecordQuality
+from hystfit.quality.record_quality import OF_CHARGE, RecordQuality
 from hystfit.quality.resonance import Dynamics
 
 _MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
@@ -90,6 +90,8 @@ def _faults(record: RecordQuality) -> Iterator[Note]:
             f"{record.clipped} samples of the output stay at its limit while the input moves: check for a saturated "
             "sensor; fits leave them out where the output reaches this limit with a steep slope",
         )
+    elif record.flat_ends:
+        yield warn(Code.CLIPPED, flat_words(record.flat_ends))
     if record.spikes:
         yield warn(
             Code.SPIKES,
@@ -137,8 +139,26 @@ def _scale(record: RecordQuality) -> Iterator[Note]:
 
 def conducts(units: Mapping[str, str]) -> bool:
     """Whether records with these units of u and y are currents against voltages, as of electrodes and capacitors."""
-    of = {name: quantity(unit) for name, unit in units.items()}
-    return of["y"] in ("current", "current density") and of["u"] in ("voltage", "electric field")
+    return (quantity(units["u"]), quantity(units["y"])) in OF_CHARGE
+
+
+def flat_words(count: int) -> str:
+    """A warning of level ends of a loop, which fits include."""
+    return (
+        f"{count} samples of the output stay level within the noise at an end of the loop, between two corners, while the input goes on, "
+        "turns and comes back: a saturated sensor or amplifier, or a dead zone of the device. Fits include them; if the sensor was "
+        "saturated, mark them as missing"
+    )
+
+
+def rate_note(units: Mapping[str, str], *, certain: bool) -> Note:
+    """A note on a current or an induced voltage, of which the integral makes the loop; where that is certain, with the option for it."""
+    made = "charge or polarization" if conducts(units) else "flux or induction"
+    text = (
+        f"the output is a {quantity(units['y'])} against a {quantity(units['u'])}: for a loop of {made}, --integrate (integrate=True) "
+        "integrates it over time"
+    )
+    return Note(Code.RATE, text, option=("integrate", "true") if certain else None)
 
 
 def _response(record: RecordQuality) -> Iterator[Note]:
@@ -159,13 +179,8 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         )
     if record.output_controlled:
         yield CONTROLLED
-    if record.sampling.rate is not None and conducts(record.units):
-        yield Note(
-            Code.RATE,
-            f"the output is a {quantity(record.units['y'])} against a {quantity(record.units['u'])}: for a loop of charge or "
-            "polarization, --integrate (integrate=True) integrates it over time",
-            option=("integrate", "true") if record.charges else None,
-        )
+    if record.sampling.rate is not None and (record.is_rate or conducts(record.units)):
+        yield rate_note(record.units, certain=record.is_rate)
 
 
 def _loops(record: RecordQuality) -> Iterator[Note]:
@@ -249,7 +264,7 @@ def _changes(record: RecordQuality) -> Iterator[Note]:
             f"the output lags the input by {lag.samples:.1f} +- {lag.stderr:.1f} samples{clock} at the reversals: a delay, a "
             f"fast lag{', leakage' if charge else ''} or creep, not hysteresis",
         )
-    if record.slow_lag is not None:
+    if record.slow_lag is not None and not record.is_rate:
         clock = f"{record.slow_lag / (record.sampling.rate or 1.0):.3g} {record.units['t']}".rstrip()
         yield warn(
             Code.LAG,

@@ -24,6 +24,7 @@ class Needs:
         rate: its output depends on the speed of the input.
         speeds: number of speeds of the input, a factor of 3 apart.
         magnetic: it is a law of magnetization, which a comparison tries on a field and what it magnetizes alone.
+        force: it is a law of a force, which a comparison tries on no output whose unit or name is that of another quantity.
         damage: it describes loops that lose strength or stiffness.
         too_few: what remains undetermined where amplitudes, frequencies or turning pairs are too few.
         regularized: a penalty decides between parameters that the data leave open, so that there may be more of them than samples.
@@ -41,6 +42,7 @@ class Needs:
     rate: bool = False
     speeds: int = 1
     magnetic: bool = False
+    force: bool = False
     damage: bool = False
     too_few: str = ""
     regularized: bool = False

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+from collections.abc import Mapping
 
 from hystfit.params.units import quantity
 from hystfit.quality.delay import SHORTEST, PureDelay
@@ -18,7 +20,11 @@ WHOLE = 0.95  # part of the stiffness from which a device is whole
 # Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
 WEAKER = 0.88
 SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
-_CHARGING = 0.6  # size of the mean product of signs from which a current follows the rate of the voltage
+# Pairs of which the output may be the rate of a charge or of a flux, and the part of its size from which it is. The voltage of a
+# sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
+OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
+_OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
+_OF_RATE, _WIDEST = 0.6, 0.9
 # Size of the correlation of output and input from which the output follows the input, or falls as it rises.
 FOLLOWS = 0.5
 
@@ -116,9 +122,9 @@ class RecordQuality:
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
         correlation: of output and input; 0 where one of them is constant.
-        sign_of_rate: mean product of the signs of the output and of the input's rate, over samples at which the input moves: near +-1
-            for the current of a capacitor, which charges and discharges with the voltage.
+        of_rate: of the output, see `circulation.of_rate`.
         output_controlled: whether the test controlled the output, see `load_control`.
+        flat_ends: samples at level ends of the loop, see `flat_ends`.
         whole_until, fails_at: see `damage`, where the record is examined by itself.
     """
 
@@ -143,17 +149,16 @@ class RecordQuality:
     spikes: int
     slow_lag: float | None = None
     delay: PureDelay | None = None
-    sign_of_rate: float = 0.0
+    of_rate: float = 0.0
+    flat_ends: int = 0
     output_controlled: bool = False
     whole_until: float | None = None
     fails_at: float | None = None
 
     @property
-    def charges(self) -> bool:
-        """Whether the output is the current that charges a device: its integral, and not itself, is a function of the loop."""
-        kinds = quantity(self.units["u"]), quantity(self.units["y"])
-        driven = kinds[0] in ("voltage", "electric field") and kinds[1] in ("current", "current density")
-        return driven and abs(self.sign_of_rate) > _CHARGING
+    def is_rate(self) -> bool:
+        """Whether the output is the rate of what makes the loop: the current that charges a device, the voltage that a flux induces."""
+        return is_rate(self.units, self.of_rate)
 
     @property
     def dynamic(self) -> bool:
@@ -180,7 +185,7 @@ class RecordQuality:
     @property
     def degrading(self) -> bool:
         """Whether the loop loses more stiffness or strength than loops without damage do; unknown in a resonance, a switch, a current."""
-        if self.shape is None or self.dynamic or self.switches or self.charges:
+        if self.shape is None or self.dynamic or self.switches or self.is_rate:
             return False
         if self.shape.circulation is None:  # the largest loop of a device that broke in it is closed to a line
             return self.weakens
@@ -241,3 +246,14 @@ class RecordQuality:
         if motion.longest_hold < LONG_HOLD or motion.hold_creep is None or self.sampling.rate is None:
             return False
         return motion.hold_creep * self.y.range > CLEAR * noise / (motion.longest_hold / 20) ** 0.5
+
+
+def is_rate(units: Mapping[str, str], of_rate: float) -> bool:
+    """Whether an output in these units is the rate of a charge or of a flux.
+
+    Args:
+        of_rate: of the output, see `circulation.of_rate`.
+    """
+    kinds = quantity(units["u"]), quantity(units["y"])
+    charges = kinds in OF_CHARGE and abs(of_rate) > _OF_RATE
+    return charges or (kinds in _OF_FLUX and (of_rate > _OF_RATE or of_rate < -_WIDEST))

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from hystfit.data.circulation import of_rate
 from hystfit.data.preparation import EVEN, CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
@@ -27,6 +28,7 @@ from hystfit.quality.faults import (
     smoothing_length,
     spikes,
 )
+from hystfit.quality.flat_ends import flat_ends
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.record_quality import (
@@ -159,7 +161,8 @@ def _summarize(record: Record) -> RecordQuality:
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         correlation=_correlation(u[record.used], y[record.used]),
-        sign_of_rate=_sign_of_rate(u, y),
+        of_rate=of_rate(u, y),
+        flat_ends=int(flat_ends(u, y).sum()),
         shape=shape,
         drift=drifts,
         lag=lag,
@@ -181,13 +184,6 @@ def _correlation(u: np.ndarray, y: np.ndarray) -> float:
         return 0.0
     scaled = lambda x: (x - x.mean()) / np.ptp(x)
     return float(np.corrcoef(scaled(u), scaled(y))[0, 1])
-
-
-def _sign_of_rate(u: np.ndarray, y: np.ndarray) -> float:
-    """See `RecordQuality.sign_of_rate`; 0 for an input at rest."""
-    rate = np.sign(np.gradient(u)) if u.size > 1 else np.zeros(u.size)
-    known = (rate != 0) & np.isfinite(y)
-    return float(np.mean(rate[known] * np.sign(y[known]))) if known.any() else 0.0
 
 
 def _column(values: np.ndarray) -> Column:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -21,6 +22,7 @@ from hystfit.reading.column_names import (
     without_role,
 )
 from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.quantity_points import PAIRS
 from hystfit.reading.raw_table import Table
 from hystfit.reading.signal_evidence import (
     by_equal_steps,
@@ -46,6 +48,7 @@ _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
+_REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,7 +81,7 @@ class ColumnFacts:
         equal = [k for k in free if kinds[k] == "" and (not named or is_channel(table.names[k]))]
         equal = equal if len(equal) > 2 else []
         components = _lock_in(table, kinds)
-        roles = _roles(table, components)
+        roles = _roles(table, components, kinds)
         ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
         return cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
 
@@ -112,8 +115,12 @@ class ColumnFacts:
         return {k: own - common for k, own in words.items()}
 
     def is_secondary(self, k: int) -> int:
-        """By how many words of its name a column comes after another one of its quantity, as two sides come after their mean."""
-        alike = {j: self._parts[j] for j in self.ranks if self.kinds[j] == self.kinds[k]}
+        """By how many words of its name a column comes after another one of its quantity, as two sides come after their mean.
+
+        A strain is one quantity with a displacement, as a crosshead comes after the strain of the specimen.
+        """
+        group = lambda j: "strain" if self.kinds[j] == "displacement" else self.kinds[j]
+        alike = {j: self._parts[j] for j in self.ranks if group(j) == group(k)}
         mean = next((j for j, own in alike.items() if own & MEANS and self._sides_of(own - MEANS, alike) > 1), None)
         if mean is not None and (k == mean or self._parts[k] & SIDES):
             return int(k != mean)
@@ -132,11 +139,15 @@ class ColumnFacts:
     @functools.cached_property
     def has_two_states(self) -> ByColumn:
         """Whether a column is on or off, as the relay of a thermostat, which follows a quantity that goes up and down, by column."""
-        return ByColumn(lambda k: self.kinds[k] == "" and np.unique(sample(self.table.columns[k])).size == 2)
+        two = lambda k: np.unique(sample(self.table.columns[k])).size == 2
+        return ByColumn(lambda k: self.kinds[k] == "state" or (self.kinds[k] == "" and two(k)))
 
     @functools.cached_property
     def is_share(self) -> ByColumn:
-        """Whether a column is one of several of one quantity and unit that add up to another, as loads of two cells, by column."""
+        """Whether a column is one of several of one quantity and unit that add up to another, as loads of two cells, by column.
+
+        Voltages add up along a circuit, where each is that of an element.
+        """
         group = lambda k: (self.kinds[k], self.table.units[k])
 
         def whole(j: int, others: list[int]) -> bool:
@@ -146,7 +157,11 @@ class ColumnFacts:
 
         def share(k: int) -> bool:
             alike = [j for j in self.ranks if group(j) == group(k)]
-            return len(alike) > 2 and any(whole(j, [one for one in alike if one != j]) for j in alike if j != k)
+            return (
+                len(alike) > 2
+                and self.kinds[k] != "voltage"
+                and any(whole(j, [one for one in alike if one != j]) for j in alike if j != k)
+            )
 
         return ByColumn(share)
 
@@ -238,6 +253,13 @@ class ColumnFacts:
         """Whether a column is the small component of a signal of a lock-in amplifier."""
         return k in self.components and extent(self.table.columns[k]) < _OF_LARGEST * self._largest_component
 
+    def is_raw_beside(self, i: int, o: int) -> bool:
+        """Whether an output is a sensor's signal in volts, beside a quantity in a unit of its own that belongs to the input as well."""
+        in_volts = lambda k: quantity(self.table.units[k]) in ("", "voltage")
+        usual = lambda k: PAIRS.get((self.kinds[i], self.kinds[k]), 0.0)
+        signal = quantity(self.table.units[o]) == "voltage" != self.kinds[o]
+        return signal and any(usual(k) >= usual(o) > 0 for k in self.ranks if k not in (i, o) and not in_volts(k))
+
     def is_controlled(self, k: int) -> bool:
         """Whether beside a column that was set, what it sets was measured too: a second sensor, or the field of a magnet's current."""
         kinds, columns = self.kinds, self.table.columns
@@ -265,13 +287,19 @@ def _lock_in(table: Table, kinds: Mapping[int, str]) -> tuple[int, ...]:
     return components if min(components) >= 0 and kinds.get(components[0]) != "displacement" else ()
 
 
-def _roles(table: Table, components: Sequence[int]) -> dict[int, str]:
-    """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component."""
+def _roles(table: Table, components: Sequence[int], kinds: Mapping[int, str]) -> dict[int, str]:
+    """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component.
+
+    A reference is no set value beside another input of its quantity, as that of Sawyer and Tower's capacitor is none beside the drive.
+    """
     is_length = lambda k, name: (
         split_unit(name)[0].strip().lower() == "y" and quantity(table.units[k]) == "displacement"
     )
     role = lambda k, name: "output" if k in components else "" if is_length(k, name) else column_role(name)
-    return {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
+    roles = {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
+    references = {k for k in roles if roles[k] == "input" and _REFERENCE.search(table.names[k])}
+    driven = {kinds[k] for k in roles if roles[k] == "input" and k not in references}
+    return roles | dict.fromkeys((k for k in references if kinds[k] in driven and kinds[k]), "")
 
 
 def _axes(names: Sequence[str]) -> dict[int, str]:

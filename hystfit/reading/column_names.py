@@ -127,8 +127,9 @@ def column_role(name: str) -> str:
     base = _field(split_unit(name)[0].strip())
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
-    first = base.lower().partition("_")[0]
-    words = [word for word in _words(base) if len(word) > 1 or word == first]  # tip_y is along an axis
+    first, _, rest = base.lower().partition("_")
+    symbol = rest and first == "u" and quantity(split_unit(name)[1]) == "voltage"  # u_sek [V]
+    words = [word for word in _words(base) if len(word) > 1 or (word == first and not symbol)]  # tip_y is along an axis
     told = [word for word in words if word in ROLES]
     others = {word for word in base.lower().split("_") if len(word) > 1} - {"in"}
     if {*told} == {"in"} and others and not others.intersection(WORDS):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -25,6 +26,7 @@ from hystfit.reading.unseparated_curves import curves_at_conditions
 
 _ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
+_CLEARLY = 4.0  # times the range of a condition within a curve, by which it differs from curve to curve
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
 
@@ -112,7 +114,22 @@ def split_curves(
         notes.append(
             Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")
         )
-    return [(f"curve={k}", piece) for k, piece in enumerate(pieces)], True
+    labels = _conditions(table, choice, pieces) or [f"curve={k}" for k in range(len(pieces))]
+    return list(zip(labels, pieces, strict=True)), True
+
+
+def _conditions(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> list[str]:
+    """A label of every curve by the measured condition that tells them apart, such as the current of a damper; none without one."""
+    for position, name in enumerate(table.names if table.named else ()):
+        values = table.columns[position]
+        if position in (choice.time, choice.input, choice.output, *table.labels) or not np.isfinite(values).all():
+            continue
+        levels = np.array([np.median(values[piece]) for piece in pieces])
+        apart = float(np.diff(np.sort(levels)).min())
+        if apart > _CLEARLY * max(float(np.ptp(values[piece])) for piece in pieces):
+            digits = 1 - math.floor(math.log10(apart))
+            return [f"{split_unit(name)[0]}={text_of(round(level, digits) + 0.0)}" for level in levels.tolist()]
+    return []
 
 
 def _one_loop(table: Table, choice: Choice, pieces: Sequence[np.ndarray], notes: list[Note]) -> np.ndarray | None:

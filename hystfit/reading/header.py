@@ -180,7 +180,8 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         of_names, used, units = 0, 1, None
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
-    of_names = next((k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0])), of_names)
+    titled = (k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0]) and any(rows[k][1:]))
+    of_names = next(titled, of_names)
     names = rows[of_names]
     alike = not (distinct(names) or _grouped(names))  # Force, Force under A, B
     if alike and used < len(rows) and len(set(rows[used])) == len(names):

@@ -73,8 +73,9 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
     at_end = [k for k in empty if k >= len(dialect.kinds.rstrip(cells.MISSING))]
     is_setting = lambda j, cell: j in at_end and cells.kind(cell, dialect.decimal) == cells.NUMBER
+    width = dialect.width if at_end else None  # of rows that end in an empty cell, over and beyond which settings stand
     cut = {
-        k - low: ["" if is_setting(j, cell) else cell for j, cell in enumerate(block.rows[k])]
+        k - low: ["" if is_setting(j, cell) else cell for j, cell in enumerate(block.rows[k][:width])]
         for k in range(low, first)
     }
     names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)

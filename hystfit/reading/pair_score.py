@@ -12,11 +12,20 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hystfit.data.circulation import of_rate
 from hystfit.reading.column_facts import ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.column_names import has_terminals, is_bare_role
 from hystfit.reading.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import computed, explained, extent, proportional, repeats, rises_evenly, sample
+from hystfit.reading.signal_evidence import (
+    computed,
+    explained,
+    extent,
+    proportional,
+    repeats,
+    rises_evenly,
+    sample,
+)
 
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
 # quantities, as the output of a voltage source is the input of an actuator.
@@ -43,11 +52,14 @@ _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
 # Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
 # Fewer samples show no harmonics.
 _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
+# Points of an input of which the output is the rate: by that much of its size (0.01 of memristors, 0.25 of wide loops), and by more than
+# the other way around, or equally and with its sign, which is worth that much more.
+_INDUCED, _OF_RATE, _OF_ITS_SIGN = 2.0, 0.6, 0.1
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -4.5, 0.5
-# Points of a pair of equal numbers, or of one quantity that is proportional: a second sensor of the input. Further ones of a pair of which
-# one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
+# Points of a pair of equal numbers, of two temperatures, or of one quantity that is proportional: a second sensor of the input. Further
+# ones of a pair of which one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
 # Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
 # the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
@@ -124,8 +136,9 @@ class _Evidence:
         points += _OVERTAKEN * self.facts.set_values(i, o)
         answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
         points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
-        if not self.facts.alone and kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED:
-            points += _COLD
+        cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
+        points += _COLD * (cold and not (self.facts.alone or self.facts.has_two_states[o]))
+        points += _RAW_VOLTS * self.facts.is_raw_beside(i, o)
         names = self.facts.table.names
         told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o] or has_terminals(names)
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
@@ -133,6 +146,7 @@ class _Evidence:
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
             points += _CLEAN * plainer(i, o)
             points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
+            points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
         return Reading(i, o, points)
 
     def related(self, found: Sequence[Reading]) -> list[Reading]:
@@ -152,9 +166,10 @@ class _Evidence:
             unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
             if computed(u, y):
                 return unrelated + _COMPUTED + _COPY
-            if repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
-                return unrelated + _COPY
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
+            thermometers = kinds == ("temperature", "temperature")
+            if thermometers or repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
+                return unrelated + _COPY
             line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
             return unrelated + (line * proportional(u, y) if line else 0.0)
 
@@ -164,6 +179,13 @@ class _Evidence:
             )
             for reading in found
         ]
+
+    def _is_induced(self, i: int, o: int) -> bool:
+        """Whether an output is the rate of its input, as the current of a capacitor and the voltage of a coil are."""
+        u, y = self.facts.table.columns[i], self.facts.table.columns[o]
+        ways = of_rate(u, y), of_rate(y, u)
+        sizes = [abs(way) + _OF_ITS_SIGN * (way > 0) for way in ways]
+        return abs(ways[0]) > _OF_RATE and sizes[0] > sizes[1]
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""

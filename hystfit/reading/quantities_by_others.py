@@ -14,7 +14,7 @@ from hystfit.reading.names_with_units import split_unit
 from hystfit.reading.pair_score import HEATED
 from hystfit.reading.quantity_points import LOADS
 from hystfit.reading.raw_table import Table
-from hystfit.reading.signal_evidence import is_even, is_near_median, proportional
+from hystfit.reading.signal_evidence import has_two_levels, is_even, is_near_median, proportional
 
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
@@ -27,7 +27,9 @@ _RETENTION = (("h", "theta"), ("psi", "theta"), ("s", "w"))
 _B_FIELD = re.compile(r"b[ _-]?field", re.IGNORECASE)
 _LAMMPS = re.compile(r"[cfv]_(\w{2,}).*")  # computes, fixes and variables in a log of LAMMPS
 _COMPONENT = re.compile(r"(?:v_)?P[xyz]")  # of a polarization
-_SAME_SHAPE = 0.99  # correlation above which a column is the rate of another
+_SAME_SHAPE, _FEWEST_OF_RATE = 0.99, 10  # correlation, and rows, from which a column is the rate of another
+# The same of its sums, which are free of noise: the sums of a force that saturates with the velocity have 0.994.
+_SAME_SUMS = 0.998
 
 
 def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, many: bool) -> None:
@@ -78,6 +80,8 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         held = is_near_median(table.columns[k])
         if np.mean(held) > MAJORITY and np.ptp(table.columns[of][held]) > HEATED:
             kinds[k] = "status"
+    if warm:  # a heater that is on or off
+        kinds.update({k: "state" for k in free if kinds[k] == "power" and has_two_levels(table.columns[k])})
     fields = [k for k in free if kinds[k] == "field"]
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field
@@ -134,10 +138,22 @@ def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -
 
 
 def _is_rate(column: np.ndarray, of: np.ndarray) -> bool:
-    """Whether a column has the shape of the rate of another one."""
+    """Whether a column has the shape of the rate of another one, or its sums have the shape of the other one, apart from a drift."""
+    known = np.isfinite(of) & np.isfinite(column)
+    if known.sum() < _FEWEST_OF_RATE:
+        return False
     with np.errstate(all="ignore"):  # of numbers near the largest
-        rate = np.gradient(of)
-        known = np.isfinite(rate) & np.isfinite(column)
-        if known.sum() <= 9 or not (np.ptp(rate[known]) > 0 and np.ptp(column[known]) > 0):
-            return False
-        return bool(np.corrcoef(rate[known], column[known])[0, 1] > _SAME_SHAPE)
+        of, column = of[known], column[known]
+        summed = np.append(0.0, np.cumsum(0.5 * (column[1:] + column[:-1])))
+        return _are_alike(np.gradient(of), column, _SAME_SHAPE) or _are_alike(_level(of), _level(summed), _SAME_SUMS)
+
+
+def _are_alike(one: np.ndarray, other: np.ndarray, least: float) -> bool:
+    """Whether two columns have one shape, by this correlation."""
+    return bool(np.ptp(one) > 0 and np.ptp(other) > 0 and np.corrcoef(one, other)[0, 1] > least)
+
+
+def _level(values: np.ndarray) -> np.ndarray:
+    """A column without the straight line through it."""
+    rows = np.arange(values.size)
+    return values - np.polyval(np.polyfit(rows, values, 1), rows)

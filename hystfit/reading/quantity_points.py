@@ -19,7 +19,7 @@ RESPONSE = {
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "flux": 2.5, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
-    "volume": 0.8, "diameter": 1.8, "concentration": 1.8,
+    "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 LOADS = ("force", "stress")
@@ -44,7 +44,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
     )
     # A voltage and a force are worth less than a displacement and its force beside a gauge in volts.
     | {("voltage", "force"): 1.0, ("induction", "voltage"): 1.5, ("strain", "force"): 3.0, ("displacement", "stress"): 2.5}
-    | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, "displacement", "strain", "force", "stress", "current", ""]), 3.0)
+    | dict.fromkeys(itertools.product(["temperature"], [*_MAGNETIC, *LOADS, "displacement", "strain", "current", "state", ""]), 3.0)
     | dict.fromkeys(  # sensors, and converters of a current to a pressure
         [
             *itertools.product(["force", "stress", "pressure", "temperature"], [*_SENSED, "resistance"]),

@@ -18,11 +18,12 @@ _NUMBER = re.compile(r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?")
 def read_transposed(text: TextFile) -> Table | None:
     """A table whose rows are quantities; None for text of another layout."""
     lines = [line for line in text.head if line.strip()]
-    if len(lines) > _MOST_LINES:
-        return None
     for delimiter in (text.opening.delimiter,) if text.opening.delimiter else (";", "\t", ","):
         rows = [[cell.strip() for cell in line.rstrip(f"\r{delimiter}").split(delimiter)] for line in lines]
-        if (columns := turned(rows)) is not None:
+        columns = _of_runs(rows)
+        if columns is None and len(lines) <= _MOST_LINES:
+            columns = turned(rows)
+        if columns is not None:
             return plain_text(text.of("\n".join(map(delimiter.join, columns))))
     return None
 
@@ -43,6 +44,28 @@ def turned(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
     if len(width) != 1 or not 1 < len(quantities) < min(width) or headed:
         return None
     return list(zip(*quantities, strict=True))
+
+
+def _of_runs(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
+    """The rows of several tables on their side, below each other, with the number of each; None for other lines.
+
+    A first line names the settings before the names in the rows below it, the last one those themselves: "chunk;timestamp;size;fieldname"
+    of the sweeps of a lock-in amplifier.
+    """
+    titles, *lines = rows or [[""]]
+    place = len(titles) - 1
+    if place < 1 or len(lines) < 2 or not all(map(str.isidentifier, titles)):
+        return None
+    if not all(len(line) > len(titles) and _NUMBER.fullmatch(line[0]) and _is_quantity(line[place:]) for line in lines):
+        return None
+    runs: dict[str, list[list[str]]] = {}
+    for line in lines:
+        runs.setdefault(line[0], []).append(line[place:])
+    names = [[line[0] for line in run] for run in runs.values()]
+    if len(names[0]) < 2 or len({*names[0]}) < len(names[0]) or any(one != names[0] for one in names):
+        return None
+    samples = [(*sample, number) for number, run in runs.items() for sample in list(zip(*run, strict=True))[1:]]
+    return [(*names[0], titles[0]), *samples] if all(len({*map(len, run)}) == 1 for run in runs.values()) else None
 
 
 def _is_quantity(row: list[str]) -> bool:

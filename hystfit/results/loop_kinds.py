@@ -39,5 +39,12 @@ _LOOP_KINDS = (
     (LoopKind.DISPLACEMENT_DRIVEN, _PATHS, _FORCES),
     (LoopKind.FORCE_DRIVEN, _FORCES, _PATHS),
 )
+
+
+def may_be_force(data: Dataset) -> bool:
+    """Whether the outputs of records are forces, by their unit and name, or of an unknown quantity."""
+    return column_quantity(data[0].y_name, data[0].y_unit) in (*_FORCES, "")
+
+
 STRUCTURAL = frozenset({LoopKind.DISPLACEMENT_DRIVEN, LoopKind.FORCE_DRIVEN})
 REMANENT = frozenset({LoopKind.MAGNETIC, LoopKind.FERROELECTRIC})

@@ -24,8 +24,9 @@ from hystfit.results.result import FitResult
 from hystfit.results.user_code import checksums
 
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
-# Notes that may propose another fit: of a window, or with a robust loss.
+# Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
+    Code.RATE,
     Code.FAILURE,
     Code.RECORDS_DIFFER,
     Code.LAST_HALF_CYCLE,
@@ -172,9 +173,9 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     fit, loop = opened(result, wording.fit), wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
-    improve = (
-        [] if result.usable else [*_changed_fit(result, wording, loop), _joined("hystfit compare", loop, wording.split)]
-    )
+    improve = [] if result.usable else [_joined("hystfit compare", loop, wording.split)]
+    if not result.usable or any(note.code is Code.RATE and note.option is not None for note in result.notes):
+        improve = [*_changed_fit(result, wording, loop), *improve]
     if not result.usable and result.status is not Status.ROUGH:
         return [*improve, f"hystfit check {loop}"]
     like = option_words({k: v for k, v in result.data[0].reading.items() if k != "only"})  # the choice among curves
@@ -193,7 +194,7 @@ def _changed_fit(result: FitResult, wording: Wording, loop: str) -> list[str]:
     """The command of another fit that notes propose: without a half cycle at an end or, where none is wrong, with a robust loss."""
     for code in _REMEDIED:
         for name, value in (note.option for note in result.notes if note.code is code and note.option is not None):
-            command = _joined("hystfit fit", loop, wording.split, f"--{name}={value}")
+            command = _joined("hystfit fit", loop, wording.split, shlex.join(option_words({name: value})))
             return [] if f"--{name}" in wording.split else [command]
     return []
 

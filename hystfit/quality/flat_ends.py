@@ -1,0 +1,73 @@
+"""Ends of a loop where the output stays level within its noise: a saturated sensor or amplifier, or a dead zone of the device."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hystfit.quality.faults import MAD_TO_RMS, noise_rms, runs
+
+_WITHIN = 5.0  # times the noise, within which the output is level
+_LEVEL = 1.5  # times the noise: the median deviation over a level end; slopes across the width of the noise have 2 to 3
+_SHORTEST = 16  # samples of a level end
+_ONWARD = 0.02  # part of the input's range over which the output is level before the input turns there, and after
+# Part of the output's range below the level over which it arrives, and the least slope of the last quarter of it over that of the rest:
+# a corner has 1, tanh 0.2, and approaches to saturation less.
+_ARRIVAL, _CORNER = 0.2, 0.5
+# Times the width of the noise that the last quarter has at least: under more noise, Preisach models of steps have corners too.
+_SEEN = 3.0
+_FEWEST = 2  # samples of each of these two parts
+
+
+def flat_ends(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Whether the output is level within its noise while the input goes on, turns and comes back, between two corners, shape (T,).
+
+    Devices approach saturation slowly, backlash is level after a reversal alone, a plastic hinge before it, and a switch arrives at once.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+    """
+    found = np.zeros(y.size, dtype=bool)
+    noise, is_bound = noise_rms(y)
+    span = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
+    if noise is None or is_bound or not 0 < _SEEN * _WITHIN * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
+        return found
+    for values in (y, -y):
+        level = float(np.median(values[values > np.nanmax(values) - 2 * _WITHIN * noise]))
+        inside = np.abs(values - level) <= _WITHIN * noise
+        for start, stop in runs(inside):
+            if stop - start >= _SHORTEST and _is_end(u, values, (start, stop), level, noise):
+                found[start:stop] = True
+    return found
+
+
+def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, noise: float) -> bool:
+    """Whether the samples of a part, in which the output is near its upper level, are a level end between two corners."""
+    start, stop = part
+    spread = MAD_TO_RMS * float(np.median(np.abs(y[start:stop] - np.median(y[start:stop]))))
+    if start == 0 or stop == y.size or spread > _LEVEL * noise:
+        return False
+    drive = u[start:stop]
+    turn = int(np.argmax(np.abs(drive - 0.5 * (drive[0] + drive[-1]))))
+    onward = min(abs(drive[turn] - drive[0]), abs(drive[turn] - drive[-1]))
+    gap = _ARRIVAL * float(np.nanmax(y) - np.nanmin(y))
+    sides = (u[:start][::-1], y[:start][::-1]), (u[stop:], y[stop:])
+    return bool(onward > _ONWARD * np.ptp(u)) and all(_has_corner(*side, level, gap) for side in sides)
+
+
+def _has_corner(u: np.ndarray, y: np.ndarray, level: float, gap: float) -> bool:
+    """Whether the output leaves its level by a corner.
+
+    Args:
+        u, y: samples from there on.
+        gap: how far it is followed.
+    """
+    below = level - y
+    if not (below >= gap).any():
+        return False
+    end = int(np.argmax(below >= gap))
+    near = int(np.argmax(below >= 0.25 * gap))
+    if near < _FEWEST or end - near < _FEWEST:
+        return False
+    slope = lambda first, last: (below[last] - below[first]) / max(abs(u[last] - u[first]), np.finfo(float).tiny)
+    return bool(slope(0, near) > _CORNER * slope(near, end))
