@@ -24,8 +24,8 @@ import hystfit as hf
 from hystfit.batch import plain_fits, plain_judge, row_accuracy, simulated_rows
 from hystfit.batch.alike import Group, Loops, common_of, solve_alike
 from hystfit.config import first_device
-from hystfit.fitting import lanes
 from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.solvers import lanes
 
 SAME = 1e-6  # of a standard error: largest difference of estimates of both devices
 SLOWER = 1.3  # times the time with JAX on the CPU alone: allowed for a single fit where there is a GPU

@@ -12,9 +12,9 @@ from rows import Row
 from scipy.optimize import nnls
 
 import hystfit as hf
-from hystfit.models.nonnegative import solve_nonnegative
 from hystfit.models.preisach.design_matrix import features
 from hystfit.models.preisach.model import Preisach
+from hystfit.models.shared.nonnegative import solve_nonnegative
 
 
 def signal(samples: int, noise: float) -> np.ndarray:

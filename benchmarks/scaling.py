@@ -23,7 +23,7 @@ from steps import MODELS, signal
 from timing import alternate
 
 import hystfit as hf
-from hystfit.models.simulation import run
+from hystfit.models.shared.simulation import run
 from hystfit.params.space import ParameterSpace
 from hystfit.sampling.ensemble import start, walk
 from hystfit.sampling.setup import prepare

@@ -16,7 +16,7 @@ from .data.record import Record as Record
 from .errors import HystfitError as HystfitError
 from .explorer.widget import Explorer as Explorer
 from .explorer.widget import explore as explore
-from .fitting.compare import compare as compare
+from .fitting.comparison.compare import compare as compare
 from .fitting.data_check import check as check
 from .fitting.fit import fit as fit
 from .inference import priors as priors
@@ -71,7 +71,7 @@ from .reading.read import read as read
 from .reading.read import read_csv as read_csv
 from .results import plots as plots
 from .results.force_loops import force_loops as force_loops
-from .results.loop_values import quantities as quantities
+from .results.measured.loop_values import quantities as quantities
 from .results.result import FitResult as FitResult
 from .results.saved import load_fit as load_fit
 from .sampling.files import load_posterior as load_posterior

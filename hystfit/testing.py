@@ -22,8 +22,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model
-from hystfit.models.simulation import run, simulate
-from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.models.shared.simulation import run, simulate
+from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.space import ParameterSpace
 
 _EAGER = 5  # samples of the run without jit

@@ -45,7 +45,7 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.models import AbstractHysteresis
-from hystfit.models.c_code import CPart
+from hystfit.models.shared.c_code import CPart
 
 C = """
 static void @f@_init(double *s, double u0) { s[0] = u0; }

@@ -28,8 +28,8 @@ import hystfit as hf
 from hystfit.control import export_field_programs
 from hystfit.errors import DataError
 from hystfit.models.jiles_atherton import MU0
-from hystfit.results.magnetic_loop import MagneticLoop
-from hystfit.results.magnetic_sample import Sample
+from hystfit.results.measured.magnetic_loop import MagneticLoop
+from hystfit.results.measured.magnetic_sample import Sample
 
 hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: one start of the fit

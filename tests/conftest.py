@@ -134,7 +134,7 @@ def few_families(monkeypatch: pytest.MonkeyPatch) -> None:
         "bouc-wen-force+viscous",
         "oscillator",
     )
-    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
+    monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: kinds)
 
 
 def examined(data: Any) -> Any:

@@ -9,7 +9,7 @@ import pytest
 import scipy
 
 import hystfit as hf
-from hystfit.fitting.near_bounds import about_estimate, truncated_moments
+from hystfit.fitting.judgment.near_bounds import about_estimate, truncated_moments
 
 T = np.arange(300) / 100
 U = (20 + 12 * T) * np.sin(2 * np.pi * T)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.candidates import candidates
-from hystfit.fitting.contender import Candidate, First, leader
-from hystfit.fitting.convex import search_nonlinear
+from hystfit.fitting.comparison.candidates import candidates
+from hystfit.fitting.comparison.contender import Candidate, First, leader
 from hystfit.fitting.data_check import check
-from hystfit.fitting.fit_warnings import drift_note
-from hystfit.fitting.structure_search import search_structure
-from hystfit.fitting.verdict import residuals_are_white
+from hystfit.fitting.judgment.fit_warnings import drift_note
+from hystfit.fitting.judgment.verdict import residuals_are_white
+from hystfit.fitting.solvers.convex import search_nonlinear
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.covariance import _spectrum, _wide_axes, uncertainty
-from hystfit.fitting.error_ratios import RANK
 from hystfit.fitting.fit_setup import solve
-from hystfit.fitting.near_bounds import Information, centered, centered_lengths
-from hystfit.fitting.ridge import LinearSystem, fit_ridge
+from hystfit.fitting.judgment.covariance import _spectrum, _wide_axes, uncertainty
+from hystfit.fitting.judgment.error_ratios import RANK
+from hystfit.fitting.judgment.near_bounds import Information, centered, centered_lengths
+from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge
 from hystfit.inference import blocks, objective
 from hystfit.inference import problem as inference_problem
 from hystfit.inference.linearization import Linearization

@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from hystfit.data import Dataset, Record
 from hystfit.errors import ModelError
-from hystfit.fitting.assessment import notes_of_model
+from hystfit.fitting.judgment.assessment import notes_of_model
 from hystfit.models import AsymmetricBoucWen, BoucWen, simulate
 from hystfit.models.bouc_wen import unit_hysteresis
 from hystfit.models.bouc_wen_steps import phi, trapezoid, zero_crossing

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hystfit.models.cholesky import cholesky
+from hystfit.models.shared.cholesky import cholesky
 
 
 def _matrix(size: int) -> np.ndarray:

@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hystfit.errors import DataError
-from hystfit.reading import clean_rows, text
-from hystfit.reading.raw_table import Table
 from hystfit.reading.read import table_of
+from hystfit.reading.table.raw_table import Table
+from hystfit.reading.text import clean_rows, plain_text
 
 PARSERS = {"numpy": clean_rows._by_numpy, "pandas": clean_rows._by_pandas}
 
@@ -23,7 +23,7 @@ def _table(path: Path, monkeypatch: pytest.MonkeyPatch, parser: str | None) -> T
     """The table as read by a parser, or cell by cell without one; the message where the file is refused."""
     with monkeypatch.context() as patch:
         if parser is None:
-            patch.setattr(text, "clean_block", lambda *_, **__: None)
+            patch.setattr(plain_text, "clean_block", lambda *_, **__: None)
         else:
             patch.setattr(clean_rows, "_parsed", PARSERS[parser])
         try:
@@ -113,7 +113,7 @@ def test_clean_files_take_the_fast_way(tmp_path: Path) -> None:
     for mark, decimal in ((",", "."), (";", ","), ("\t", "."), ("  ", "."), (" ", ",")):
         body = "\n".join(mark.join(f"{v:.4f}".replace(".", decimal) for v in row) for row in rows)
         lines = body.split("\n")
-        layout = text.sniff(lines, "file", None, None)
+        layout = plain_text.sniff(lines, "file", None, None)
         for parser in PARSERS.values():
             if parser is PARSERS["pandas"]:
                 pytest.importorskip("pandas")
@@ -127,7 +127,7 @@ def test_numpy_reads_where_pandas_is_not_in_use(tmp_path: Path, monkeypatch: pyt
     used = []
     monkeypatch.setattr(clean_rows, "_by_numpy", lambda *arguments: used.append("numpy"))
     monkeypatch.setattr(clean_rows, "_by_pandas", lambda *arguments: used.append("pandas"))
-    layout = text.sniff(["1,2", "2,3"], "file", None, None)
+    layout = plain_text.sniff(["1,2", "2,3"], "file", None, None)
     monkeypatch.delitem(sys.modules, "pandas", raising=False)
     clean_rows._parsed("1,2\n2,3", layout)
     monkeypatch.setitem(sys.modules, "pandas", sys)

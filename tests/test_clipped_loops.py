@@ -5,12 +5,12 @@ import pytest
 
 import hystfit as hf
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.faults import saturated_samples
 from hystfit.quality.plays import play_positions
-from hystfit.results.loop_values import quantities
+from hystfit.results.measured.loop_values import quantities
 
 AMPLITUDE, YIELD, SPRING = 10.0, 2.0, 0.5  # mm, mm, kN/mm
 FORCE = 4.0  # kN at which the stop slides

@@ -18,23 +18,24 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.fitting import sizes, smooth_weights
-from hystfit.fitting.candidate_fits import CandidateFits
-from hystfit.fitting.candidates import candidates
-from hystfit.fitting.comparison import Comparison, Purpose, Row
-from hystfit.fitting.comparison_run import ComparisonRun
-from hystfit.fitting.contender import Candidate, First, leader
+from hystfit.fitting.comparison import sizes
+from hystfit.fitting.comparison.candidate_fits import CandidateFits
+from hystfit.fitting.comparison.candidates import candidates
+from hystfit.fitting.comparison.compared_models import Comparison, Purpose, Row
+from hystfit.fitting.comparison.comparison_run import ComparisonRun
+from hystfit.fitting.comparison.contender import Candidate, First, leader
+from hystfit.fitting.comparison.model_search import NO_LOOP
+from hystfit.fitting.comparison.ranking import ranked
+from hystfit.fitting.comparison.sizes import SizeSearch
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.model_search import NO_LOOP
-from hystfit.fitting.ranking import ranked
-from hystfit.fitting.ridge import LinearSystem
-from hystfit.fitting.sizes import SizeSearch
-from hystfit.fitting.smooth_weights import SmoothWeights, left_out_scores
-from hystfit.fitting.structure import Structure, build, structure_of
-from hystfit.fitting.structure_columns import Terms
-from hystfit.fitting.structure_search import max_plays, search_structure
-from hystfit.fitting.thinning import thinned
+from hystfit.fitting.solvers import smooth_weights
+from hystfit.fitting.solvers.ridge import LinearSystem
+from hystfit.fitting.solvers.smooth_weights import SmoothWeights, left_out_scores
+from hystfit.fitting.solvers.thinning import thinned
+from hystfit.fitting.structure.model_structure import Structure, build, structure_of
+from hystfit.fitting.structure.structure_columns import Terms
+from hystfit.fitting.structure.structure_search import max_plays, search_structure
 from hystfit.fitting.trial import with_left_out
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -1024,7 +1025,7 @@ def test_resonant_stage_gets_its_resonance_and_no_fit_of_models_without_one():
 def test_weights_of_either_sign_have_their_own_size_where_their_first_fit_errs_less(measured, monkeypatch):
     """With the size of bounded weights, which are fitted first, they err three times as much."""
     kinds = ("preisach", "preisach-signed", "preisach-magnetic")
-    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: kinds)
+    monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: kinds)
     rows = np.genfromtxt(measured / "tidy" / "mag_bh_MnZn_ferrite.csv", delimiter=",", skip_header=1)
     loops = [rows[rows[:, 0] == k] for k in np.unique(rows[:, 0])]
     data = hf.Dataset(tuple(hf.Record(loop[:, 1], loop[:, 2], name=f"{k}") for k, loop in enumerate(loops)))

@@ -11,14 +11,14 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.fitting.compare import SEARCH
-from hystfit.fitting.convex import Convex
-from hystfit.fitting.ridge import LinearSystem, fit_ridge, solve_normal
-from hystfit.fitting.structure_search import search_structure
-from hystfit.models import nonnegative
+from hystfit.fitting.comparison.compare import SEARCH
+from hystfit.fitting.solvers.convex import Convex
+from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, solve_normal
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.design import effective_number
-from hystfit.models.nonnegative import solve_nonnegative, solve_several
+from hystfit.models.shared import nonnegative
+from hystfit.models.shared.design import effective_number
+from hystfit.models.shared.nonnegative import solve_nonnegative, solve_several
 from hystfit.outcome import Code
 
 T = np.arange(0.0, 12.0, 0.01)

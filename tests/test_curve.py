@@ -7,7 +7,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.models.curve import Curve
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has

@@ -12,7 +12,7 @@ import pytest
 
 import hystfit as hf
 from hystfit import config
-from hystfit.fitting import lanes
+from hystfit.fitting.solvers import lanes
 
 PACKAGE = Path(hf.__file__).parent
 # Two devices of the CPU stand for a host and its GPU; the second is the default device of JAX, from before the package is imported.

@@ -16,9 +16,9 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.models.registry import make_model
 from hystfit.reading import registry
-from hystfit.reading.array_table import table_of_arrays
-from hystfit.reading.raw_table import Table
-from hystfit.reading.text_file import TextFile
+from hystfit.reading.files.text_file import TextFile
+from hystfit.reading.layouts.array_table import table_of_arrays
+from hystfit.reading.table.raw_table import Table
 from hystfit.testing import check_model
 
 from .conftest import ROOT

@@ -16,7 +16,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models import Duhem, simulate
 from hystfit.models.duhem import _responses
-from hystfit.models.simulation import run
+from hystfit.models.shared.simulation import run
 
 F, G = (0.1, 1.0, 0.02, -0.03), (0.5, 0.05, -0.02)  # in powers of v
 ALPHA, W0, LOW, HIGH = 0.8, 0.3, -2.0, 3.0

@@ -10,7 +10,7 @@ from hystfit.errors import DataError, ParameterError
 from hystfit.fitting.fit import fit
 from hystfit.identify import bias_compensated, decimate, identify, integrated_regression
 from hystfit.models.duhem import Duhem
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.results.result import FitResult
 
 ALPHA = 0.0874

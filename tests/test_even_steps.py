@@ -9,7 +9,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.even_steps import even_step
+from hystfit.models.shared.even_steps import even_step
 
 MODELS = {
     "log creep": hf.LogCreep(gamma=(0.02, 0.01)),

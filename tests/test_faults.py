@@ -13,7 +13,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.errors import DataError, HystfitError
-from hystfit.results import folders
+from hystfit.results.saving import folders
 
 from .hard import faults
 from .saved_examples import fitted, posterior_of

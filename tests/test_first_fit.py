@@ -11,16 +11,16 @@ from scipy.stats import qmc
 import hystfit as hf
 from hystfit.config import set_compiler_flags
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.candidate_fits import CandidateFits
-from hystfit.fitting.contender import Candidate
+from hystfit.fitting.comparison.candidate_fits import CandidateFits
+from hystfit.fitting.comparison.contender import Candidate
+from hystfit.fitting.comparison.standings import Standings
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import started_problem
-from hystfit.fitting.lanes import Stack, descend_lanes
-from hystfit.fitting.least_squares import LeastSquares
-from hystfit.fitting.standings import Standings
+from hystfit.fitting.solvers.lanes import Stack, descend_lanes
+from hystfit.fitting.solvers.least_squares import LeastSquares
 from hystfit.inference.problem import Problem
-from hystfit.models import starting
 from hystfit.models.registry import make_model
+from hystfit.models.shared import starting
 from hystfit.params.hypercube import latin_hypercube
 
 _PROGRAMS = """

@@ -16,7 +16,7 @@ from hystfit.models.preisach.forc_numbers import forc_numbers
 from hystfit.models.preisach.solve import density_of, fit_forc
 from hystfit.outcome import Status
 from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
-from hystfit.results.forc_loop import forc_loop
+from hystfit.results.measured.forc_loop import forc_loop
 from hystfit.sampling.derived import sampled_density
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import Posterior

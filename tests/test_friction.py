@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 import hystfit as hf
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ModelError
-from hystfit.fitting.candidates import candidates
+from hystfit.fitting.comparison.candidates import candidates
 
 LUGRE = hf.LuGre(sigma0=200.0, sigma1=0.3, sigma2=0.4, Fc=1.0, dFs=0.6, vs=0.5, k=0.3, offset=0.1)
 SLIP = hf.MaxwellSlip(

@@ -14,7 +14,7 @@ from hystfit.errors import ParameterError
 from hystfit.identify import DuhemRegressor, GradientCorrection, Sample, identify, run_stream
 from hystfit.identify.gradient_correction import check_weights
 from hystfit.models.duhem import Duhem
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 

@@ -205,8 +205,8 @@ def test_a_class_is_the_model_of_its_name(y: np.ndarray, result: hf.FitResult) -
 
 
 def test_auto_is_the_winner_of_the_comparison(y: np.ndarray, monkeypatch) -> None:
-    import hystfit.fitting.compare as comparison
-    from hystfit.fitting.candidates import Candidates
+    import hystfit.fitting.comparison.compare as comparison
+    from hystfit.fitting.comparison.candidates import Candidates
 
     monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous")))
     found = hf.fit("auto", U, y, T, test=hf.Record(U, y, t=T))
@@ -225,8 +225,8 @@ def test_auto_is_the_winner_of_the_comparison(y: np.ndarray, monkeypatch) -> Non
 
 
 def test_auto_takes_starting_points_and_noise(y: np.ndarray, monkeypatch) -> None:
-    import hystfit.fitting.compare as comparison
-    from hystfit.fitting.candidates import Candidates
+    import hystfit.fitting.comparison.compare as comparison
+    from hystfit.fitting.comparison.candidates import Candidates
 
     monkeypatch.setattr(comparison, "candidates", lambda data: Candidates(("bouc-wen", "offset+viscous")))
     plain, refined = (hf.fit("auto", U, y, T, starts=2, noise=noise) for noise in ("auto", "ou"))

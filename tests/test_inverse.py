@@ -12,9 +12,9 @@ from scipy.optimize import brentq
 import hystfit as hf
 from hystfit.control import InverseStep, Status, invert, lead
 from hystfit.errors import DataError, ModelError, ParameterError
-from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.preisach import EverettTable
 from hystfit.models.relaxation import Relaxation
+from hystfit.models.shared.bracketed import Root, solve_rising
 
 DT = 0.002
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hystfit as hf
-from hystfit.fitting.candidates import candidates
+from hystfit.fitting.comparison.candidates import candidates
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess, Viscous

@@ -8,9 +8,9 @@ from jax import export
 
 import hystfit as hf
 from hystfit.config import PROGRAM_FOLDER, expect_few_runs
-from hystfit.fitting import lanes
-from hystfit.fitting.lanes import Stack
-from hystfit.models import simulation
+from hystfit.fitting.solvers import lanes
+from hystfit.fitting.solvers.lanes import Stack
+from hystfit.models.shared import simulation
 from hystfit.params import kept_programs
 from hystfit.params.host_arrays import compiled
 from hystfit.params.kept_programs import kept, unoptimized

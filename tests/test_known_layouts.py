@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hystfit.errors import DataError
-from hystfit.reading import known_layouts, registry
-from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.raw_table import Table
-from hystfit.reading.text_file import Opening
+from hystfit.reading import registry
+from hystfit.reading.files.file_bytes import FileBytes
+from hystfit.reading.files.text_file import Opening
+from hystfit.reading.layouts import known_layouts
+from hystfit.reading.table.raw_table import Table
 
 ROWS, AS_IT_IS = 240, Opening()
 CHANGED = list(b'0123456789+-.eE,;\t\n\r nx"#')

@@ -11,10 +11,10 @@ import scipy.optimize
 import hystfit as hf
 from hystfit.config import expect_few_runs, first_device
 from hystfit.data.dataset import Dataset
-from hystfit.fitting import lanes
 from hystfit.fitting.fit_setup import started_problem
-from hystfit.fitting.lanes import Stack, descend_lanes
-from hystfit.fitting.multistart import starting_vectors
+from hystfit.fitting.solvers import lanes
+from hystfit.fitting.solvers.lanes import Stack, descend_lanes
+from hystfit.fitting.solvers.multistart import starting_vectors
 from hystfit.inference.normal import normal_at, normal_in_scan, normal_on_host, suits_one_scan
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis

@@ -10,7 +10,7 @@ import scipy.stats
 
 import hystfit as hf
 from hystfit.errors import ModelError, ParameterError
-from hystfit.fitting.left_out import bic, left_out_error, ranking_error
+from hystfit.fitting.comparison.left_out import bic, left_out_error, ranking_error
 from hystfit.quality.held_out import held_out
 
 T = np.arange(600) / 100
@@ -185,7 +185,7 @@ def test_refits_go_on_until_they_have_converged(measured, monkeypatch):
     coupon = hf.Dataset.of(hf.datasets.load("steel_resspylab/example_1", folder=measured))[0]
     fit = hf.fit("steel-02", coupon.window(None, round(0.6 * len(coupon))), starts=1)
     found = left_out_error(fit)
-    monkeypatch.setattr("hystfit.fitting.left_out.STEPS", 1000)
+    monkeypatch.setattr("hystfit.fitting.comparison.left_out.STEPS", 1000)
     assert found == pytest.approx(left_out_error(fit), rel=0.01)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hystfit.errors import DataError
-from hystfit.reading.lines import check_lengths, lines_of
+from hystfit.reading.files.lines import check_lengths, lines_of
 
 TEXTS = [
     "",

@@ -8,8 +8,8 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.stated import Stated
-from hystfit.results.loop_branches import crossing
-from hystfit.results.loop_values import quantities
+from hystfit.results.measured.loop_branches import crossing
+from hystfit.results.measured.loop_values import quantities
 
 PHASE = np.linspace(0, 2 * np.pi, 2001)
 MAGNETIC = {"u_unit": "A/m", "y_unit": "T", "u_name": "H", "y_name": "B"}

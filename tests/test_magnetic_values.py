@@ -7,8 +7,8 @@ from scipy.signal import lfilter
 
 import hystfit as hf
 from hystfit.outcome import Code, Status
-from hystfit.results.loop_values import quantities
-from hystfit.results.magnetic_sample import Sample, prism_factor
+from hystfit.results.measured.loop_values import quantities
+from hystfit.results.measured.magnetic_sample import Sample, prism_factor
 
 MU0 = 4e-7 * np.pi
 JS, HC, WIDTH, SIZE = 1.1, 400e3, 120e3, (2e-3, 2e-3, 4e-3)

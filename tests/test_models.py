@@ -39,13 +39,13 @@ from hystfit.models import (
     registry,
     simulate,
 )
-from hystfit.models.bracketed import Root
 from hystfit.models.curve import Curve
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess
-from hystfit.models.simulation import run
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.simulation import run
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.testing import check_model
 

@@ -8,7 +8,7 @@ import pytest
 import hystfit as hf
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
-from hystfit.fitting.lanes import Stack, descend_lanes
+from hystfit.fitting.solvers.lanes import Stack, descend_lanes
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 

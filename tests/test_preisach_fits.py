@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
-from hystfit.fitting.smooth_weights import SmoothWeights
-from hystfit.models.nonnegative import solve_nonnegative
+from hystfit.fitting.solvers.smooth_weights import SmoothWeights
 from hystfit.models.preisach import (
     EverettTable,
     check_preisach,
@@ -34,6 +33,7 @@ from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, _Trials, fit_smooth
 from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.models.preisach.solve import fit_preisach
+from hystfit.models.shared.nonnegative import solve_nonnegative
 from hystfit.quality.reversal_curves import recognize_family
 
 

@@ -12,12 +12,12 @@ from scipy.optimize import brentq
 import hystfit as hf
 from hystfit.data.dataset import Dataset
 from hystfit.quality.loops import loop_area
-from hystfit.results.loop_kinds import LoopKind
-from hystfit.results.loop_values import quantities
-from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.loop_kinds import LoopKind
+from hystfit.results.measured.loop_values import quantities
+from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.steady_loops import Excitation, SteadyLoops
 from hystfit.results.quantity_estimates import measured_quantities, quantity_values
 from hystfit.results.report import html_report, text_report
-from hystfit.results.steady_loops import Excitation, SteadyLoops
 
 TRUTH = hf.BoucWen(c=1.2, mu=0.5, tau=2.0, rho=0.4, offset=0.3)
 SAMPLES = 200  # in a cycle

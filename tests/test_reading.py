@@ -18,8 +18,8 @@ from hystfit.errors import DataError
 from hystfit.outcome.note import Code, Severity, has
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading import read
-from hystfit.reading.column_names import column_quantity
-from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.read import table_of
 from hystfit.results.saved import load_records, save_records
 

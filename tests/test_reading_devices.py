@@ -18,7 +18,7 @@ from hystfit.errors import DataError
 from hystfit.outcome import Severity
 from hystfit.params.units import conversion
 from hystfit.reading import read
-from hystfit.reading.column_names import column_quantity
+from hystfit.reading.names.column_names import column_quantity
 
 from .loop_files import N, U, Y, is_pair, one, rows, written
 

@@ -13,8 +13,9 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.outcome.note import has
-from hystfit.reading import dialect, read
-from hystfit.reading.names_with_units import split_unit
+from hystfit.reading import read
+from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.text import dialect
 
 T = [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
 U = [0.0, 1.25, -2.5, 3.5, -1.75, 0.5]

@@ -9,7 +9,7 @@ import pytest
 
 from hystfit.errors import DataError
 from hystfit.reading import read
-from hystfit.reading.signal_evidence import roughness
+from hystfit.reading.table.signal_evidence import roughness
 from tests.loop_files import N, U, Y, is_pair, one, rows, written
 
 T = np.round(0.1 * np.arange(N), 1)

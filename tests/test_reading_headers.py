@@ -11,8 +11,8 @@ import pytest
 from hystfit.cli import run
 from hystfit.errors import DataError
 from hystfit.reading import read
-from hystfit.reading.column_names import column_quantity, column_role
-from hystfit.reading.stated_interval import stated_interval
+from hystfit.reading.names.column_names import column_quantity, column_role
+from hystfit.reading.text.stated_interval import stated_interval
 from tests.loop_files import N, U, Y, is_pair, one, rows, written
 
 T = np.round(0.1 * np.arange(N), 1)

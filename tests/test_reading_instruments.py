@@ -10,9 +10,9 @@ import pytest
 from hystfit.data import Record
 from hystfit.outcome import Code
 from hystfit.reading import read
-from hystfit.reading.column_names import column_quantity
-from hystfit.reading.names_with_units import split_unit
-from hystfit.reading.signal_evidence import roughness
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.signal_evidence import roughness
 
 N = 120
 RNG = np.random.default_rng(4)

@@ -13,7 +13,7 @@ from scipy.io import netcdf_file
 
 from hystfit.errors import DataError
 from hystfit.reading import read
-from hystfit.reading.archive import members_of
+from hystfit.reading.files.archive import members_of
 from tests.loop_files import N, U, Y, is_pair, one, rows, written
 
 P = np.r_[np.linspace(0.05, 0.95, 20), np.linspace(0.9, 0.1, 15)].round(4)  # relative pressure, up and down

@@ -12,7 +12,7 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Severity
 from hystfit.reading import read
-from hystfit.reading.stated_interval import stated_interval
+from hystfit.reading.text.stated_interval import stated_interval
 
 N = 80
 T = np.round(0.05 * np.arange(N), 2)

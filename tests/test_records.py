@@ -14,8 +14,8 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.preparation import CoarseClock, RoundedStamps, integral, smooth
 from hystfit.errors import DataError
-from hystfit.fitting.left_out import left_out_error
-from hystfit.fitting.ridge import LinearSystem, fit_ridge
+from hystfit.fitting.comparison.left_out import left_out_error
+from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge
 from hystfit.fitting.trial import with_test
 from hystfit.outcome import Code
 from hystfit.outcome.note import has

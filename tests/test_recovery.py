@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import hystfit as hf
-from hystfit.fitting.covariance import uncertainty
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.judgment.covariance import uncertainty
+from hystfit.fitting.solvers.registry import ESTIMATORS
 
 REPLICATES = 100
 T = np.linspace(0.0, 5.0, 500)
@@ -137,7 +137,7 @@ def check_pulls(names, pulls):
 
 def plain_weights(problem):
     """Weights by the convex solve without a ridge, which would bias them."""
-    from hystfit.fitting.convex import Convex
+    from hystfit.fitting.solvers.convex import Convex
 
     return Convex(strengths=(1e-14,)).estimate(problem, np.zeros((1, len(problem.space))))
 

@@ -240,7 +240,7 @@ def test_branches_with_slopes_take_a_line_or_other_models() -> None:
 
 
 def test_loops_that_do_not_jump_get_no_relay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hystfit.fitting.candidates.tried", lambda: ("relay", "preisach"))
+    monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: ("relay", "preisach"))
     model = make_model("prandtl-ishlinskii")
     u = (TEMPERATURE - 20) / 3.2
     found = hf.compare(hf.Record(u, model.free_run(u) + 0.01 * NOISE))

@@ -18,7 +18,7 @@ from hystfit.identify import DuhemRegressor, Rls, Sample, as_fit, identify, nois
 from hystfit.identify.duhem_regression import rank_of
 from hystfit.models.bouc_wen import BoucWen
 from hystfit.models.duhem import Duhem
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.results.provenance import Stopwatch

@@ -19,7 +19,7 @@ from hystfit.errors import DataError, HystfitError, ModelError
 from hystfit.models.registry import make_model
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
-from hystfit.results.folders import alone
+from hystfit.results.saving.folders import alone
 
 from .conftest import ROOT
 from .saved_examples import MINE, change, fitted, loop, posterior_of, reseal
@@ -393,7 +393,7 @@ def test_a_run_that_is_refused_leaves_no_folder(result, tmp_path):
 
 def test_a_second_run_in_a_folder_is_refused(result, tmp_path):
     hold = (
-        "import sys\nfrom hystfit.results.folders import alone\n"
+        "import sys\nfrom hystfit.results.saving.folders import alone\n"
         "with alone(sys.argv[1]):\n    print('held', flush=True)\n    sys.stdin.read()\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

@@ -28,7 +28,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import app
 from hystfit.cli.verbs import VERBS
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
 from hystfit.models.registry import MODELS

@@ -10,7 +10,7 @@ from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.models import Delay, Lag, LinearCreep, Negate, Relaxation, SaturatingRate, Viscous
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.slopes import Slopes
+from hystfit.models.shared.slopes import Slopes
 
 LOW, HIGH, FINE = -1.0, 1.0, 4000
 

@@ -5,8 +5,8 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.steady_cycle import from_turning_point, steady_period
-from hystfit.fitting.structure import Structure
-from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.structure.model_structure import Structure
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.results.quantity_estimates import measured_quantities
 
 N = 200

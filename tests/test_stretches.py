@@ -9,7 +9,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.data.dataset import Dataset
-from hystfit.fitting import fit_warnings
+from hystfit.fitting.judgment import fit_warnings
 from hystfit.inference import objective as whole
 from hystfit.inference import stretches
 from hystfit.inference.linearization import Linearization

@@ -7,12 +7,12 @@ import scipy.optimize
 
 import hystfit as hf
 from hystfit.data.batch import bucket
-from hystfit.fitting.polish import polish
-from hystfit.fitting.thinning import coarse, thin
+from hystfit.fitting.solvers.polish import polish
+from hystfit.fitting.solvers.thinning import coarse, thin
 from hystfit.inference import blocks
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.starting import best_column
+from hystfit.models.shared.starting import best_column
 
 TRUTH = {"c": 0.15, "mu": 0.4, "tau": 0.02, "rho": 0.3, "offset": 0.5}
 

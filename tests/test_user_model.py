@@ -24,9 +24,9 @@ import equinox as eqx
 from typing import ClassVar
 
 from hystfit.models import AbstractHysteresis
-from hystfit.models.step_inverse import AbstractStepInverse
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart
+from hystfit.models.shared.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.c_code import CPart
 from hystfit.params.param import param
 
 SOLVED = []  # one entry each time the closed form is traced

@@ -10,8 +10,8 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.bounded import BoundedDescent
-from hystfit.fitting.fit_warnings import _repeats, disturbance_note
+from hystfit.fitting.judgment.fit_warnings import _repeats, disturbance_note
+from hystfit.fitting.solvers.bounded import BoundedDescent
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has

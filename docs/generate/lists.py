@@ -11,7 +11,7 @@ from pathlib import Path
 
 from generate.markdown import docstring, plain, table
 from hystfit.cli.verbs import as_options
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.identify.registry import IDENTIFIERS
 from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Status
@@ -19,7 +19,7 @@ from hystfit.params.param import leaves_of
 from hystfit.params.units import Scales
 from hystfit.reading.registry import ARRANGEMENTS, FORMATS, REPLACING, TEXTS
 from hystfit.registry import Registry
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.signals.registry import SIGNALS
 

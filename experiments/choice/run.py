@@ -21,7 +21,7 @@ from devices import Case, case
 
 import hystfit as hf
 from hystfit.errors import HystfitError
-from hystfit.fitting.comparison import Fits
+from hystfit.fitting.comparison.compared_models import Fits
 from hystfit.quality.held_out import Scheme
 from hystfit.results.result import FitResult
 

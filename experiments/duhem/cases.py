@@ -10,7 +10,7 @@ import numpy as np
 import hystfit as hf
 from hystfit import signals
 from hystfit.identify import Rls
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 
 LOW, HIGH = (
     0.0,

@@ -9,7 +9,7 @@ from run import data_sheet, fields, instruments, numerics, vectors
 from hystfit.identify import field_from_induction, vector_hysteresis
 from hystfit.models.jiles_atherton import JilesAtherton
 from hystfit.models.jiles_atherton_field import JilesAthertonField
-from hystfit.results import instrument_values, magnetic_loop, saturation_law
+from hystfit.results.measured import instrument_values, magnetic_loop, saturation_law
 
 
 def _no_demagnetization() -> None:

@@ -18,7 +18,7 @@ from common import Results, arguments, table
 
 import hystfit as hf
 from hystfit.errors import HystfitError
-from hystfit.fitting.comparison import Comparison
+from hystfit.fitting.comparison.compared_models import Comparison
 from hystfit.fitting.data_check import is_settled, with_models
 from hystfit.models.registry import judged
 from hystfit.quality.check import examine

@@ -21,9 +21,9 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, set_up_fit
-from hystfit.fitting.lanes import Ends, Stack
-from hystfit.fitting.multistart import spread_starts
-from hystfit.fitting.thinning import LEAST, kept_samples
+from hystfit.fitting.solvers.lanes import Ends, Stack
+from hystfit.fitting.solvers.multistart import spread_starts
+from hystfit.fitting.solvers.thinning import LEAST, kept_samples
 from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
 from hystfit.params.host_arrays import zeros

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.lanes import Ends, Stack, descend_lanes, go_on
-from hystfit.fitting.least_squares import ROUGH, ROUND, ROUNDS
-from hystfit.fitting.levenberg_marquardt import ON_BOUND
-from hystfit.fitting.polish import EXACT, NEAR, gain_within
-from hystfit.fitting.thinning import PAYS, SAMPLES, thin
+from hystfit.fitting.solvers.estimate import Estimate
+from hystfit.fitting.solvers.lanes import Ends, Stack, descend_lanes, go_on
+from hystfit.fitting.solvers.least_squares import ROUGH, ROUND, ROUNDS
+from hystfit.fitting.solvers.levenberg_marquardt import ON_BOUND
+from hystfit.fitting.solvers.polish import EXACT, NEAR, gain_within
+from hystfit.fitting.solvers.thinning import PAYS, SAMPLES, thin
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
 

@@ -23,8 +23,8 @@ from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.estimates import grouped
 from hystfit.results.exchange import write_table
-from hystfit.results.folders import writing_file
 from hystfit.results.result import FitResult
+from hystfit.results.saving.folders import writing_file
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

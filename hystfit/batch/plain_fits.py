@@ -19,19 +19,19 @@ from hystfit.batch.weight_rows import judge_weights, solve_weights
 from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, without_faults
-from hystfit.fitting.lanes import Stack
+from hystfit.fitting.solvers.estimate import Estimate
+from hystfit.fitting.solvers.lanes import Stack
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Note, Status
 from hystfit.outcome.table import or_none
+from hystfit.results.measured.quantities import applicable
+from hystfit.results.measured.steady_loops import Excitation
 from hystfit.results.provenance import Stopwatch
-from hystfit.results.quantities import applicable
 from hystfit.results.quantity_estimates import values_of_outputs
-from hystfit.results.steady_loops import Excitation
 
 FEWEST = 8  # loops from which the programs of many pay
 _SAME = 1e-3  # relative difference of two standard errors that is none

@@ -18,8 +18,8 @@ from hystfit.batch.alike import Common, Group, Loops
 from hystfit.batch.row_accuracy import MARGIN, accuracy
 from hystfit.batch.slow_rows import slow_information
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.assessment import notes_of_model, notes_on_time
-from hystfit.fitting.lanes import Ends, Stack
+from hystfit.fitting.judgment.assessment import notes_of_model, notes_on_time
+from hystfit.fitting.solvers.lanes import Ends, Stack
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.coordinates import BOTH

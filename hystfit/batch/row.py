@@ -10,7 +10,7 @@ from hystfit.batch.many_fits import ERRORS
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Severity, Status, WithStatus
 from hystfit.outcome.table import or_none
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import quantity_values
 from hystfit.results.result import FitResult
 

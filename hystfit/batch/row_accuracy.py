@@ -17,9 +17,9 @@ from jaxtyping import Array, Float
 from hystfit.batch.alike import Group, Loops
 from hystfit.batch.simulated_rows import chunks, shared_and_own, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
-from hystfit.fitting.fit_warnings import BEGINS, SHORT
-from hystfit.fitting.lanes import Stack, device_for, placed
-from hystfit.fitting.verdict import turns_back
+from hystfit.fitting.judgment.fit_warnings import BEGINS, SHORT
+from hystfit.fitting.judgment.verdict import turns_back
+from hystfit.fitting.solvers.lanes import Stack, device_for, placed
 from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.inference.blocks import chosen
 from hystfit.inference.residuals import TAILS

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.fitting.lanes import BESIDE, device_for, placed, room
-from hystfit.models.simulation import run
+from hystfit.fitting.solvers.lanes import BESIDE, device_for, placed, room
+from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
 
 _NUMBERS = 2**24  # of outputs computed in one call

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from hystfit.batch.alike import Group, Loops
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
-from hystfit.fitting.lanes import Stack, room
+from hystfit.fitting.solvers.lanes import Stack, room
 from hystfit.inference.noise.even_noise import BESIDE
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root

@@ -12,7 +12,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError
 from hystfit.reading import datasets
-from hystfit.reading.file_bytes import no_file
+from hystfit.reading.files.file_bytes import no_file
 from hystfit.reading.read import read
 from hystfit.reading.several import files_of, pair_of
 

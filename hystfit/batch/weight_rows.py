@@ -19,13 +19,13 @@ from hystfit.batch.row_accuracy import MARGIN, accuracy_of
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.assessment import Unknown, notes_of_errors
-from hystfit.fitting.convex import Convex
-from hystfit.fitting.covariance import determine, ridge_shares
-from hystfit.fitting.estimate import Estimate
-from hystfit.fitting.near_bounds import Information, NearBounds, centered
-from hystfit.fitting.ridge import LinearSystem, fit_ridges
-from hystfit.fitting.smooth_weights import SmoothWeights
+from hystfit.fitting.judgment.assessment import Unknown, notes_of_errors
+from hystfit.fitting.judgment.covariance import determine, ridge_shares
+from hystfit.fitting.judgment.near_bounds import Information, NearBounds, centered
+from hystfit.fitting.solvers.convex import Convex
+from hystfit.fitting.solvers.estimate import Estimate
+from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridges
+from hystfit.fitting.solvers.smooth_weights import SmoothWeights
 from hystfit.fitting.trial import largest_left_out
 from hystfit.inference.noise.even_noise import BESIDE
 from hystfit.inference.noise.setting import Setting

@@ -20,11 +20,11 @@ from hystfit.data.batch import bucket
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
-from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit import fit
 from hystfit.fitting.fit_model import judge
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, set_up_fit, solve, starting_vectors
+from hystfit.fitting.solvers.estimate import Estimate
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.models.storage import to_json

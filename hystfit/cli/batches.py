@@ -17,7 +17,7 @@ from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width
 from hystfit.config import use_device
 from hystfit.errors import DataError, HystfitError, ParameterError, optional
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.solvers.registry import ESTIMATORS
 
 if TYPE_CHECKING:
     from hystfit.batch.fits import Fits

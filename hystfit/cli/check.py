@@ -33,7 +33,7 @@ def check(
             reversal curves of one family cross or fail to close. Exit status 1: the data can test none of them.
     """
     from hystfit.fitting.data_check import check as judge
-    from hystfit.results.loop_values import MEASURED, quantities
+    from hystfit.results.measured.loop_values import MEASURED, quantities
     from hystfit.results.provenance import provenance
 
     output.check()

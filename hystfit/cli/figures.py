@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from hystfit.control.bands import InverseBands
     from hystfit.control.inverse import Inverse
     from hystfit.data.record import Record
-    from hystfit.fitting.comparison import Comparison
+    from hystfit.fitting.comparison.compared_models import Comparison
     from hystfit.results.result import FitResult
     from hystfit.uncertainty.input_design import Design
 

@@ -30,7 +30,7 @@ from hystfit.cli.records import train_and_test
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, prose_width, terminal_width
 from hystfit.errors import ParameterError
-from hystfit.fitting.registry import ESTIMATORS, is_sequential
+from hystfit.fitting.solvers.registry import ESTIMATORS, is_sequential
 from hystfit.identify.registry import IDENTIFIERS
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def compare(
             samples; the report names it), or the future: later parts of each record are predicted from a fit to the earlier part.
         seed: random seed for the starting points.
     """
-    from hystfit.fitting.compare import compare as compare_models
+    from hystfit.fitting.comparison.compare import compare as compare_models
 
     output.check()
     names = [name.strip() for part in models or [] for name in part.split(",") if name.strip()]

@@ -17,7 +17,7 @@ from hystfit.outcome import Status
 
 if TYPE_CHECKING:
     from hystfit.results.force_loops import ForceLoops
-    from hystfit.results.magnetic_sample import Sample
+    from hystfit.results.measured.magnetic_sample import Sample
 
 SAMPLE = Group("Sample and corrections of magnetic loops", sort_key=4)
 Property = Annotated[float | None, Parameter(group=SAMPLE)]
@@ -52,7 +52,7 @@ class SampleOptions:
     def sample(self) -> Sample:
         """The sample in SI units."""
         from hystfit.errors import DataError
-        from hystfit.results.magnetic_sample import Sample
+        from hystfit.results.measured.magnetic_sample import Sample
 
         scaled = lambda value, factor: None if value is None else factor * value
         try:
@@ -91,7 +91,7 @@ def quantities(
     loop or a demagnetization curve.
     """
     from hystfit.results.force_loops import force_loops
-    from hystfit.results.loop_values import quantities as of_loops
+    from hystfit.results.measured.loop_values import quantities as of_loops
     from hystfit.results.provenance import provenance
 
     output.check()

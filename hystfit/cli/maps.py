@@ -13,7 +13,7 @@ from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import LOOP_FITTING, STDOUT, Device, LoopFitting, Output, lists
 from hystfit.cli.write import finish, progress
 from hystfit.config import use_device
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.solvers.registry import ESTIMATORS
 
 if TYPE_CHECKING:
     from hystfit.batch.loop_map import LoopMap

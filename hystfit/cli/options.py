@@ -218,8 +218,8 @@ class Output:
         """
         if self.out is None:
             return
-        from hystfit.results.folders import check_writable
         from hystfit.results.saved import check_target
+        from hystfit.results.saving.folders import check_writable
 
         check_target(self.out, own)
         check_writable(self.out)

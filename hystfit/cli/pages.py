@@ -10,7 +10,7 @@ from hystfit.cli.figures import fit_figure, gain_figure, input_figure, ranking_f
 from hystfit.cli.verbs import as_options
 from hystfit.outcome import Note, Status, Table
 from hystfit.outcome.table import number
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.report.answer import Wording, loops_of, next_commands, opened
 from hystfit.results.webpage import Block, Markup, Page, Picture, link
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from hystfit.fitting.comparison import Comparison
+    from hystfit.fitting.comparison.compared_models import Comparison
     from hystfit.models.preisach.forc_numbers import ForcNumbers
     from hystfit.sampling.posterior import Posterior
     from hystfit.uncertainty.calibration import Calibration

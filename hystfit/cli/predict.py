@@ -43,9 +43,9 @@ def report(folder: FitFolder, /, *, trust: Trust = False, output: Output = STDOU
 
     They are written into --out, or into the folder of the fit.
     """
-    from hystfit.results.folders import check_writable
     from hystfit.results.report import Wording, text_report, write
     from hystfit.results.saved import load_fit
+    from hystfit.results.saving.folders import check_writable
 
     result = load_fit(folder, trust=trust)
     target = output.out or folder

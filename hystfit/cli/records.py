@@ -14,7 +14,7 @@ from hystfit.registry import near
 if TYPE_CHECKING:
     from hystfit.data.dataset import Dataset
     from hystfit.data.record import Record
-    from hystfit.reading.raw_table import Table
+    from hystfit.reading.table.raw_table import Table
     from hystfit.results.result import FitResult
     from hystfit.sampling.posterior import Posterior
 
@@ -67,7 +67,7 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     """The records of LOOP arguments, in the units of the first."""
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
-    from hystfit.reading.archive import members_of
+    from hystfit.reading.files.archive import members_of
     from hystfit.reading.several import combined, files_of
 
     if not loops:
@@ -85,7 +85,7 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
 def _load_one(loop: str, reading: Reading) -> Dataset:
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
-    from hystfit.reading.file_bytes import no_file
+    from hystfit.reading.files.file_bytes import no_file
     from hystfit.reading.read import read
     from hystfit.reading.several import pair_of
 
@@ -102,7 +102,7 @@ def _load_one(loop: str, reading: Reading) -> Dataset:
 def _load_data_set(name: str, reading: Reading) -> Dataset:
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
-    from hystfit.reading.curves import select_curves
+    from hystfit.reading.curves.split_curves import select_curves
     from hystfit.reading.treatment import Treatment
 
     chosen = {field: getattr(reading, field) for field in (*_TREATMENT, "only")}
@@ -175,7 +175,7 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"],
 def _column_like(table: Table, name: str, unit: str) -> int | None:
     """Position of the column with this name, or of the only one of the quantity of this unit; None without one."""
     from hystfit.params.units import quantity
-    from hystfit.reading.columns import find
+    from hystfit.reading.choice.chosen_columns import find
 
     try:
         return find(table, name, "reference")

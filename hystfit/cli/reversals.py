@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hystfit.models.preisach.forc_diagram import ForcDiagram
     from hystfit.models.preisach.forc_numbers import ForcNumbers
     from hystfit.quality.reversal_curves import ReversalFamily
-    from hystfit.results.forc_loop import ForcLoop
+    from hystfit.results.measured.forc_loop import ForcLoop
 
 _HOW = {
     "regression": "local regression",
@@ -52,7 +52,7 @@ def forc(
     """
     from hystfit.models.preisach.forc_numbers import forc_numbers
     from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
-    from hystfit.results.forc_loop import forc_loop
+    from hystfit.results.measured.forc_loop import forc_loop
     from hystfit.results.provenance import provenance
 
     output.check()

@@ -49,7 +49,7 @@ def run(study: Path, /, *, dry_run: bool = False, json: bool = False) -> int:
         if dry_run:
             print("\n".join(_command(step) for step in plan.steps))
             return 0
-        from hystfit.results.folders import alone
+        from hystfit.results.saving.folders import alone
 
         with alone(plan.out):
             state = _State.of(plan)
@@ -144,7 +144,7 @@ class _State:
 
     def write(self) -> dict[str, Any]:
         """Write run.json: rows of this run, and earlier ones of steps that it has not come to; returns the content."""
-        from hystfit.results.folders import dump_json
+        from hystfit.results.saving.folders import dump_json
 
         rows = {step.name: self.rows.get(step.name) or self.known.get(step.name) for step in self.study.steps}
         rows = {name: row or {"step": name, "exit_status": None} for name, row in rows.items()}

@@ -42,7 +42,7 @@ def finish(
         status: decides the exit status, 0 where the result is usable, else 1; default: that of `content`.
     """
     if output.out is not None:
-        from hystfit.results.folders import dump_json, writing
+        from hystfit.results.saving.folders import dump_json, writing
 
         with progress("writing"), writing(output.out) as scratch:
             dump_json(scratch / "result.json", content)
@@ -82,7 +82,7 @@ def finish_table(
 
         return finish(text, content, output, save)
     from hystfit.results.exchange import write_table
-    from hystfit.results.folders import writing_file
+    from hystfit.results.saving.folders import writing_file
 
     with writing_file(out) as file:
         if out.suffix == ".nc":

@@ -14,7 +14,7 @@ from hystfit.config import verb
 from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
-from hystfit.models.simulation import Resume, simulate
+from hystfit.models.shared.simulation import Resume, simulate
 from hystfit.sampling.posterior import Posterior
 
 

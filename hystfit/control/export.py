@@ -13,8 +13,8 @@ from hystfit.config import verb
 from hystfit.control.online_inverse import InverseStep, Limits
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
 from hystfit.models.registry import model_name
+from hystfit.models.shared.c_code import CPart, template
 from hystfit.version import __version__
 
 if TYPE_CHECKING:

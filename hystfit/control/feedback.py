@@ -16,7 +16,7 @@ from scipy.signal import cont2discrete, tf2ss
 from hystfit.config import require_x64
 from hystfit.control.transfer import Margins, TransferFunction, damping, margins, second_order
 from hystfit.errors import ParameterError
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 
 def pd_lead_lag(gain: float, *, derivative: float, filter: float, zero: float, pole: float) -> TransferFunction:

@@ -14,9 +14,9 @@ from hystfit.config import verb
 from hystfit.control.online_inverse import InverseStep, Limits, Status, fitted_inputs
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bracketed import solve_rising
-from hystfit.models.simulation import Resume, equilibrium, simulate
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import solve_rising
+from hystfit.models.shared.simulation import Resume, equilibrium, simulate
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled, to_device
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from hystfit.config import verb
 from hystfit.control.feedback import AbstractController
 from hystfit.control.online_inverse import AbstractRunningInverse, Limits
 from hystfit.errors import DataError, ParameterError
-from hystfit.models.shapes import Scalar
-from hystfit.models.simulation import Resume
+from hystfit.models.shared.shapes import Scalar
+from hystfit.models.shared.simulation import Resume
 
 
 class Loop(eqx.Module):

@@ -15,7 +15,7 @@ from hystfit.models.linear import Linear
 from hystfit.models.rate import Excess, Viscous
 from hystfit.models.sum import Sum
 from hystfit.params.units import MU0, size_in
-from hystfit.results.steady_loops import Excitation
+from hystfit.results.measured.steady_loops import Excitation
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult

@@ -15,9 +15,9 @@ from jaxtyping import Array, Int
 from hystfit.config import require_x64
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar, Signal
-from hystfit.models.simulation import Resume, equilibrium
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.shapes import Scalar, Signal
+from hystfit.models.shared.simulation import Resume, equilibrium
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult

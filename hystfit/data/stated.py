@@ -16,7 +16,7 @@ class Stated:
         label: its name in the file ("Coercivity", "Vc+").
         value: its number.
         unit: as written in the file; "" if unknown.
-        quantity: the quantity of `hystfit.results.quantities` that it corresponds to; "" where it is none of them.
+        quantity: the quantity of `hystfit.results.measured.quantities` that it corresponds to; "" where it is none of them.
     """
 
     label: str

@@ -16,7 +16,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
 from hystfit.explorer.view import View
-from hystfit.fitting.candidates import candidates
+from hystfit.fitting.comparison.candidates import candidates
 from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, make_model

@@ -12,7 +12,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.starting import scales_of
+from hystfit.models.shared.starting import scales_of
 from hystfit.params.param import leaves_of, short_names
 from hystfit.params.space import ParameterSpace
 

@@ -9,11 +9,11 @@ from typing import Any
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
-from hystfit.fitting.compare import compare
-from hystfit.fitting.comparison import Comparison
+from hystfit.fitting.comparison.compare import compare
+from hystfit.fitting.comparison.compared_models import Comparison
+from hystfit.fitting.comparison.traits import traits
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.thinning import coarse
-from hystfit.fitting.traits import traits
+from hystfit.fitting.solvers.thinning import coarse
 from hystfit.models.registry import judged, judged_as
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import has, warn

@@ -10,12 +10,12 @@ from typing import Any
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
-from hystfit.fitting.compare import compare
-from hystfit.fitting.comparison import Purpose
-from hystfit.fitting.estimate import AbstractEstimator
+from hystfit.fitting.comparison.compare import compare
+from hystfit.fitting.comparison.compared_models import Purpose
 from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
-from hystfit.fitting.registry import is_sequential
+from hystfit.fitting.solvers.estimate import AbstractEstimator
+from hystfit.fitting.solvers.registry import is_sequential
 from hystfit.fitting.trial import with_left_out, with_test
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss

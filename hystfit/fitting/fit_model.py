@@ -13,18 +13,18 @@ from hystfit.config import one_blas_thread, require_seed, verb
 from hystfit.data.covariates import dependences
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
-from hystfit.fitting.assessment import notes_of
-from hystfit.fitting.covariance import Uncertainty, uncertainty
-from hystfit.fitting.estimate import Estimate
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
-from hystfit.fitting.fit_warnings import ROBUST_LOSS
-from hystfit.fitting.fitted import Fitted
+from hystfit.fitting.judgment.assessment import notes_of
+from hystfit.fitting.judgment.covariance import Uncertainty, uncertainty
+from hystfit.fitting.judgment.fit_warnings import ROBUST_LOSS
+from hystfit.fitting.judgment.fitted import Fitted
+from hystfit.fitting.judgment.verdict import verdict_of
 from hystfit.fitting.noise_refinement import refine
-from hystfit.fitting.registry import ESTIMATORS, is_sequential
-from hystfit.fitting.structure_search import search_structure
+from hystfit.fitting.solvers.estimate import Estimate
+from hystfit.fitting.solvers.registry import ESTIMATORS, is_sequential
+from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.fitting.trial import with_left_out
-from hystfit.fitting.verdict import verdict_of
 from hystfit.identify.identification import as_fit, identify
 from hystfit.inference.blocks import chosen
 from hystfit.inference.noise.base import AbstractNoise

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 from hystfit.config import require_seed
 from hystfit.errors import ParameterError
-from hystfit.fitting.estimate import AbstractEstimator
-from hystfit.fitting.registry import ESTIMATORS
+from hystfit.fitting.solvers.estimate import AbstractEstimator
+from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.objective import Loss

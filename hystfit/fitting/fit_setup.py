@@ -12,11 +12,11 @@ import numpy as np
 from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.fitting.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.multistart import starting_vectors, with_record_parameters
-from hystfit.fitting.registry import ESTIMATORS
-from hystfit.fitting.ridge import LinearSystem, fit_ridge
+from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.solvers.multistart import starting_vectors, with_record_parameters
+from hystfit.fitting.solvers.registry import ESTIMATORS
+from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge
 from hystfit.inference.fittable import check_fittable
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis

@@ -17,8 +17,8 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.identify.identification import Identification, free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar
-from hystfit.models.starting import scales_of
+from hystfit.models.shared.shapes import Scalar
+from hystfit.models.shared.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace

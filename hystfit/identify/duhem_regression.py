@@ -30,10 +30,10 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.duhem import Duhem
-from hystfit.models.polynomial import legendre_to_powers, powers_to_legendre
-from hystfit.models.shapes import Scalar
-from hystfit.models.simulation import simulate
-from hystfit.models.starting import first_output, input_range, output_range
+from hystfit.models.shared.polynomial import legendre_to_powers, powers_to_legendre
+from hystfit.models.shared.shapes import Scalar
+from hystfit.models.shared.simulation import simulate
+from hystfit.models.shared.starting import first_output, input_range, output_range
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.relative_size import ROUNDED

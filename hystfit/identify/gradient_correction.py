@@ -23,7 +23,7 @@ from hystfit.identify.base import Run
 from hystfit.identify.bias import noise_bias
 from hystfit.identify.duhem_regression import DuhemRegressor, LinearIdentifier, Rows, regression_of
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.param import as_array

@@ -18,7 +18,7 @@ from hystfit.inference.autocorrelation import autocorrelation_time
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.duhem import Duhem
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace

@@ -17,7 +17,7 @@ from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.filter_verdict import FOLLOWS, NIS_BAND, excess, loop_count, relative_change
 from hystfit.identify.identification import Identification
 from hystfit.identify.ukf import Ukf, UkfState
-from hystfit.models.simulation import Resume, simulate
+from hystfit.models.shared.simulation import Resume, simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import warn
 

@@ -14,7 +14,7 @@ from hystfit.identify.bias import noise_bias
 from hystfit.identify.duhem_regression import DuhemRegressor, with_first_output
 from hystfit.identify.rls import Rls
 from hystfit.models.duhem import Duhem
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 

@@ -12,8 +12,8 @@ from hystfit.errors import ParameterError
 from hystfit.identify.base import free_only
 from hystfit.identify.identification import free_runs, run_metrics
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.simulation import states_over
-from hystfit.models.starting import scales_of
+from hystfit.models.shared.simulation import states_over
+from hystfit.models.shared.starting import scales_of
 from hystfit.params.coordinates import REAL
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.faults import noise_rms

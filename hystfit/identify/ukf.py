@@ -20,7 +20,7 @@ from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sampl
 from hystfit.identify.sigma_points import Unscented, triangular
 from hystfit.inference.fittable import check_fittable
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.params.coordinates import Coordinates
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg.lapack import dpstrf, dtpqrt
 
-from hystfit.models.cholesky import cholesky
+from hystfit.models.shared.cholesky import cholesky
 from hystfit.params.host_arrays import NUMBERS
 
 # Entries of a block of `beside`, and rows for each of its columns at least. A larger block is copied into memory that the system hands

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from hystfit.errors import ParameterError
 from hystfit.inference.priors import AbstractPrior
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,7 +17,7 @@ from hystfit.inference.noise.base import AbstractNoise, integral
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Objective, by_record
 from hystfit.inference.priors import AbstractPrior
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.coordinates import Coordinates
 
 

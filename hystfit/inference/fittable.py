@@ -7,7 +7,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.errors import DataError, ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.simulation import check_one_device
+from hystfit.models.shared.simulation import check_one_device
 from hystfit.params.space import ParameterSpace
 
 

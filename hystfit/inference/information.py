@@ -19,7 +19,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.discrepancy import inducing_shapes, on_branches
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.slow_likelihood import POINTS, SlowNoiseFit
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 _SHARE = 1e-3  # posterior weight of a noise below which it is left out of the average
 Moments = tuple[Array, ...]

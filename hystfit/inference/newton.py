@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 LONGEST = 2.0  # step in z, infinity norm

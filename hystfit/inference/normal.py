@@ -14,7 +14,7 @@ from jax.extend.core import jaxprs_in_params
 from jaxtyping import Array, Float
 
 from hystfit.inference.objective import BROKEN, Objective, bend, linearized_runs, misfit_slope
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 FEW = 12  # parameters up to which one scan sums the normal matrix: it carries a number for each entry
 

@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.inference.blocks import parts
-from hystfit.models.shapes import Scalar
-from hystfit.models.simulation import run
+from hystfit.models.shared.shapes import Scalar
+from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import ParameterError
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.coordinates import BOTH, LOWER, REAL
 from hystfit.params.space import ParameterSpace
 

@@ -30,8 +30,8 @@ from hystfit.inference.stretches import in_stretches, linearization_by_stretches
 from hystfit.inference.weights import responses
 from hystfit.inference.whitened import Whitened
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.design import COLUMNS
-from hystfit.models.starting import scales_of
+from hystfit.models.shared.design import COLUMNS
+from hystfit.models.shared.starting import scales_of
 from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut, held_out, inner_loops

@@ -15,7 +15,7 @@ from hystfit.data.batch import Batch
 from hystfit.inference.blocks import beside, triangle
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.objective import Objective, flat, misfit_of
-from hystfit.models.simulation import Resume, run
+from hystfit.models.shared.simulation import Resume, run
 from hystfit.params.host_arrays import NUMBERS, compiled, to_device
 
 _ENTRIES = 2**18  # residuals and derivatives of one stretch (2 MiB), which stay in the cache of a processor

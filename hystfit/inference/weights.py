@@ -13,9 +13,9 @@ from jaxtyping import Float
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
-from hystfit.models.design import DesignMatrix
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.smooth_system import Layout, Offsets, SmoothSystem
+from hystfit.models.shared.design import DesignMatrix
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.objective import Objective
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 
 class Whitened(eqx.Module):

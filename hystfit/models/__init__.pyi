@@ -33,8 +33,8 @@ from .relaxation import Relaxation as Relaxation
 from .relay import Relay as Relay
 from .self_similar import SelfSimilarStops as SelfSimilarStops
 from .series import Series as Series
-from .simulation import Resume as Resume
-from .simulation import simulate as simulate
+from .shared.simulation import Resume as Resume
+from .shared.simulation import simulate as simulate
 from .springpot import Springpot as Springpot
 from .steel02 import Steel02 as Steel02
 from .sum import Sum as Sum

@@ -15,15 +15,15 @@ from hystfit.data.batch import bucket
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
-from hystfit.models.c_code import CPart
-from hystfit.models.default_start import hypercube_start
-from hystfit.models.description import format_model
-from hystfit.models.design import COLUMNS, Block, DesignMatrix
-from hystfit.models.reported import Derived, PlayWeights
-from hystfit.models.simulation import AbstractDynamics, checked_drive, run
-from hystfit.models.slopes import Slopes
-from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
-from hystfit.models.uniaxial_material import UniaxialMaterial
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.default_start import hypercube_start
+from hystfit.models.shared.description import format_model
+from hystfit.models.shared.design import COLUMNS, Block, DesignMatrix
+from hystfit.models.shared.reported import Derived, PlayWeights
+from hystfit.models.shared.simulation import AbstractDynamics, checked_drive, run
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.models.shared.uniaxial_material import UniaxialMaterial
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
@@ -346,7 +346,7 @@ class AbstractHysteresis(AbstractDynamics):
         """
         if not self.c_template:
             raise ModelError(
-                f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.c_code)"
+                f"{type(self).__name__} has no C code: give it a method c_part (see hystfit.models.shared.c_code)"
             )
         return CPart.of(self, self.c_template)
 

@@ -24,14 +24,14 @@ from hystfit.models.bouc_wen_steps import (
     rate_integral,
     trapezoid,
 )
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart
-from hystfit.models.secant import AbstractSecant
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import equilibrium
-from hystfit.models.slopes import Slopes
-from hystfit.models.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.secant import AbstractSecant
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import equilibrium
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step

@@ -24,12 +24,12 @@ from hystfit.models.bouc_wen_steps import (
     runge_kutta,
     semi_implicit,
 )
-from hystfit.models.c_code import CPart
-from hystfit.models.polynomial import legendre_series
-from hystfit.models.secant import AbstractSecant
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import equilibrium
-from hystfit.models.starting import input_range
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.polynomial import legendre_series
+from hystfit.models.shared.secant import AbstractSecant
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import equilibrium
+from hystfit.models.shared.starting import input_range
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs

@@ -23,10 +23,17 @@ from hystfit.models.bouc_wen_steps import (
     semi_implicit,
     substep_advice,
 )
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
-from hystfit.models.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import (
+    best_of_grid,
+    grid_columns,
+    input_range,
+    offset_columns,
+    thinned,
+    used_samples,
+)
+from hystfit.models.shared.uniaxial_material import UniaxialMaterial, bouc_wen_notes, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs

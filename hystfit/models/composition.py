@@ -17,9 +17,9 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart, template
-from hystfit.models.design import Block
-from hystfit.models.reported import Derived, PlayWeights
+from hystfit.models.shared.c_code import CPart, template
+from hystfit.models.shared.design import Block
+from hystfit.models.shared.reported import Derived, PlayWeights
 
 
 def split_state(state: Array, parts: Sequence[AbstractHysteresis]) -> list[Array]:

@@ -16,14 +16,14 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Rest, check_same_length
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart
-from hystfit.models.even_steps import Clock, relaxed
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import Slopes
-from hystfit.models.starting import fitted_input_range, input_range, sampling_interval
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.even_steps import Clock, relaxed
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.starting import fitted_input_range, input_range, sampling_interval
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.recursions import lagged

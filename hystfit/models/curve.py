@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.c_code import CPart
-from hystfit.models.design import DesignMatrix
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import POINTS, Slopes
-from hystfit.models.starting import fitted_input_range, output_range, used_samples
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.slopes import POINTS, Slopes
+from hystfit.models.shared.starting import fitted_input_range, output_range, used_samples
 from hystfit.params.param import param
 
 _KNOTS = 20  # as many as the search for terms has plays

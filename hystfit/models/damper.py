@@ -15,12 +15,12 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart
-from hystfit.models.design import DesignMatrix
-from hystfit.models.nonnegative import solve_nonnegative
-from hystfit.models.play_columns import play_columns
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.nonnegative import solve_nonnegative
+from hystfit.models.shared.play_columns import play_columns
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.recursions import recursion

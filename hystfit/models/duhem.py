@@ -15,11 +15,11 @@ from scipy.linalg import block_diag
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart
-from hystfit.models.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.slopes import CYCLES, POINTS, Slopes
-from hystfit.models.starting import first_output, fit_linear, input_range, thinned
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.polynomial import derivative_matrix, legendre_series, legendre_to_powers, powers_to_legendre
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.slopes import CYCLES, POINTS, Slopes
+from hystfit.models.shared.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs

@@ -16,12 +16,12 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, OutputResonance, Rest
-from hystfit.models.c_code import CPart
-from hystfit.models.even_steps import Clock, scan_in_time
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.starting import sampling_interval
-from hystfit.models.step_inverse import COMES_LATER, AbstractStepInverse, LinearStep
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.even_steps import Clock, scan_in_time
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.starting import sampling_interval
+from hystfit.models.shared.step_inverse import COMES_LATER, AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 from hystfit.quality.recursions import recursion
 from hystfit.quality.summary import delay_of, dynamics_of

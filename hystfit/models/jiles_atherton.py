@@ -18,12 +18,19 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bracketed import Root, solve_rising
-from hystfit.models.c_code import CPart
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import best_of_grid, grid_columns, input_range, offset_columns, thinned, used_samples
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root, solve_rising
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import (
+    best_of_grid,
+    grid_columns,
+    input_range,
+    offset_columns,
+    thinned,
+    used_samples,
+)
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import param
 from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.bracketed import Root, solve_rising
-from hystfit.models.c_code import CPart
 from hystfit.models.jiles_atherton import STEEPEST, JilesAtherton, JilesAthertonStep, search_in_c
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import run
-from hystfit.models.starting import best_of_grid, input_range, offset_columns, speeds, thinned, used_samples
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root, solve_rising
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import run
+from hystfit.models.shared.starting import best_of_grid, input_range, offset_columns, speeds, thinned, used_samples
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs

@@ -14,11 +14,11 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bracketed import solve_rising
-from hystfit.models.c_code import CPart
 from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve, search_in_c
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shared.bracketed import solve_rising
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
 from hystfit.params.param import param
 from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.needs import Needs

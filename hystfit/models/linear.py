@@ -10,9 +10,9 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.design import DesignMatrix
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import checked_drive
 from hystfit.params.param import param
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import (
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import (
     SAMPLES,
     TYPICAL,
     fit_linear,

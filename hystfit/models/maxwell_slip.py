@@ -13,10 +13,10 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.design import DesignMatrix
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import states_over
-from hystfit.models.starting import TYPICAL, input_range, output_range, speed
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import states_over
+from hystfit.models.shared.starting import TYPICAL, input_range, output_range, speed
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 

@@ -10,9 +10,9 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bracketed import Root
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 
 
 class Negate(AbstractHysteresis):

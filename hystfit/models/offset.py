@@ -10,8 +10,8 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.slopes import Slopes
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.slopes import Slopes
 from hystfit.params.param import param
 
 

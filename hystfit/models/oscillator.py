@@ -13,14 +13,14 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.band_limited import REACH, upsample
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
-from hystfit.models.c_code import CPart
 from hystfit.models.oscillator_start import oscillator_starts
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.step_inverse import COMES_LATER
+from hystfit.models.shared.band_limited import REACH, upsample
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.step_inverse import COMES_LATER
 from hystfit.outcome import Code
 from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param

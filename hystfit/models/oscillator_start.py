@@ -17,8 +17,8 @@ from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.simulation import run
-from hystfit.models.starting import output_range
+from hystfit.models.shared.simulation import run
+from hystfit.models.shared.starting import output_range
 from hystfit.params.host_arrays import compiled
 from hystfit.quality.resonance import EXCITED
 

@@ -16,16 +16,23 @@ from numpy.polynomial.legendre import legder, legval, legvander
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, Rest
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart
-from hystfit.models.design import DesignMatrix
-from hystfit.models.play_columns import Envelope, element_columns, envelope, envelope_slope, fading, rising_columns
-from hystfit.models.polynomial import legendre_series, rising_series, rising_slope
-from hystfit.models.reported import PlayWeights
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.slopes import POINTS, Slopes
-from hystfit.models.starting import fitted_input_range, output_range
-from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.play_columns import (
+    Envelope,
+    element_columns,
+    envelope,
+    envelope_slope,
+    fading,
+    rising_columns,
+)
+from hystfit.models.shared.polynomial import legendre_series, rising_series, rising_slope
+from hystfit.models.shared.reported import PlayWeights
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.slopes import POINTS, Slopes
+from hystfit.models.shared.starting import fitted_input_range, output_range
+from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 

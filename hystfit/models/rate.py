@@ -13,11 +13,11 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import Slopes
-from hystfit.models.starting import speed, speeds
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.starting import speed, speeds
 from hystfit.params.param import param
 
 

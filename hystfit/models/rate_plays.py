@@ -14,13 +14,13 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.bracketed import Root
-from hystfit.models.design import DesignMatrix
-from hystfit.models.reported import PlayWeights
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import states_over
-from hystfit.models.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.reported import PlayWeights
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import states_over
+from hystfit.models.shared.starting import LARGE, fitted_input_range, output_range, sampling_interval, speed
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 

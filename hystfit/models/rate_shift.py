@@ -11,8 +11,8 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import input_range, speeds
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import input_range, speeds
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 

@@ -12,10 +12,10 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.even_steps import relaxed
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.starting import sampling_interval
-from hystfit.models.step_inverse import AbstractStepInverse, LinearStep
+from hystfit.models.shared.even_steps import relaxed
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.starting import sampling_interval
+from hystfit.models.shared.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 
 

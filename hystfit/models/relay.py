@@ -14,10 +14,10 @@ from jax.core import Tracer
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.design import DesignMatrix
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.switching import Thresholds, relay_state, resting_on_first_state
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs

@@ -13,11 +13,11 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart
-from hystfit.models.design import DesignMatrix
-from hystfit.models.play_columns import play_columns
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import output_range
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.play_columns import play_columns
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import output_range
 from hystfit.params.param import element_places, param
 from hystfit.quality.loops import APART
 from hystfit.quality.needs import Needs

@@ -13,11 +13,11 @@ from jaxtyping import Array, Complex, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.c_code import CPart
-from hystfit.models.design import DesignMatrix
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.starting import input_range, output_range
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.starting import input_range, output_range
 from hystfit.models.viscoelastic import MODES, Viscoelastic, extensions, relaxation_times
 from hystfit.params.param import element_places, param
 from hystfit.quality.needs import Needs

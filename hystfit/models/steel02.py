@@ -12,10 +12,10 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
-from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
+from hystfit.models.shared.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import branches

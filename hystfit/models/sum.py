@@ -14,15 +14,15 @@ from jaxtyping import Array
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bracketed import Root
-from hystfit.models.c_code import CPart
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
-from hystfit.models.design import DesignMatrix
 from hystfit.models.offset import Offset
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import Slopes
-from hystfit.models.step_inverse import AbstractStepInverse, SearchStep
+from hystfit.models.shared.bracketed import Root
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
 
 
 class Sum(AbstractComposition):

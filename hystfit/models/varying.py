@@ -17,9 +17,9 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.composition import AbstractComposition
-from hystfit.models.design import Block, DesignMatrix
-from hystfit.models.reported import Derived
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.design import Block, DesignMatrix
+from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.shapes import Scalar
 from hystfit.outcome import Code, Note
 from hystfit.params.host_arrays import to_device
 from hystfit.params.param import ParamInfo, as_array, leaves_of, param

@@ -13,10 +13,10 @@ from jaxtyping import Array, Complex, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.design import DesignMatrix
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.simulation import checked_drive
-from hystfit.models.starting import input_range, output_range, sampling_interval
+from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.starting import input_range, output_range, sampling_interval
 from hystfit.params.param import element_places, element_weights
 from hystfit.quality.needs import Needs
 from hystfit.quality.recursions import recursion

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
-from hystfit.models.c_code import CPart
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
-from hystfit.models.uniaxial_material import UniaxialMaterial, lost_constants
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import best_of_grid, grid_columns, input_range, thinned, used_samples
+from hystfit.models.shared.uniaxial_material import UniaxialMaterial, lost_constants
 from hystfit.params.param import param
 from hystfit.quality.needs import Needs
 

@@ -13,9 +13,9 @@ from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.priors import AbstractPrior
 from hystfit.outcome.table import write_rows
 from hystfit.population.population_fit import SCHEMA, PopulationFit
-from hystfit.results.folders import dump_json, writing
 from hystfit.results.saved import check_target, refuse_other_schema
-from hystfit.results.stored_values import parse
+from hystfit.results.saving.folders import dump_json, writing
+from hystfit.results.saving.stored_values import parse
 
 
 def save(population: PopulationFit, folder: str | Path) -> Path:

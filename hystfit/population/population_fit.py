@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors
-from hystfit.models.simulation import run
+from hystfit.models.shared.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
 from hystfit.outcome.table import or_none
 from hystfit.params.coordinates import Coordinates

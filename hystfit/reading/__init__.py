@@ -2,7 +2,7 @@
 
 Enters: a path, bytes, or a data frame.
 Leaves: a `Dataset` with units, what the instrument stated, and notes on what was left out.
-Open first: `read.py`; `registry.py` lists the layouts of text, `columns.py` chooses input and output.
+Open first: `read.py`; `registry.py` lists the layouts of text, `choice/` finds input and output.
 """
 
 from hystfit.reading import datasets as datasets

@@ -15,19 +15,27 @@ from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
-from hystfit.reading import sentinels
-from hystfit.reading.branches_in_order import in_order_of_time
-from hystfit.reading.calibration_points import marked_by_kind, marked_by_place
-from hystfit.reading.cells import unit_of_epoch
-from hystfit.reading.column_names import column_unit
-from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.conditions import changed_conditions, without_turns
-from hystfit.reading.copies import without_copies
-from hystfit.reading.curves import divider_of, labels_of, restart_divider, select_curves, shown, split_curves, text_of
+from hystfit.reading.choice.chosen_columns import Choice, choose, find
+from hystfit.reading.choice.conditions import changed_conditions, without_turns
+from hystfit.reading.curves.branches_in_order import in_order_of_time
+from hystfit.reading.curves.calibration_points import marked_by_kind, marked_by_place
+from hystfit.reading.curves.copies import without_copies
+from hystfit.reading.curves.split_curves import (
+    divider_of,
+    labels_of,
+    restart_divider,
+    select_curves,
+    shown,
+    split_curves,
+    text_of,
+)
 from hystfit.reading.limits import FEW, MAJORITY, OF_RECORD, RARE
-from hystfit.reading.raw_table import Part, Table
+from hystfit.reading.names.column_names import column_unit
 from hystfit.reading.registry import arranged
-from hystfit.reading.stated_interval import unit_of_interval
+from hystfit.reading.table import sentinels
+from hystfit.reading.table.raw_table import Part, Table
+from hystfit.reading.text.cells import unit_of_epoch
+from hystfit.reading.text.stated_interval import unit_of_interval
 from hystfit.reading.treatment import UNTREATED, Treatment, weighted
 
 Column = str | int

@@ -15,9 +15,9 @@ import numpy as np
 
 from hystfit.errors import DataError, optional
 from hystfit.params.units import conversion
-from hystfit.reading.column_names import column_quantity, column_role
-from hystfit.reading.file_bytes import is_zarr
-from hystfit.reading.names_with_units import split_unit
+from hystfit.reading.files.file_bytes import is_zarr
+from hystfit.reading.names.column_names import column_quantity, column_role
+from hystfit.reading.names.names_with_units import split_unit
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 from hystfit.data.preparation import real_numbers
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
-from hystfit.reading.names_with_units import split_unit
-from hystfit.reading.raw_table import Table, plain_table
+from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.raw_table import Table, plain_table
 
 
 def is_frame(data: Any) -> bool:

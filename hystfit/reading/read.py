@@ -14,14 +14,14 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.reading.archive import split_member
 from hystfit.reading.assemble import Column, assemble
-from hystfit.reading.file_bytes import inner_name, load
+from hystfit.reading.files.archive import split_member
+from hystfit.reading.files.file_bytes import inner_name, load
+from hystfit.reading.files.text_file import Opening
 from hystfit.reading.frames import frame_table, is_frame
-from hystfit.reading.raw_table import Table
 from hystfit.reading.registry import table_of_file
 from hystfit.reading.several import combined, files_of, pair_of, pair_table
-from hystfit.reading.text_file import Opening
+from hystfit.reading.table.raw_table import Table
 from hystfit.reading.treatment import Treatment
 
 

@@ -12,43 +12,43 @@ import zipfile
 from collections.abc import Callable
 
 from hystfit.errors import DataError
-from hystfit.reading.adjusted import with_adjusted
-from hystfit.reading.array_files import hdf5_arrays, netcdf_arrays, numpy_arrays
-from hystfit.reading.array_table import read_arrays
-from hystfit.reading.assigned_arrays import read_assigned_arrays
-from hystfit.reading.bracket_rows import read_bracketed
-from hystfit.reading.charge_throughput import with_throughput
-from hystfit.reading.console_log import read_console_log
-from hystfit.reading.drawn_table import read_drawn_table, read_latex_table
-from hystfit.reading.easyexpert import read_easyexpert
-from hystfit.reading.file_bytes import FileBytes
-from hystfit.reading.igor_text import read_igor
-from hystfit.reading.json_text import read_json
-from hystfit.reading.key_values import read_key_values
-from hystfit.reading.known_layouts import KnownLayouts
-from hystfit.reading.long_format import widened
-from hystfit.reading.magic_tables import read_magic
-from hystfit.reading.markup import read_markup
-from hystfit.reading.matlab import read_matlab
-from hystfit.reading.micromag import read_micromag
-from hystfit.reading.parquet import read_parquet
-from hystfit.reading.raw_table import Table
-from hystfit.reading.scaled_units import unscaled
-from hystfit.reading.sections import read_sections
-from hystfit.reading.side_by_side import stacked
-from hystfit.reading.snapshots import read_snapshots
-from hystfit.reading.specimens import divided
-from hystfit.reading.spice_raw import read_spice
-from hystfit.reading.star_loops import read_star
-from hystfit.reading.successive_tables import read_tables
-from hystfit.reading.text import plain_text
-from hystfit.reading.text_file import Opening, TextFile, text_of
-from hystfit.reading.transposed import read_transposed
-from hystfit.reading.two_branches import unfolded
-from hystfit.reading.unit_cells import read_unit_cells
-from hystfit.reading.unit_columns import with_unit_columns
-from hystfit.reading.workbook import read_older_sheets, read_workbook
-from hystfit.reading.wrapped_blocks import read_wrapped_blocks
+from hystfit.reading.arrangements.adjusted import with_adjusted
+from hystfit.reading.arrangements.charge_throughput import with_throughput
+from hystfit.reading.arrangements.long_format import widened
+from hystfit.reading.arrangements.side_by_side import stacked
+from hystfit.reading.arrangements.specimens import divided
+from hystfit.reading.arrangements.unit_columns import with_unit_columns
+from hystfit.reading.curves.two_branches import unfolded
+from hystfit.reading.files.file_bytes import FileBytes
+from hystfit.reading.files.text_file import Opening, TextFile, text_of
+from hystfit.reading.layouts.array_files import hdf5_arrays, netcdf_arrays, numpy_arrays
+from hystfit.reading.layouts.array_table import read_arrays
+from hystfit.reading.layouts.assigned_arrays import read_assigned_arrays
+from hystfit.reading.layouts.bracket_rows import read_bracketed
+from hystfit.reading.layouts.console_log import read_console_log
+from hystfit.reading.layouts.drawn_table import read_drawn_table, read_latex_table
+from hystfit.reading.layouts.easyexpert import read_easyexpert
+from hystfit.reading.layouts.igor_text import read_igor
+from hystfit.reading.layouts.json_text import read_json
+from hystfit.reading.layouts.key_values import read_key_values
+from hystfit.reading.layouts.known_layouts import KnownLayouts
+from hystfit.reading.layouts.magic_tables import read_magic
+from hystfit.reading.layouts.markup import read_markup
+from hystfit.reading.layouts.matlab import read_matlab
+from hystfit.reading.layouts.micromag import read_micromag
+from hystfit.reading.layouts.parquet import read_parquet
+from hystfit.reading.layouts.sections import read_sections
+from hystfit.reading.layouts.snapshots import read_snapshots
+from hystfit.reading.layouts.spice_raw import read_spice
+from hystfit.reading.layouts.star_loops import read_star
+from hystfit.reading.layouts.successive_tables import read_tables
+from hystfit.reading.layouts.transposed import read_transposed
+from hystfit.reading.layouts.unit_cells import read_unit_cells
+from hystfit.reading.layouts.workbook import read_older_sheets, read_workbook
+from hystfit.reading.layouts.wrapped_blocks import read_wrapped_blocks
+from hystfit.reading.names.scaled_units import unscaled
+from hystfit.reading.table.raw_table import Table
+from hystfit.reading.text.plain_text import plain_text
 
 _HDF = b"\x89HDF"
 _OLD_EXCEL = b"\xd0\xcf\x11\xe0"

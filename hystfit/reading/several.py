@@ -17,13 +17,13 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
-from hystfit.reading.archive import members_of
-from hystfit.reading.branch_files import go_on, joined
-from hystfit.reading.charge_throughput import cycled
-from hystfit.reading.columns import Choice, choose, find
-from hystfit.reading.file_bytes import exists
-from hystfit.reading.raw_table import Table
-from hystfit.reading.side_by_side import stacked_files
+from hystfit.reading.arrangements.branch_files import go_on, joined
+from hystfit.reading.arrangements.charge_throughput import cycled
+from hystfit.reading.arrangements.side_by_side import stacked_files
+from hystfit.reading.choice.chosen_columns import Choice, choose, find
+from hystfit.reading.files.archive import members_of
+from hystfit.reading.files.file_bytes import exists
+from hystfit.reading.table.raw_table import Table
 
 PAIR = "+"
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hystfit.errors import DataError, optional
-from hystfit.results.folders import writing_file
+from hystfit.results.saving.folders import writing_file
 
 if TYPE_CHECKING:
     from hystfit.results.result import FitResult

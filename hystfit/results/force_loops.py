@@ -18,7 +18,7 @@ from hystfit.outcome.wrapping import shortened
 from hystfit.quality.damage import FAILED
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.loops import SAME_LEVEL, reversals
-from hystfit.results.loop_kinds import STRUCTURAL, LoopKind
+from hystfit.results.measured.loop_kinds import STRUCTURAL, LoopKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -23,10 +23,10 @@ from hystfit.outcome.table import or_none
 from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
-from hystfit.results.loop_branches import of_jump, turns_of
-from hystfit.results.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.loop_branches import of_jump, turns_of
+from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.steady_loops import Excitation, SteadyLoops, creeps
 from hystfit.results.result import FitResult
-from hystfit.results.steady_loops import Excitation, SteadyLoops, creeps
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _JUMP = 5e-3  # the same of an input at which the output jumps, of the range: five samples of the loop, half of one of which it may be off

@@ -22,9 +22,9 @@ from hystfit.quality.baselines import Baselines
 from hystfit.registry import attribute, near
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.fitted_model import FittedModel
-from hystfit.results.loop_values import LoopValues, quantities
+from hystfit.results.measured.loop_values import LoopValues, quantities
+from hystfit.results.measured.quantities import QuantityEstimate
 from hystfit.results.metrics import Metrics
-from hystfit.results.quantities import QuantityEstimate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,7 +113,7 @@ class FitResult(FittedModel, WithStatus):
     def quantities(self) -> tuple[QuantityEstimate, ...]:
         """Engineering quantities (coercivity, remanence, loss per cycle, hysteresis in percent, ...), with standard errors.
 
-        The units of the records and the model decide which ones are computed: see `hystfit.results.quantities`. None without a loop.
+        The units of the records and the model decide which are computed: see `hystfit.results.measured.quantities`. None without a loop.
         """
         if self.status is Status.NO_LOOP:
             return ()
@@ -234,7 +234,7 @@ class FitResult(FittedModel, WithStatus):
 
         `save` stores that covariance in records.npz: as text, it takes a hundred megabytes for two thousand parameters.
         """
-        return _view("stored_fit:content_of")(self)
+        return _view("saving.stored_fit:content_of")(self)
 
     def save(self, folder: str | Path, *, report: bool = True) -> Path:
         """Write result.json, model.json, the records (records.npz), the report and its pictures into a folder; all or none.

@@ -22,13 +22,13 @@ from hystfit.errors import DataError, HystfitError
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code
 from hystfit.outcome.note import warn
-from hystfit.results.folders import dump_json, writing
-from hystfit.results.manifest import MANIFEST, is_sealed, read_files, seal
 from hystfit.results.report import Wording, write_into
 from hystfit.results.result import FitResult
-from hystfit.results.stored_fit import SCHEMA, result_of
-from hystfit.results.stored_values import Stored, parse
-from hystfit.results.user_code import checksums
+from hystfit.results.saving.folders import dump_json, writing
+from hystfit.results.saving.manifest import MANIFEST, is_sealed, read_files, seal
+from hystfit.results.saving.stored_fit import SCHEMA, result_of
+from hystfit.results.saving.stored_values import Stored, parse
+from hystfit.results.saving.user_code import checksums
 
 _FILES = ("result.json", "model.json", "records.npz")
 

@@ -11,13 +11,13 @@ from hystfit.errors import ParameterError
 from hystfit.models.preisach.forc_diagram import ForcDiagram
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.solve import density_of
-from hystfit.results.quantities import CREEP, QUANTITIES, applicable
-from hystfit.results.steady_loops import Excitation, creeps
+from hystfit.results.measured.quantities import CREEP, QUANTITIES, applicable
+from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.sampling.posterior import Posterior
 
 
 def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -> dict[str, np.ndarray]:
-    """Draws of derived quantities, each shape (count,), as `hystfit.results.quantities` defines them.
+    """Draws of derived quantities, each shape (count,), as `hystfit.results.measured.quantities` defines them.
 
     By default all quantities that the records and the model have; `count` draws are simulated.
     """

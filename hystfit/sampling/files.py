@@ -15,12 +15,12 @@ from hystfit.inference.noise.registry import NOISES
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
-from hystfit.results.folders import dump_json, writing
-from hystfit.results.manifest import MANIFEST, read_files, seal
 from hystfit.results.result import FitResult
 from hystfit.results.saved import check_target, load_fit, refuse_other_schema, write_fit
-from hystfit.results.stored_values import Stored, parse
-from hystfit.results.user_code import allow, checksums, noise_file
+from hystfit.results.saving.folders import dump_json, writing
+from hystfit.results.saving.manifest import MANIFEST, read_files, seal
+from hystfit.results.saving.stored_values import Stored, parse
+from hystfit.results.saving.user_code import allow, checksums, noise_file
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.posterior import SCHEMA, Posterior

@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 
 _CLEAR = 6.0  # standard deviations from a bound beyond which it cuts nothing off: one in 1e9 of a normal distribution

@@ -20,7 +20,7 @@ from hystfit.outcome.table import or_none
 from hystfit.registry import attribute
 from hystfit.results.estimates import grouped
 from hystfit.results.exchange import arviz_data
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Evidence
 from hystfit.sampling.diagnostics import Convergence
@@ -243,7 +243,7 @@ class Posterior(WithStatus):
         return edges[0], edges[1], edges[2]
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
-        """Posterior draws of derived quantities, each (count,): see `hystfit.results.quantities.QUANTITIES`."""
+        """Posterior draws of derived quantities, each (count,): see `hystfit.results.measured.quantities.QUANTITIES`."""
         return _view("derived:derive")(self, quantities, count)
 
     @functools.cached_property

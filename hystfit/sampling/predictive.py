@@ -27,7 +27,7 @@ from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.weights import free_columns
-from hystfit.models.simulation import run
+from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.recursions import recursion

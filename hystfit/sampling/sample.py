@@ -27,9 +27,9 @@ from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
 from hystfit.results.agreement import differences
-from hystfit.results.folders import alone
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
+from hystfit.results.saving.folders import alone
 from hystfit.runs.chunks import claim
 from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.diagnostics import Convergence

@@ -29,7 +29,7 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
 from hystfit.results.estimates import MANY
 from hystfit.results.exchange import smoothed_weights
-from hystfit.results.quantities import QUANTITIES
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import measured_quantities
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import predictive_draws, residual_at

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 _TIME = 0.5 * math.pi  # after which the motion without bounds has forgotten its start
 

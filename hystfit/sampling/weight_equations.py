@@ -18,7 +18,7 @@ from hystfit.inference.noise.slow_likelihood import Samples, SlowNoiseFit, slow_
 from hystfit.inference.priors import AbstractPrior, HalfNormal, Normal, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import smoothness_penalty
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 from hystfit.params.space import ParameterSpace
 from hystfit.sampling.setup import inside

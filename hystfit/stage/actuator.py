@@ -17,7 +17,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, Series, simulate
-from hystfit.models.simulation import check_one_device
+from hystfit.models.shared.simulation import check_one_device
 from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.population import Population, single_models

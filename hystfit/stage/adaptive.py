@@ -18,7 +18,7 @@ from hystfit.errors import DataError
 from hystfit.identify.base import Sample, run_stream
 from hystfit.identify.ukf import Ukf, UkfState
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.simulation import Resume
+from hystfit.models.shared.simulation import Resume
 from hystfit.stage.actuator import Sensor
 from hystfit.stage.stage import upsample
 

@@ -14,7 +14,7 @@ from hystfit.control import AbstractController, AbstractRunningInverse, Controll
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.simulation import Resume
+from hystfit.models.shared.simulation import Resume
 
 
 class StageInverse(AbstractRunningInverse):

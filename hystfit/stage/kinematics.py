@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.errors import DataError, ParameterError
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.param import param
 
 AXES = ("x", "y", "theta")

@@ -13,7 +13,7 @@ import numpy as np
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import ParameterError
-from hystfit.models.simulation import check_one_device
+from hystfit.models.shared.simulation import check_one_device
 from hystfit.params.space import ParameterSpace
 from hystfit.params.units import Scales
 

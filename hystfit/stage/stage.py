@@ -16,8 +16,8 @@ from hystfit.config import require_x64
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ParameterError
 from hystfit.models import AbstractHysteresis, BoucWen, LogCreep, SecondOrder, Series, simulate
-from hystfit.models.shapes import Scalar, Signal, State
-from hystfit.models.simulation import check_one_device
+from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import check_one_device
 from hystfit.outcome import Code, Note
 from hystfit.params.space import ParameterSpace
 from hystfit.stage.actuator import Amplifier, Sensor, piezo

@@ -29,7 +29,7 @@ from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import make_model, model_name
 from hystfit.outcome import Column, Status, Table, WithStatus
-from hystfit.results.folders import alone
+from hystfit.results.saving.folders import alone
 from hystfit.sampling.ensemble import MOST
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, collect, typical_noise
 

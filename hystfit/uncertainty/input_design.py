@@ -16,11 +16,11 @@ from jaxtyping import Array, Float
 from hystfit.config import require_seed, verb
 from hystfit.data.record import Record
 from hystfit.errors import ParameterError
-from hystfit.fitting.covariance import describe
+from hystfit.fitting.judgment.covariance import describe
 from hystfit.inference.fittable import check_smooth
 from hystfit.inference.information import Moments
 from hystfit.inference.priors import LOG_WIDE
-from hystfit.models.simulation import simulate
+from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none

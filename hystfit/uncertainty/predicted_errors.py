@@ -21,7 +21,7 @@ from hystfit.inference.noise.white import White
 from hystfit.inference.priors import LOG_WIDE
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import analyze
-from hystfit.models.simulation import run
+from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import REAL, Coordinates
 from hystfit.results.result import FitResult
 

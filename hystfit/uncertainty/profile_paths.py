@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 
-from hystfit.fitting.multistart import spread_starts
+from hystfit.fitting.solvers.multistart import spread_starts
 from hystfit.inference.bounded_newton import EDGE, BoundedNewton, Point
 
 # Deviation of the root statistic from that of the curvature, relative, up to which one descent is enough.

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from hystfit.config import verb
 from hystfit.errors import ParameterError
-from hystfit.fitting.error_ratios import error_ratios
+from hystfit.fitting.judgment.error_ratios import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
 from hystfit.inference.bounded_newton import BoundedNewton, Point
 from hystfit.inference.fittable import check_smooth

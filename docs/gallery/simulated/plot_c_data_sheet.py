@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystfit as hf
-from hystfit.results.magnetic_sample import Sample, prism_factor
+from hystfit.results.measured.magnetic_sample import Sample, prism_factor
 
 MU0 = 4e-7 * np.pi
 size = (2e-3, 2e-3, 4e-3)  # m, the field along the last

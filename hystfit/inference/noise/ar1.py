@@ -8,7 +8,7 @@ import numpy as np
 
 from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.exponential import AbstractSlow
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.params.param import param
 
 

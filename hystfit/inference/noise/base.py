@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shared.shapes import Scalar, State
 from hystfit.outcome import Code
 
 LOG_2PI = math.log(2 * math.pi)

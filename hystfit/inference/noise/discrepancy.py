@@ -16,7 +16,7 @@ from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.outcome import Code
 from hystfit.params.param import param
 

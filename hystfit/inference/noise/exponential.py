@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import LOG_2PI, AbstractNoise
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.priors import AbstractPrior, LogNormal
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shared.shapes import Scalar, State
 from hystfit.outcome import Code
 
 LEAST_TIME = 1.0  # least correlation time of slow noise beside white noise, samples

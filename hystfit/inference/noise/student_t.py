@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from hystfit.inference.noise.base import ResidualScales
 from hystfit.inference.noise.setting import Setting
 from hystfit.inference.noise.white import White
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 from hystfit.outcome import Code
 from hystfit.params.param import param
 

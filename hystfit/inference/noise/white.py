@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from hystfit.inference.noise.base import LOG_2PI, AbstractNoise, ResidualScales
 from hystfit.inference.noise.setting import Setting
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shared.shapes import Scalar, State
 from hystfit.params.param import param
 
 

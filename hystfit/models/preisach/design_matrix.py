@@ -12,11 +12,11 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 from numpy.polynomial.legendre import legval, legvander
 
-from hystfit.models.design import Factored
 from hystfit.models.preisach.everett import cells, first_rise_masses, fold, mirror
 from hystfit.models.preisach.plane import AbstractPlane, ramps
 from hystfit.models.preisach.relay_codes import Code, rises_first, staircase_of, ties
 from hystfit.models.preisach.staircase import Staircase, together
+from hystfit.models.shared.design import Factored
 
 # Samples of several inputs whose columns are computed in one pass: 30 MB of rows where these have 150 entries.
 _TOGETHER = 2**14

@@ -16,7 +16,7 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Array, Bool, Float, Int
 
-from hystfit.models.shapes import Scalar
+from hystfit.models.shared.shapes import Scalar
 
 AnyArray = Array | np.ndarray  # for functions that serve host and device
 

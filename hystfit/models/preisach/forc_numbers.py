@@ -9,7 +9,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.models.preisach.forc_diagram import ForcDiagram
-from hystfit.models.slopes import POINTS
+from hystfit.models.shared.slopes import POINTS
 
 NUMBERS = {
     "peak_coercivity": ("coercivity of the peak", "u"),

@@ -17,19 +17,19 @@ from numpy.polynomial.legendre import legder, legval
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import Use
-from hystfit.models.c_code import CPart
-from hystfit.models.design import Block, DesignMatrix, Penalty
 from hystfit.models.preisach.design_matrix import output, states_of_several
 from hystfit.models.preisach.everett import cells, mirror, second_differences
 from hystfit.models.preisach.levels import Spacing, check_levels, choose_levels, levels_of_family, steep_levels
 from hystfit.models.preisach.plane import AbstractPlane, Elements, ramp_count, ramps
 from hystfit.models.preisach.stack_inverse import PreisachStep
 from hystfit.models.preisach.staircase import Rest
-from hystfit.models.shapes import Scalar
-from hystfit.models.simulation import checked_drive
-from hystfit.models.slopes import Slopes
-from hystfit.models.starting import input_range, output_range
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.design import Block, DesignMatrix, Penalty
+from hystfit.models.shared.shapes import Scalar
+from hystfit.models.shared.simulation import checked_drive
+from hystfit.models.shared.slopes import Slopes
+from hystfit.models.shared.starting import input_range, output_range
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_weights, leaves_of, param
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves

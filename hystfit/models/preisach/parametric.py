@@ -20,8 +20,8 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.preisach.everett import cells
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.staircase import Rest
-from hystfit.models.shapes import Scalar, State
-from hystfit.models.starting import input_range, output_range
+from hystfit.models.shared.shapes import Scalar, State
+from hystfit.models.shared.starting import input_range, output_range
 from hystfit.params.param import param
 
 Density = Literal["gaussian", "lorentzian", "factorized"]

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.polynomial import legendre_series
 from hystfit.models.preisach.everett import AnyArray, CellMemory, cells, mirror
 from hystfit.models.preisach.staircase import Rest
-from hystfit.models.shapes import Scalar, State
+from hystfit.models.shared.polynomial import legendre_series
+from hystfit.models.shared.shapes import Scalar, State
 
 Elements = Literal["cells", "relays"]
 

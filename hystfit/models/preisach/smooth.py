@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # loads its subpackages when they are first used
 
-from hystfit.models.design import effective_number, with_own_offsets
-from hystfit.models.nonnegative import solve_nonnegative, submatrix
 from hystfit.models.preisach.smooth_system import SmoothSystem
+from hystfit.models.shared.design import effective_number, with_own_offsets
+from hystfit.models.shared.nonnegative import solve_nonnegative, submatrix
 from hystfit.params.host_arrays import NUMBERS
 from hystfit.runs.threads import Workers
 

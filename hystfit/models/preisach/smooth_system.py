@@ -13,7 +13,7 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
 from hystfit.data.record import Record
-from hystfit.models.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
+from hystfit.models.shared.design import FAR, Basis, Block, Columns, DesignMatrix, Factored
 from hystfit.params.host_arrays import NUMBERS
 from hystfit.params.param import ParamInfo
 from hystfit.quality.held_out import HeldOut, Scheme, held_out

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.models.bracketed import Root, solve_rising
 from hystfit.models.preisach.everett import CellMemory, Place
 from hystfit.models.preisach.plane import AbstractPlane
-from hystfit.models.step_inverse import AbstractStepInverse
+from hystfit.models.shared.bracketed import Root, solve_rising
+from hystfit.models.shared.step_inverse import AbstractStepInverse
 
 _ROUNDING = 64.0  # machine epsilons: error of a difference of two outputs, sums of the outputs of cells, over their size, at most
 

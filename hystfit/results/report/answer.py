@@ -18,10 +18,10 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import clear_reversals
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
-from hystfit.results.loop_kinds import REMANENT, LoopKind
-from hystfit.results.quantities import QUANTITIES, Unknown
+from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
+from hystfit.results.measured.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
-from hystfit.results.user_code import checksums
+from hystfit.results.saving.user_code import checksums
 
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.

@@ -10,7 +10,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import fragment
 from hystfit.results.estimates import grouped
-from hystfit.results.loop_values import MEASURED
+from hystfit.results.measured.loop_values import MEASURED
 from hystfit.results.plots import draw
 from hystfit.results.record_plots import selects_cycles, traces_of
 from hystfit.results.report.answer import Wording, answer
@@ -117,7 +117,7 @@ def write(
     Raises:
         HystfitError: the folder cannot be made or written.
     """
-    from hystfit.results.folders import writing
+    from hystfit.results.saving.folders import writing
 
     with writing(folder) as scratch:
         write_into(result, scratch, test=test, refit_offset=refit_offset, wording=wording)

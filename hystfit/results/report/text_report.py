@@ -12,12 +12,12 @@ from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import PROSE, shortened, within
-from hystfit.results.loop_values import MEASURED
-from hystfit.results.quantities import QUANTITIES, QuantityEstimate
+from hystfit.results.measured.loop_values import MEASURED
+from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate
+from hystfit.results.measured.steady_loops import Excitation
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
 from hystfit.results.result import FitResult
-from hystfit.results.steady_loops import Excitation
 
 ERRORS = "Simulation error (model driven by the input only; % of the output range)"
 _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such errors are acceptable"}

@@ -1,0 +1,171 @@
+"""Which models a comparison tries: every family that the records can drive, in an order that gives an answer early."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.data.circulation import circulation
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
+from hystfit.errors import HystfitError
+from hystfit.fitting.judgment.verdict import turns_back
+from hystfit.fitting.structure.model_structure import Structure, falls
+from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import MODELS, SEARCH, make_model, tried
+from hystfit.quality.baselines import Baselines
+from hystfit.quality.faults import CLEAR, is_switched, noise_rms
+from hystfit.quality.loops import distinct
+from hystfit.quality.needs import Needs
+from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
+from hystfit.quality.shape import NARROWEST
+from hystfit.quality.summary import speeds_of
+from hystfit.results.measured.loop_kinds import LoopKind, may_be_force
+
+# Error of ten plays over that of a single-valued curve, from which weights of either sign are tried on loops of either direction: at most
+# 0.44 on simulated stops and Bouc-Wen springs, 0.55 to 1.7 on force curves of probes and keys, charge curves and voltammograms.
+_LEFT = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidates:
+    """Models that a comparison tries, in order.
+
+    Attributes:
+        closed: models whose weights follow from a linear solve: they take a tenth of a second each.
+        iterated: models whose parameters are searched for.
+        resonant: those of them with a resonance, which take longest.
+        late: models tried only where the others leave more than noise: those that need more speeds than the long branches have.
+        last: those for loops of the other direction that describe these too: where no other model does.
+    """
+
+    closed: tuple[str, ...]
+    iterated: tuple[str, ...] = ()
+    resonant: tuple[str, ...] = ()
+    late: tuple[str, ...] = ()
+    last: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All but the last."""
+        return (*self.closed, *self.iterated, *self.resonant, *self.late)
+
+    def timed_late(self) -> Candidates:
+        """The same with the iterated models that depend on time behind the others."""
+        early = timeless(self.iterated)
+        late = tuple(name for name in self.iterated if name not in early)
+        return dataclasses.replace(self, iterated=early, late=(*late, *self.late))
+
+    def beside(self, found: Structure, delay: bool) -> Candidates:
+        """The same after the search, with what it found before and beside its plays before and beside the iterated models too.
+
+        Args:
+            found: the terms that the search took.
+            delay: whether it took a pure delay.
+        """
+        before = "delay+" * delay + "negate+" * found.falls
+        around = lambda name: f"{before}{name}" + "+linear" * found.line
+        lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop
+        others = (tuple(map(around, names)) for names in (self.iterated, self.resonant, self.late))
+        return Candidates(lagged, *others, self.last)
+
+
+def timeless(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of the models that do not depend on time."""
+    return tuple(name for name in names if make_model(name).rate_independent)
+
+
+def candidates(data: Dataset) -> Candidates:
+    """Models that the records can drive."""
+    models = {name: make_model(name) for name in tried()}
+    if not turns_back(data):  # without a turn of the input there is no loop but that of reversal curves
+        curves = [name for name, model in models.items() if model.from_saturation and _drives(model, data)]
+        # Free masses take a tenth of the time of bounded ones, and their error may tell that these cannot win.
+        return Candidates(tuple(sorted(curves, key=lambda name: models[name].has_inverse)) or (SEARCH,))
+    if all(is_switched(record.y[record.used]) for record in data):  # no other model has two levels alone
+        return Candidates(tuple(name for name, model in models.items() if model.jumps and "+" not in name))
+    timed = all(record.t is not None for record in data)
+    count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
+    speeds, of_any_length = count(), count(0.0)
+    contrary, magnetic, force = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
+    plays_fail = _plays_fail(data)
+    able = {
+        name: model
+        for name, model in models.items()
+        if not model.from_saturation
+        and (timed or model.rate_independent)
+        and of_any_length >= _speeds_needed(name)
+        and (magnetic or not any(need.magnetic for need in _needs(name)))
+        and (force or not any(need.force for need in _needs(name)))
+        and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
+    }
+    against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
+    last = () if plays_fail else tuple(against)
+    able = {name: model for name, model in able.items() if name not in last}
+    # Some models are tried both ways.
+    both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
+    either = lambda name, model: model.either_way or not model.has_inverse or name in both_ways
+    before = lambda name, model: "negate+" if falls(data) and not either(name, model) else ""
+    late = tuple(name for name in able if speeds < _speeds_needed(name))
+    closed = {
+        name: before(name, model) + name
+        for name, model in able.items()
+        if model.estimator in ("preisach", "convex", "switching") and name not in late
+    }
+    resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
+    others = tuple(name for name in able if name not in (*closed, *resonant, *late))
+    return Candidates((SEARCH, *closed.values()), others, resonant, late, last)
+
+
+def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
+    """Whether the records are such that the model can be started on them."""
+    try:
+        model.start(list(data))
+    except HystfitError:
+        return False
+    return True
+
+
+def _plays_fail(data: Dataset) -> bool:
+    """Whether ten plays and a cubic curve leave much of the loops, as at contacts, stops and peaks: only weights of either sign may do."""
+    baselines = Baselines.of(data)
+    return baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
+
+
+def _contrary(data: Dataset) -> str:
+    """The direction against which the loops of most records run; "" where noise or an output that follows the speed hides it."""
+    ways = [_way(record) for record in data]
+    way = float(np.median(ways))
+    return "" if abs(way) < 1 else "clockwise" if way > 0 else "counter-clockwise"
+
+
+def _way(record: Record) -> float:
+    """Which way a loop runs: positive for an output that lags, 1 or more where noise cannot turn it."""
+    u, y = record.u[record.used], record.y[record.used]
+    if not (np.ptp(u) > 0 and np.ptp(y) > 0) or abs(np.corrcoef(u, y)[0, 1]) < FOLLOWS:
+        return 0.0
+    # The area is a sum of outputs, each weighed by the step of the input around it.
+    error = (noise_rms(y)[0] or 0.0) / np.ptp(y) * np.sqrt(np.sum(np.gradient(u) ** 2)) / np.ptp(u)
+    return circulation(u, y) / max(CLEAR * error, NARROWEST)
+
+
+def _needs(name: str) -> list[Needs]:
+    """What the parts of a model need; of a variant that `check` does not judge apart, what its family needs."""
+    models = [MODELS[part.partition(":")[0]].default for part in name.split("+")]
+    of_family = lambda model: (vars(kind).get("needs") for kind in type(model).__mro__)
+    needs = [
+        model.needs or next((found for found in of_family(model) if isinstance(found, Needs)), None) for model in models
+    ]
+    return [need for need in needs if need is not None]
+
+
+def _speeds_needed(name: str) -> int:
+    """Number of speeds of the input without which parameters of a model stay undetermined."""
+    return max((need.speeds for need in _needs(name) if need.rate), default=0)
+
+
+def _resonates(name: str, model: AbstractHysteresis) -> bool:
+    """Whether the output may ring after the input has stopped."""
+    return model.output_resonance() is not None or any(need.dynamics for need in _needs(name))

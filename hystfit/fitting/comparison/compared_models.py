@@ -1,0 +1,261 @@
+"""A ranking of models: its rows, its winner, and the table that shows it."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Literal, get_args
+
+from hystfit.outcome import Column, Status, Table, fragment
+from hystfit.quality.held_out import AT_ONE_PACE, Scheme
+from hystfit.quality.summary import paces
+from hystfit.results.result import FitResult
+
+SCHEMA = "hystfit.compare/1"
+# How many times the error of the best decides without further evidence: a first look at a model with elements that errs more ends it, and a
+# model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
+# less by it.
+MARGIN = 1.5
+UNFIT = (Status.NOT_CONVERGED, Status.POOR)  # of fits that did not converge or do not describe the loop
+STRONG = 10.0  # difference of BIC that is strong evidence against a model (Kass and Raftery 1995)
+Purpose = Literal["prediction", "inverse", "export"]
+
+
+class Obstacles(Mapping[str, str]):
+    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables.
+
+    Args:
+        result: the fit.
+    """
+
+    def __init__(self, result: FitResult):
+        self._result = result
+
+    @functools.cached_property
+    def _texts(self) -> dict[str, str]:
+        return {use: text for use in get_args(Purpose)[1:] if (text := self._result.obstacle(use))}
+
+    def __getitem__(self, purpose: str) -> str:
+        return self._texts[purpose]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._texts)
+
+    def __len__(self) -> int:
+        return len(self._texts)
+
+
+def handicap(status: Status, inverts: bool, paced: bool = False) -> float:
+    """Factor by which a model must err less than others: one whose fit failed, of a family without an inverse, or `Row.paced`."""
+    return MARGIN ** ((status in UNFIT) + (not inverts)) / (AT_ONE_PACE if paced else 1.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Row:
+    """One model in a comparison.
+
+    Attributes:
+        name: expression that recreates the model, with the chosen size and terms.
+        asked: the name as requested: the same, a name without settings, or a search.
+        score_percent: error on left-out data, in percent of the output's range; None where it is not known.
+        in_sample_percent, max_error_percent: on the samples fitted.
+        parameters: number of free ones.
+        family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
+        leaves_noise: whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`.
+        paced: whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike.
+        hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
+        effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
+        seconds: what fit and validation took.
+        status: of the fit, or "failed".
+        note: why it was left out or stopped early.
+        bic: Bayesian information criterion, see `hystfit.fitting.comparison.left_out.bic`; None where it is not known.
+        obstacles: why the model cannot be inverted or exported, by purpose; None where it is not known.
+    """
+
+    name: str
+    asked: str
+    score_percent: float | None = None
+    in_sample_percent: float | None = None
+    max_error_percent: float | None = None
+    parameters: int | None = None
+    seconds: float = 0.0
+    status: Status = Status.UNTESTED
+    note: str = ""
+    bic: float | None = None
+    obstacles: Mapping[str, str] | None = None
+    family_inverts: bool = True
+    effective: float | None = None
+    hysteretic: bool = True
+    leaves_noise: bool = False
+    paced: bool = False
+
+    @property
+    def fitted(self) -> bool:
+        """Whether there was at least a quick first fit."""
+        return self.in_sample_percent is not None
+
+    @property
+    def score(self) -> float:
+        """Error on left-out data [percent of range], infinite where it is not known."""
+        return math.inf if self.score_percent is None else self.score_percent
+
+    @property
+    def ranked_percent(self) -> float | None:
+        """The error by which it ranks, see `handicap`."""
+        return None if self.score_percent is None else self.score_percent * self.handicap
+
+    @property
+    def handicap(self) -> float:
+        """Factor by which its error counts for more."""
+        return handicap(self.status, self.family_inverts, self.paced)
+
+    def serves(self, purpose: Purpose) -> bool | None:
+        """Whether the model can be used for a purpose; None where it was not fitted."""
+        return None if self.obstacles is None else purpose not in self.obstacles
+
+
+class Fits(Mapping[str, FitResult]):
+    """The completed fits by name. The standard errors of each are computed when it is first looked at.
+
+    Args:
+        names: of the fits.
+        judged: a fit by its name.
+    """
+
+    def __init__(self, names: Iterable[str], judged: Callable[[str], FitResult]):
+        self._names, self._judged = tuple(names), functools.cache(judged)
+
+    def __getitem__(self, name: str) -> FitResult:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._judged(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """A ranking: rows from best to worst, and the fit of the best.
+
+    Attributes:
+        rows: one for each model.
+        winner: the fitted result of the first row.
+        fits: every completed fit, by the requested name.
+        scheme: what was held out.
+        purpose: models that cannot be used for it rank below the others.
+    """
+
+    rows: tuple[Row, ...]
+    winner: FitResult
+    fits: Mapping[str, FitResult]
+    scheme: Scheme
+    purpose: Purpose = "prediction"
+
+    @property
+    def reason(self) -> str:
+        """Why the winner was chosen, and what the records do not test, in words."""
+        best = self.rows[0]
+        score = best.score_percent
+        error = "" if score is None else f" (cross-validation error {score:.3g} % of the range)"
+        pace = "; another pace is not tested" if paces(self.winner.problem.data) == 1 else ""
+        return f"{best.name} {self._why}{error}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
+
+    @property
+    def _why(self) -> str:
+        best, count = self.rows[0], sum(row.fitted for row in self.rows)
+        first = min(self.rows, key=lambda row: row.score)
+        if first.score != best.score and first.paced and not best.paced:
+            return (
+                f"is preferred to {first.name} ({first.score_percent:.3g} %), whose terms of time could imitate hysteresis because all "
+                "branches take the same time; a record at another pace would distinguish them"
+            )
+        if first.score != best.score:
+            return f"predicts held-out samples as well as the best of {count} models, and is simpler or converged"
+        if count > 1:
+            return f"is the best of {count} models by cross-validation"
+        if len(self.rows) == 1:
+            return "is the only candidate for these data"
+        return "leaves only noise in the residuals" if best.leaves_noise else "is the only model that was fitted"
+
+    def table(self) -> Table:
+        """The ranking."""
+        columns = (
+            Column("model"),
+            Column("cross-val. %", "score_percent", ".3g"),
+            Column("in sample %", "in_sample_percent", ".3g"),
+            Column("largest %", "max_error_percent", ".3g"),
+            Column("params", "parameters"),
+            Column("BIC above", "bic_above", ".1f"),
+            Column("invert", left=True),
+            Column("export", left=True),
+            Column("seconds", form=".1f"),
+            Column("status", left=True),
+        )
+        least = min((row.bic for row in self.rows if row.bic is not None), default=0.0)
+        rows = [
+            [
+                row.name,
+                row.score_percent,
+                row.in_sample_percent,
+                row.max_error_percent,
+                row.parameters,
+                None if row.bic is None else row.bic - least,
+                row.serves("inverse"),
+                row.serves("export"),
+                row.seconds,
+                str(row.status),
+            ]
+            for row in self.rows
+        ]
+        return Table(columns, rows)
+
+    def explanations(self) -> list[str]:
+        """What the columns of the ranking mean, and why these models were compared."""
+        return [
+            f"Error in percent of the output's range; 'cross-val.': on {self.scheme.held}, held out of the fit in turn. The winner "
+            f"{self.scheme.tested}.",
+            "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model "
+            "and decides among equal errors.",
+            "'invert', 'export': whether the model has an inverse and C code.",
+        ]
+
+    def remarks(self) -> list[str]:
+        """Why models were left out, or not validated."""
+        return [f"{row.name}: {row.note}" for row in self.rows if row.note]
+
+    def text(self, width: int | None = None) -> str:
+        """The ranking as text.
+
+        Args:
+            width: columns of the table; a wider one is shown in parts.
+        """
+        purpose = "" if self.purpose == "prediction" else f" (for {self.purpose})"
+        remarks = [f"  - {remark}" for remark in self.remarks()]
+        winner = f"winner: {self.rows[0].name}{purpose}"
+        return "\n".join([*self.explanations(), *self.table().lines(width=width), *remarks, winner])
+
+    def __repr__(self) -> str:
+        return self.text()
+
+    def _repr_html_(self) -> str:
+        return fragment(f"winner: {self.rows[0].name}", (*self.explanations(), self.table(), *self.remarks()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
+        return {
+            "schema": SCHEMA,
+            "status": self.winner.status,
+            "winner": self.rows[0].name,
+            "left_out": self.scheme,
+            "purpose": self.purpose,
+            "rows": [
+                {**vars(row), "obstacles": None if row.obstacles is None else dict(row.obstacles)} for row in self.rows
+            ],
+            "provenance": self.winner.provenance,
+        }

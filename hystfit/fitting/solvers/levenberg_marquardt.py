@@ -1,0 +1,174 @@
+"""The Levenberg-Marquardt step for many lanes (descents of similar problems) at once, in NumPy on the host or in JAX.
+
+A lane stores normal equations instead of a Jacobian, which saves memory but squares the condition number. The last steps of a fit are
+therefore left to `hystfit.fitting.solvers.polish`.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from hystfit.inference.normal import Normal
+
+# Relative rounding error of the output, whose square bounds the cost per sample from below, and of a column of the Jacobian or the
+# information with the other columns projected out.
+ROUNDING = 1e-14
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e10  # relative to the columns of the Jacobian
+LONGEST_STEP = 4.0  # longest step in z, infinity norm over the parameters with bounds
+# Rms change of the output by a step of one in z, in half ranges, below which a parameter with bounds is not moved.
+NOTHING = 1e-8
+# Parameters with a smaller rms effect on the output, in half ranges for a step of one in z, are damped as if they had this effect: damping
+# relative to their own effect would allow huge steps. In 40 descents of five models that do not describe the data, 0.1 led to the lowest
+# cost, among 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
+_LITTLE = 0.1
+ON_BOUND = 1e-6  # relative distance from a bound below which a bounded solver takes over, because z does not converge
+_FIRST = 1e-3  # damping of the first step
+_EQUAL = 1e-12  # relative difference of two costs that rounding errors may cause; below it the linear model decides
+# At a kink of the cost, such as the limits of a branch cause, even a short step does not achieve the predicted decrease. The descent then
+# ends if that decrease, times the number of samples and relative to the cost, is at most 1e-4: a hundredth of a standard error.
+_KINK, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step counts as short
+_CLOSE = 0.5  # relative excess over the cost of a converged lane, within which the linear model shows whether a lane can do better
+# The last step is taken without evaluating the cost if the decrease expected to remain after it is below this fraction of the tolerance.
+# Steps of Bouc-Wen left up to 0.06 of the tolerance where 0.01 was expected.
+_EXPECTED = 0.01
+# The most standard errors from the minimum at which such a step starts: the normal matrix there, from which standard errors follow, is
+# within 1e-3 of that at the minimum where the relative errors are up to 10 %.
+_SURE_WITHIN = 0.01
+# The longest such step. In a direction that only noise determines, the linear model predicts a tiny decrease for a step of any length: a
+# step of 100 took the slope of a loop to 1e116.
+_SURE_STEP = 0.02
+_BETTER = 1e-4  # relative decrease below the cost of a converged lane that is worth further steps
+
+
+class Lane(NamedTuple):
+    """The state of descents, with any leading axes.
+
+    Attributes:
+        best: normal equations at the best point.
+        trial: the next point to evaluate, (..., p).
+        damping: damping of the step to it.
+        promised: decrease of the cost from the best point, as predicted by the linear model.
+        last: whether the next point is the last.
+        ended: whether the descent has ended.
+        steps: number of linearizations.
+    """
+
+    best: Normal
+    trial: Array
+    damping: Array
+    promised: Array
+    last: Array
+    ended: Array
+    steps: Array
+
+    @classmethod
+    def at(cls, z: Float[np.ndarray, "L p"], damping: Float[np.ndarray, " L"] | None = None) -> Lane:
+        """Lanes before their first step.
+
+        Args:
+            z: where they start.
+            damping: damping of their first step, to continue earlier descents.
+        """
+        count, p = z.shape
+        none, no = np.zeros(count), np.zeros(count, bool)
+        best = Normal(z.copy(), none + np.inf, np.zeros((count, p)), np.zeros((count, p, p)))
+        damping = none + _FIRST if damping is None else damping.copy()
+        return cls(best, z.copy(), damping, none + np.inf, no, no.copy(), none.astype(int))
+
+    def rows(self, at: Any) -> Lane:
+        """Some of the lanes."""
+        return jax.tree_util.tree_map(lambda v: v[at], self)
+
+    def put(self, at: np.ndarray, lanes: Lane) -> None:
+        """Replace some of the lanes."""
+        for mine, new in zip(jax.tree_util.tree_leaves(self), jax.tree_util.tree_leaves(lanes), strict=True):
+            mine[at] = new
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which lanes have converged: the predicted decrease is negligible, and the last step has confirmed it."""
+        return np.asarray(self.last & self.ended & np.isfinite(self.best.cost))
+
+
+def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarray, xp: ModuleType) -> Lane:
+    """Lanes after their trial points were linearized.
+
+    Args:
+        lane: before.
+        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
+        samples: of each problem.
+        bounded: which parameters have bounds, shape (p,).
+        xp: `numpy` or `jax.numpy`.
+    """
+    # The last step may change the cost by less than rounding errors do.
+    better = new.cost < xp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)
+    softer = xp.where(xp.isinf(lane.best.cost), lane.damping, xp.maximum(0.1 * lane.damping, LEAST_DAMPING))
+    damping = xp.where(better, softer, 10.0 * lane.damping)
+    chosen = lambda a, b: xp.where(better.reshape(better.shape + (1,) * (a.ndim - better.ndim)), a, b)
+    best = Normal(*(chosen(a, b) for a, b in zip(new, lane.best, strict=True)))
+    # The undamped step gives the possible decrease: damping suppresses directions that the data hardly determine.
+    floor = ROUNDING**2 * samples
+    step, whole = _steps(best, xp.stack([damping, xp.full_like(damping, LEAST_DAMPING)]), samples, bounded, xp)
+    promised = -((best.gradient * whole).sum(-1) + 0.5 * xp.einsum("...i,...ij,...j->...", whole, best.matrix, whole))
+    near = promised <= xp.maximum(gain, _EQUAL) * best.cost + floor
+    settled = ~better | (promised <= gain * best.cost + floor)
+    kink = ~better & (damping >= _SHORT_STEP) & (promised <= _KINK / samples * best.cost)
+    # The next step reduces the predicted decrease by at least the same factor as the last one, because damping falls.
+    expected = promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised)
+    sure = better & expected & (promised <= _SURE_WITHIN**2 / samples * best.cost + floor)
+    sure &= _longest(whole, bounded, xp) <= _SURE_STEP
+    z, cost = xp.where(sure[..., None], best.z + whole, best.z), xp.where(sure, best.cost - promised, best.cost)
+    best = best._replace(z=z, cost=cost)
+    ended = (lane.last & settled) | sure | kink | (damping >= MOST_DAMPING) | xp.isinf(best.cost)
+    way = xp.where(near[..., None], whole, step)
+    shorter = LONGEST_STEP / xp.maximum(_longest(way, bounded, xp), 1e-300)
+    trial = best.z + way * xp.minimum(1.0, shorter)[..., None]
+    return Lane(best, trial, damping, promised, lane.last | near | kink | sure, ended, lane.steps + 1)
+
+
+def _longest(step: Array, bounded: np.ndarray, xp: ModuleType) -> Array:
+    """The largest change of a parameter that has bounds, in its unconstrained coordinate."""
+    return xp.max(xp.where(bounded, xp.abs(step), 0.0), axis=-1, initial=0.0)
+
+
+def _steps(point: Normal, damping: Array, samples: int, bounded: np.ndarray, xp: ModuleType) -> Array:
+    """Steps with each damping, shape (k, ..., p); other arguments as for `advanced`.
+
+    The normal matrix is scaled to a diagonal of ones; the scale of a parameter that is not moved is 0.
+    """
+    diagonal = xp.diagonal(point.matrix, axis1=-2, axis2=-1)
+    largest = xp.max(diagonal, axis=-1, keepdims=True, initial=0.0)
+    scale = 1 / xp.sqrt(xp.maximum(diagonal, 1e-24 * largest + 1e-300))
+    scale = xp.where(bounded & (diagonal < NOTHING**2 * samples), 0.0, scale)
+    held = damping[..., None] * xp.maximum(1.0, (_LITTLE * scale) ** 2 * samples)
+    system = point.matrix * scale[..., :, None] * scale[..., None, :] + held[..., None] * xp.eye(scale.shape[-1])
+    right = xp.broadcast_to((scale * point.gradient)[..., None], (*system.shape[:-1], 1))
+    return -scale * xp.linalg.solve(system, right)[..., 0]
+
+
+def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
+    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,).
+
+    Args:
+        problems: the number of the problem of each.
+    """
+    rival, cost, ended = _rival(lane, problems), np.asarray(lane.best.cost), np.asarray(lane.ended)
+    near, hopeless = cost <= (1 + _CLOSE) * rival, cost - np.asarray(lane.promised) >= (1 - _BETTER) * rival
+    return ~ended & np.isfinite(rival) & near & hopeless
+
+
+def approached(lane: Lane, problems: np.ndarray) -> np.ndarray:
+    """The cost predicted by the linear model of each lane, kept above that of the best converged lane of its problem, shape (L,)."""
+    return np.maximum(np.asarray(lane.best.cost - lane.promised), (1 + _BETTER) * _rival(lane, problems))
+
+
+def _rival(lane: Lane, problems: np.ndarray) -> np.ndarray:
+    """The least cost of the converged lanes of the same problem, infinite without one, shape (L,)."""
+    least, converged = np.full(int(problems.max(initial=-1)) + 1, np.inf), lane.converged
+    np.minimum.at(least, problems[converged], np.asarray(lane.best.cost)[converged])
+    return least[problems]

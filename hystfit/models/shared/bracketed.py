@@ -1,0 +1,100 @@
+"""A bracketed root search for rising functions, safe where they are flat, kinked or not rising at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from hystfit.models.shared.shapes import Scalar
+
+
+class Root(NamedTuple):
+    """Result of a bracketed search.
+
+    Attributes:
+        x: where the function came nearest to zero.
+        rising: no slope met on the way fell.
+    """
+
+    x: Scalar
+    rising: Bool[Array, ""]
+
+
+class _Search(NamedTuple):
+    low: Array
+    high: Array
+    ends: Array  # whether the function is known at low, at high
+    x: Array
+    best: Array
+    least: Array
+    rising: Array
+    trials: Array
+    done: Array
+
+
+def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Root:
+    """Root of a rising function by Newton steps from `start`, held in a bracket and halved where they fail.
+
+    The side of `start` on which the root lies is searched alone: the first trial is a small step into it, because a hysteresis has another
+    slope on each side of its last input. Where no root lies there the end of the bracket, or the nearest miss, is returned.
+
+    Args:
+        function: to be made zero; the slope is taken by forward differentiation, halving needs none.
+        low, high: bracket, finite.
+    """
+    at_start = function(start)
+    up = at_start < 0
+    side = jnp.where(up, 1.0, -1.0)
+    small = 1e-7 * (high - low)
+    eps = jnp.finfo(at_start.dtype).eps
+    trial = jnp.clip(start + side * small, low, high)
+    search = _Search(
+        low=jnp.where(up, start, low),
+        high=jnp.where(up, high, start),
+        ends=jnp.stack([up, ~up]),
+        x=trial,
+        best=start,
+        least=jnp.abs(at_start),
+        rising=jnp.asarray(True),
+        trials=jnp.asarray(0),
+        done=(at_start == 0) | (trial == start) | ~jnp.isfinite(at_start),
+    )
+
+    def body(s: _Search) -> _Search:
+        value, slope = jax.jvp(function, (s.x,), (jnp.ones_like(s.x),))
+        below = value < 0
+        low, high = jnp.where(below, s.x, s.low), jnp.where(below, s.high, s.x)
+        ends = jnp.stack([s.ends[0] | below, s.ends[1] | ~below])
+        newton = s.x - value / jnp.where(slope > 0, slope, 1.0)
+        settled = (slope > 0) & (jnp.abs(newton - s.x) <= 2 * eps * jnp.abs(s.x))
+        held = jnp.clip(newton, low, high)
+        # An end of known value is not tried again, and at most five Newton steps follow each other.
+        refused = (
+            ~(slope > 0)
+            | ((held == low) & ends[0])
+            | ((held == high) & ends[1])
+            | (s.trials % 6 == 5)
+            | ~jnp.isfinite(newton)
+        )
+        middle = 0.5 * (low + high)
+        trial = jnp.where(refused, middle, held)
+        narrow = high - low <= 2 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high))
+        better = jnp.abs(value) < s.least
+        return _Search(
+            low,
+            high,
+            ends,
+            trial,
+            jnp.where(better, s.x, s.best),
+            jnp.where(better, jnp.abs(value), s.least),
+            s.rising & ~(slope < 0),
+            s.trials + 1,
+            settled | narrow | (value == 0) | ((trial == s.x) & ~refused),
+        )
+
+    found = jax.lax.while_loop(lambda s: ~s.done & (s.trials < 100), body, search)
+    return Root(found.best, found.rising)

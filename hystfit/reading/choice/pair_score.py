@@ -1,0 +1,237 @@
+"""The evidence for a pair of columns as input and output: quantities, units, names, signals and loops, added up in one score.
+
+Points are like logarithms of odds: what is measured or written for certain outweighs what is only usual.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hystfit.data.circulation import of_rate
+from hystfit.reading.choice.column_facts import ByColumn, ColumnFacts, is_raw_signal
+from hystfit.reading.choice.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
+from hystfit.reading.names.column_names import has_terminals, is_bare_role
+from hystfit.reading.table.raw_table import Table
+from hystfit.reading.table.signal_evidence import (
+    computed,
+    explained,
+    extent,
+    proportional,
+    repeats,
+    rises_evenly,
+    sample,
+)
+
+# Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
+# quantities, as the output of a voltage source is the input of an actuator.
+_STATED, _CONTRARY = 3.2, -1.0
+# Further points in the other role where the name says nothing but the role: "Sensor output" is that of a sensor.
+_BARE = -1.0
+# Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output there.
+_OVERTAKEN = -5.0
+# Points of a commanded load and its measurement, beside which the specimen moves.
+_FOLLOWED = -3.0
+# Points of a displacement or field of a part, of the size of a vector, which has no sign, and of the component of a signal out of phase.
+# Points of components along one axis (Bx, mx).
+_PARTIAL, _ALONG = -1.0, 1.0
+# Points of two columns of one part or axis by their names: more than those of two places.
+_SAME_PART = 0.5
+# Points of columns that are called input and output and alike but for that: input_angle, output_angle.
+_PARTNERS = 2.0
+_SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
+_RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
+HEATED = 10.0  # degrees over which a temperature must vary to be an input
+_COLD = -5.0  # points of one that does not
+# Distinct values up to which a column of many rows is one that is set, and its points.
+_FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
+# Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
+# Fewer samples show no harmonics.
+_CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
+# Points of an input of which the output is the rate: by that much of its size (0.01 of memristors, 0.25 of wide loops), and by more than
+# the other way around, or equally and with its sign, which is worth that much more.
+_INDUCED, _OF_RATE, _OF_ITS_SIGN = 2.0, 0.6, 0.1
+# Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
+# variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
+_UNRELATED, _RELATED = -4.5, 0.5
+# Points of a pair of equal numbers, of two temperatures, or of one quantity that is proportional: a second sensor of the input. Further
+# ones of a pair of which one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
+_COPY, _COMPUTED = -3.0, -3.0
+# Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
+# the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
+_STRAIGHT, _TOGETHER = -1.0, 4.0
+# Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
+_HELD, _HELD_INPUT = -2.5, -4.0
+# Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
+# half cycle has 0.5, and four a whole one 0.
+_WHITE, _NO_DRIVE = 0.3, -2.0
+_LATER = -0.25  # of each further column of the same quantity, and of an input after its output
+# Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
+_COMMANDED, _NOISIER = 1.0, 10.0
+# Points of an input that was set: it goes up and down by equal steps or holds, and the output does not. They outweigh the quantities (a
+# displacement that was set and the voltage of its sensor, a load and the displacement under it) but for a field and its induction.
+_SET_BY_STEPS = 8.0
+# Difference of points below which neither of two readings is better: that of one place among columns of the same quantity (0.25)
+# decides, as people write the main channel first; nothing smaller is evidence.
+TIE = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Reading:
+    """A pair of columns and its points."""
+
+    input: int
+    output: int
+    points: float
+
+
+def readings(
+    table: Table, free: Sequence[int], kinds: Mapping[int, str], given: Mapping[str, int], *, named: bool
+) -> list[Reading]:
+    """All readings, the best first.
+
+    Args:
+        free: columns that may be chosen.
+        kinds: the physical quantity of every column.
+        given: the input or output that is chosen already.
+        named: whether the columns have names.
+    """
+    inputs, outputs = ([given[role]] if role in given else list(free) for role in ("input", "output"))
+    alone = len({*inputs, *outputs}) == 2  # there is no other column to choose
+    evidence = _Evidence(ColumnFacts.of(table, free, kinds, alone=alone, named=named))
+    found = [evidence.reading(i, o) for i, o in itertools.product(inputs, outputs) if i != o]
+    if not alone:
+        found = evidence.related(found)
+    return sorted(found, key=lambda reading: (-reading.points, reading.input, reading.output))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Evidence:
+    """What speaks for columns of a table as input and output."""
+
+    facts: ColumnFacts
+
+    def reading(self, i: int, o: int) -> Reading:
+        """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
+        kinds, later = self.facts.kinds, self.facts.ranks.get(i, 0) + self.facts.ranks.get(o, 0)
+        overtaken = kinds[i] != kinds[o] and i in self.facts.measured
+        driven = self.facts.roles[o] == "output" or (self.facts.roles[i] == "input" and not overtaken)
+        points = (
+            self._of_quantity(i, DRIVE, told=driven)
+            + self._of_quantity(o, RESPONSE, told=self.facts.roles[o] == "output")
+            + self._of_pair(i, o)
+        )
+        points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal)) * (not self.facts.is_open(i))
+        points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
+        across = kinds[o] == "strain" and self.facts.is_partial[o]
+        points += _PARTIAL * (self.facts.is_partial[i] + across + self.facts.is_share[o])
+        points += _HELD_INPUT * (self.facts.is_held[i] or self.facts.has_two_states[i])
+        points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
+        points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
+        points += _PARTNERS * self.facts.are_partners(i, o)
+        points += _OVERTAKEN * self.facts.set_values(i, o)
+        answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
+        points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
+        cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
+        points += _COLD * (cold and not (self.facts.alone or self.facts.has_two_states[o]))
+        points += _RAW_VOLTS * self.facts.is_raw_beside(i, o)
+        names = self.facts.table.names
+        told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o] or has_terminals(names)
+        if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
+            wave = self.facts.overtones
+            plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
+            points += _CLEAN * plainer(i, o)
+            points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
+            points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
+        return Reading(i, o, points)
+
+    def related(self, found: Sequence[Reading]) -> list[Reading]:
+        """The readings, those that could be the best with the points of how the two columns are related."""
+        reach = max(reading.points for reading in found) + _UNRELATED - TIE
+        columns = self.facts.table.columns
+        part = self.facts.table.curve if self.facts.table.part is None else self.facts.table.part
+
+        def lost(reading: Reading) -> float:
+            u, y = columns[reading.input], columns[reading.output]
+            # An output that rises as a clock does, such as the angle of a crank
+            if rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any():
+                return _UNRELATED
+            share = explained(u, y, part)
+            if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
+                return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
+            unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
+            if computed(u, y):
+                return unrelated + _COMPUTED + _COPY
+            kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
+            thermometers = kinds == ("temperature", "temperature")
+            if thermometers or repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
+                return unrelated + _COPY
+            line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
+            return unrelated + (line * proportional(u, y) if line else 0.0)
+
+        return [
+            dataclasses.replace(
+                reading, points=reading.points + (lost(reading) if reading.points >= reach else _UNRELATED)
+            )
+            for reading in found
+        ]
+
+    def _is_induced(self, i: int, o: int) -> bool:
+        """Whether an output is the rate of its input, as the current of a capacitor and the voltage of a coil are."""
+        u, y = self.facts.table.columns[i], self.facts.table.columns[o]
+        ways = of_rate(u, y), of_rate(y, u)
+        sizes = [abs(way) + _OF_ITS_SIGN * (way > 0) for way in ways]
+        return abs(ways[0]) > _OF_RATE and sizes[0] > sizes[1]
+
+    def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
+        """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""
+        points = usual.get(self.facts.kinds[position], SELDOM)
+        return max(points, usual[""]) if told and self.facts.kinds[position] not in ("index", "error") else points
+
+    def _of_role(self, position: int, role: str) -> float:
+        """Points of a column in a role, by the one that its name states."""
+        stated = self.facts.roles[position]
+        contrary = _CONTRARY + _BARE * (bool(stated) and is_bare_role(self.facts.table.names[position]))
+        return 0.0 if not stated else _STATED if stated == role else contrary
+
+    @functools.cached_property
+    def _of_signal(self) -> ByColumn:
+        """Points of each column in either role."""
+        table = self.facts.table
+
+        def points(k: int) -> float:
+            values = table.columns[k]
+            few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
+            few &= not self.facts.by_steps[k]
+            return (
+                _SECONDARY * self.facts.is_secondary(k)
+                + _RAW_VOLTS * is_raw_signal(table, k)
+                + _IS_SET * few
+                + _HELD * self.facts.is_held[k]
+                + _PARTIAL * self.facts.is_out_of_phase(k)
+            )
+
+        return ByColumn(points)
+
+    def _of_pair(self, i: int, o: int) -> float:
+        """Points of quantities that belong together: the position of a motor, of which a controller follows it, drives its current."""
+        kinds = self.facts.kinds[i], self.facts.kinds[o]
+        measured = self.facts.measured.values()
+        # A load that is controlled, and nothing else, drives.
+        loads = [k for k, kind in zip((i, o), kinds, strict=True) if kind in LOADS and k in measured]
+        if loads and {self.facts.kinds[k] for k in self.facts.measured} <= {*LOADS}:
+            return _FOLLOWED if self.facts.measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
+        beside = o if kinds[0] == "current" else i
+        moved = beside in measured or "velocity" in self.facts.kinds.values()  # that of a motor, beside its speed
+        if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and moved:
+            return PAIRS["current", "displacement"] * (beside == i)
+        return PAIRS.get(kinds, 0.0)
+
+
+def _either_drives(one: str, other: str) -> bool:
+    """Whether quantities do not tell which of two columns drives the other."""
+    return {one, other} in ({""}, {"voltage", "current"}, {"voltage"}, {"current"})

@@ -1,0 +1,158 @@
+"""Named arrays, as numpy, MATLAB, HDF5, Parquet and JSON files hold them, as the columns of a table."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from hystfit.errors import DataError, MissingExtraError
+from hystfit.outcome import Code, Note
+from hystfit.reading.files.file_bytes import FileBytes
+from hystfit.reading.files.text_file import Opening
+from hystfit.reading.limits import MOST_COLUMNS
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
+
+_PATH = re.compile(
+    r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
+)  # of an array in groups: run1/H [A/m], test.S1.disp
+
+
+def read_arrays(arrays_of: Callable[[bytes], Mapping[str, np.ndarray]], file: FileBytes, opening: Opening) -> Table:
+    """The columns of a file that holds named arrays.
+
+    Args:
+        arrays_of: the arrays in the bytes of a file.
+    """
+    with errors_of(file, opening):
+        arrays = arrays_of(file.raw)
+    return table_of_arrays(arrays, file.source, file.sha256, file.notes)
+
+
+@contextlib.contextmanager
+def errors_of(file: FileBytes, opening: Opening) -> Iterator[None]:
+    """The errors of the libraries that unpack a file as errors that name it."""
+    if opening.sheet is not None:
+        raise DataError(f"{file.source} has no sheets; leave out sheet=")
+    try:
+        yield
+    except MissingExtraError:
+        raise
+    except DataError as error:
+        raise DataError(f"{file.source}: {error}") from error
+    except Exception as error:  # each library raises its own kinds on damaged files
+        kind = file.suffix or "a file of arrays"
+        raise DataError(f"{file.source} cannot be read as {kind}: {error}; it is damaged or of another kind") from error
+
+
+def table_of_arrays(
+    arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note] = ()
+) -> Table:
+    """Columns of equal length; a matrix gives one column for each of its shorter side, called name[0], name[1], ...
+
+    Groups with loops of the same names (run1/H, run1/B, run2/H, run2/B) are a record each.
+    """
+    if (records := _of_groups(arrays, source, sha256, notes)) is not None:
+        return records
+    columns: dict[str, np.ndarray] = {}
+    odd, stamps = [], set()
+    title, named = _column_titles(arrays)
+    for name, array in arrays.items():
+        if name == title:
+            continue
+        array = np.squeeze(array)
+        if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
+            array = _seconds(array)
+            stamps.add(name or "column 0")
+        if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
+            odd.append(name)
+        elif array.ndim == 1:
+            columns[name or "column 0"] = array
+        else:
+            tall = array if array.shape[0] >= array.shape[1] else array.T
+            own = [f"{name}[{k}]" if name else f"column {k}" for k in range(tall.shape[1])]
+            columns.update(zip(named or own, tall.T, strict=True))
+    if not columns:
+        raise DataError(
+            f"{source} holds no columns of numbers (found {', '.join(map(repr, odd)) or 'nothing'}); save arrays in it"
+        )
+    sizes: dict[int, int] = {}
+    for array in columns.values():
+        sizes[array.size] = sizes.get(array.size, 0) + (array.dtype.kind in "fiub")
+    pairs = [size for size, count in sizes.items() if count > 1]
+    rows = max(pairs or sizes, key=lambda size: size)
+    names = [name for name, array in columns.items() if array.size == rows]
+    if len(names) > MOST_COLUMNS:
+        raise DataError(
+            f"{source}: {len(names)} columns of {rows} rows; {MOST_COLUMNS} columns are the most: save fewer"
+        )
+    notes = [*notes, Note(Code.FILE_FORMAT, f"{len(names)} columns of {rows} rows")]
+    clocks = [name for name in names if name in stamps]
+    notes += [Note(Code.FILE_FORMAT, f"{name!r}: dates converted to seconds from the first one") for name in clocks]
+    if rest := [name for name, array in columns.items() if name not in names and array.dtype.kind in "fiub"]:
+        shown = ", ".join(rest[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(rest)} columns of another length than {rows}: {shown}"))
+    if odd:
+        shown = ", ".join(odd[:8])
+        notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
+    units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
+    table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
+    positions = frozenset(k for k, name in enumerate(names) if name in stamps)
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+
+
+def _column_titles(arrays: Mapping[str, np.ndarray]) -> tuple[str | None, list[str]]:
+    """The array of texts that names the columns of the only matrix, and its texts; none where there is no such array."""
+    widths = [
+        min(shape)
+        for array in arrays.values()
+        if len(shape := np.squeeze(array).shape) == 2 and array.dtype.kind in "fiu"
+    ]
+    titles = {key: texts for key, array in arrays.items() if len({*(texts := _texts(array))}) == len(texts) > 1}
+    if len(titles) != 1 or widths != [len(next(iter(titles.values())))]:
+        return None, []
+    return next(iter(titles.items()))
+
+
+def _texts(array: np.ndarray) -> list[str]:
+    """The texts of an array or a cell array that has nothing else; [] for others."""
+    found = [np.squeeze(cell) for cell in np.ravel(array)] if array.dtype.kind in "OU" else []
+    return [str(cell) for cell in found] if all(cell.dtype.kind == "U" and not cell.ndim for cell in found) else []
+
+
+def _of_groups(
+    arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note]
+) -> Table | None:
+    """The records of groups that have columns of the same names, of which two may be those of a loop; None where there are none."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for match in filter(None, map(_PATH.fullmatch, arrays)):
+        if np.squeeze(arrays[match[0]]).ndim == 1:
+            groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
+    first = next(iter(groups.values()), {})
+    signals = [name for name in first if column_quantity(name) not in ("", "time", "index")]
+    if len(groups) < 2 or len(signals) < 2 or any(group.keys() != first.keys() for group in groups.values()):
+        return None
+    tables = [table_of_arrays(group, source, sha256, notes) for group in groups.values()]
+    if len({tuple(sorted(table.names)) for table in tables}) > 1:
+        return None
+    paths = [re.split(r"[./]", name) for name in groups]
+    shared = set(paths[0]).intersection(*paths)
+    parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
+    text = f"{len(groups)} groups of columns of the same names, each a record"
+    return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
+
+
+def _seconds(stamps: np.ndarray) -> np.ndarray:
+    """Dates or durations of numpy as seconds from the first one that is there, shape (rows,), NaN where missing."""
+    there = stamps[~np.isnat(stamps)]
+    passed = stamps - (there[0] if there.size else stamps[0])
+    unit = np.timedelta64(1, np.datetime_data(passed.dtype)[0])
+    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
+        return np.full(stamps.size, np.nan)
+    factor = np.datetime_data(passed.dtype)[1] * (unit / np.timedelta64(1, "s"))
+    return np.where(np.isnat(passed), np.nan, passed.astype(np.int64) * factor)

@@ -1,0 +1,99 @@
+"""Variables of MATLAB files, also within structures; arrays of structures are records, or channels with a name and their data."""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.reading.files.file_bytes import FileBytes
+from hystfit.reading.files.text_file import Opening
+from hystfit.reading.layouts.array_files import DOUBLE, check_size, hdf5_arrays
+from hystfit.reading.layouts.array_table import errors_of, read_arrays
+from hystfit.reading.layouts.json_text import table_of_tree
+from hystfit.reading.layouts.mat_structure import check_structure
+from hystfit.reading.table.raw_table import Table
+
+_HDF = b"\x89HDF"
+
+
+def read_matlab(file: FileBytes, opening: Opening) -> Table:
+    """MATLAB variables, also within structures; an array of structures has a record, or a named channel, in each."""
+    if file.raw.startswith(b"MATLAB 7.3") or _HDF in (file.raw[:4], file.raw[512:516]):
+        return read_arrays(_of_hdf, file, opening)
+    with errors_of(file, opening):
+        tree = _by_cell(_variables(file.raw))
+    if any(map(_has_structures, tree.values())):
+        return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
+    return read_arrays(functools.partial(_flatten, tree), file, opening)
+
+
+def _of_hdf(raw: bytes) -> dict[str, np.ndarray]:
+    return {name: array.T for name, array in hdf5_arrays(raw).items()}  # MATLAB stores columns first
+
+
+def _variables(raw: bytes) -> dict[str, Any]:
+    """The variables of a file before version 7.3, checked before they are unpacked."""
+    from scipy.io import loadmat, whosmat
+
+    check_structure(raw)
+    shapes = [shape for _, shape, _ in whosmat(io.BytesIO(raw))]
+    check_size(sum(DOUBLE * math.prod(map(int, shape)) for shape in shapes), raw)
+    found = loadmat(io.BytesIO(raw), simplify_cells=True)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _flatten(tree: Mapping[str, Any], raw: bytes = b"", prefix: str = "") -> dict[str, np.ndarray]:
+    """The arrays in structures, their names joined by dots."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            arrays.update(_flatten(value, raw, f"{prefix}{name}."))
+        elif isinstance(value, np.ndarray):
+            arrays[f"{prefix}{name}"] = value
+    return arrays
+
+
+def _items(value: Any) -> list[Any]:
+    """The items of a list or of an array of objects; none of another value."""
+    objects = isinstance(value, np.ndarray) and value.dtype == object and value.ndim > 0
+    return [*value.ravel()] if objects else [*value] if isinstance(value, list) else []
+
+
+def _by_cell(tree: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The variables; those that have a column in each of as many cells, one for each trial, as an array of structures."""
+    cells = {name: columns for name, value in tree.items() if (columns := _columns(value))}
+    if len(cells) < 2 or len({len(items) for items in cells.values()}) > 1:
+        return tree
+    trials = [dict(zip(cells, columns, strict=True)) for columns in zip(*cells.values(), strict=True)]
+    return {name: value for name, value in tree.items() if name not in cells} | {"cell": trials}
+
+
+def _columns(value: Any) -> list[np.ndarray]:
+    """The columns in the cells of a variable, which are the rows of a matrix where all are of one length; none of another value."""
+    cells = isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and value.ndim > 0)
+    columns = [np.array(cell.tolist()) for cell in value if isinstance(cell, np.ndarray)] if cells else []
+    numbers = all(column.ndim == 1 and column.size > 1 and column.dtype.kind in "fiu" for column in columns)
+    return columns if numbers and columns and len(columns) == len(value) else []
+
+
+def _has_structures(value: Any) -> bool:
+    """Whether there is an array of structures with arrays in a variable."""
+    if isinstance(value, Mapping):
+        return any(map(_has_structures, value.values()))
+    items = _items(value)
+    return bool(items) and all(isinstance(item, Mapping) and _flatten(item) for item in items)
+
+
+def _listed(value: Any) -> Any:
+    """A variable with lists in the place of its arrays."""
+    if isinstance(value, Mapping):
+        return {name: _listed(item) for name, item in value.items()}
+    if items := _items(value):
+        return [_listed(item) for item in items]
+    return np.squeeze(value).tolist() if isinstance(value, np.ndarray) else value

@@ -1,0 +1,85 @@
+"""Results that the instrument wrote into the file, beside ours, and a sentence where its definition is another one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+
+from hystfit.data.record import Record
+from hystfit.data.stated import OFFSET, SLOPE, Stated
+from hystfit.errors import DataError
+from hystfit.outcome import Code, Note
+from hystfit.params.units import conversion
+from hystfit.results.measured.loop_branches import Branch
+from hystfit.results.measured.measured_value import LoopValue
+
+Levels = Callable[[list[Branch]], Iterable[LoopValue]]
+
+
+def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches: list[Branch]) -> Iterator[LoopValue]:
+    """The quantities with those that the instrument states; after its slope correction, where it made one, in rows of their own.
+
+    Args:
+        levels: gives those that a slope changes, of corrected branches.
+    """
+    stated = {_name_of(one): one for one in record.stated if one.quantity}
+    if any(row.name == "remanence_end" for row in found):
+        u = record.u[record.used]
+        side = "rising" if u.argmin() > u.argmax() else "falling"  # the direction in which the input ends
+        if f"remanence_{side}" in stated:
+            stated["remanence_end"] = stated.pop(f"remanence_{side}")
+    beside = lambda row: dataclasses.replace(row, stated=_in_unit(stated.get(row.name), row.unit))
+    slope = next((one.value for one in record.stated if one.label == SLOPE), None)
+    if slope is None or not stated or record.y_name.lower().startswith("adjusted"):
+        yield from map(beside, found)
+        return
+    yield from found
+    offset = next((one.value for one in record.stated if one.label == OFFSET), 0.0)
+    corrected = [Branch(b.u, b.y + slope * b.u + offset) for b in branches]
+    for one in levels(corrected):
+        if one.name in stated:
+            label = f"{one.label}, after the slope correction of the file"
+            yield dataclasses.replace(beside(one), name=f"{one.name}_corrected", label=label)
+
+
+def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note]:
+    """Where the instrument's definition of a result that it states is another than the usual one."""
+    if any(one.label.startswith("S*") for one in record.stated):
+        text = "S* of the file is not compared: it takes the slope at the coercivity over an interval that the file does not state"
+        yield Note(Code.PREPARED, text)
+    for row in rows:
+        if row.stated is not None and row.name == "remanence_end":
+            text = "the instrument reads the remanence of the branch on which the loop ends from the last sample, not where V = 0"
+            yield Note(Code.PREPARED, text)
+        if row.stated is not None and row.name in ("saturation", "saturation_corrected"):
+            text = "the instrument's saturation is an output near the largest field; Js is extrapolated by the law of approach"
+            yield Note(Code.PREPARED, text)
+
+
+# The branch on which a result of that sign is read: the output crosses zero at a positive input as it rises, and is left positive at
+# zero input by the branch that falls.
+_SIGNED = {
+    ("coercive_input", "+"): "rising",
+    ("coercive_input", "-"): "falling",
+    ("remanence", "+"): "falling",
+    ("remanence", "-"): "rising",
+    ("polarization_tip", "+"): "rising",
+    ("polarization_tip", "-"): "falling",
+}
+
+
+def _name_of(stated: Stated) -> str:
+    """The name under which a stated result stands here: "Vc+" is the coercivity of the rising branch."""
+    side = _SIGNED.get((stated.quantity, stated.label[-1:]))  # "Prrel-" is the one at the start, on whichever side
+    return stated.quantity if side is None else f"{stated.quantity}_{side}"
+
+
+def _in_unit(stated: Stated | None, unit: str) -> float | None:
+    """A stated result in the unit of ours; as it is where one of the units is unknown."""
+    if stated is None:
+        return None
+    try:
+        factor = conversion(stated.unit, unit) if stated.unit and unit else None
+    except DataError:
+        return None
+    return stated.value * (1.0 if factor is None else factor)

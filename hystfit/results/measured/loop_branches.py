@@ -1,0 +1,262 @@
+"""Branches of a measured loop, between the turning points of its input: area, crossings, and medians over branches."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hystfit.models.shared.slopes import POINTS
+from hystfit.quality.faults import CLEAR
+from hystfit.quality.held_out import correlation_length
+from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
+
+ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
+GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Branch:
+    """Samples between two turning points of the input, in the order of time."""
+
+    u: np.ndarray
+    y: np.ndarray
+
+    @property
+    def rises(self) -> bool:
+        """Whether the input ends above where it began."""
+        return bool(self.u[-1] > self.u[0])
+
+
+Pair = tuple[Branch, Branch]
+Found = tuple[float, float]  # a value read off a branch and its standard error, NaN where unknown
+NOT_FOUND: Found = (np.nan, np.nan)
+
+
+def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
+    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one branch."""
+    edges = [0, *turns.tolist(), u.size - 1]
+    parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
+    span = float(np.ptp(u))
+    large = [part for part in parts if np.ptp(part.u) >= LARGEST * span]
+    first, last = parts[0], parts[-1]
+    if (
+        len(parts) > 2
+        and first.rises == last.rises
+        and abs(u[-1] - u[0]) <= GAP * span
+        and first not in large
+        and last not in large
+    ):
+        joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
+        if np.ptp(joined.u) >= LARGEST * span:
+            large.append(joined)
+    return large
+
+
+def turns_of(u: np.ndarray) -> np.ndarray:
+    """Samples at which the branches of a loop end."""
+    return reversals(u, APART * float(np.ptp(u)))
+
+
+def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
+    """Whether the output of two branches ends where it began."""
+    return bool(abs(other.y[-1] - one.y[0]) <= GAP * float(np.ptp(y)))
+
+
+def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pair]:
+    """Pairs of branches that close; else the largest cycles from one passage of the middle input to the next in the same direction.
+
+    The latter need no closed loop: in a test of growing amplitudes the energy that such a cycle dissipates is its area.
+    """
+    middle, span = 0.5 * float(u.max() + u.min()), float(np.ptp(u))
+    closed = [pair for pair in pairs if closes(*pair, y)]
+    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= SAME_LEVEL * span]
+    return exact or _between_passages(u, y, middle, span) or closed
+
+
+def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) -> list[Pair]:
+    """Cycles over the whole range of the input that begin and end at its middle."""
+    clear = np.flatnonzero(np.abs(u - middle) > SAME_LEVEL * span)
+    side = np.sign(u - middle)
+    for end, inner in ((0, clear[0]), (-1, clear[-1])):  # a record that begins or ends in the middle passes it there
+        if abs(u[end] - middle) <= SAME_LEVEL * span:
+            side[end] = -side[inner]
+    found = []
+    for way in (1, -1):
+        passages = np.flatnonzero((side[:-1] * way < 0) & (side[1:] * way >= 0)) + 1
+        for a, b in itertools.pairwise(passages.tolist()):
+            if np.ptp(u[a:b]) >= (1 - SAME_LEVEL) * span:
+                ends = [float(np.interp(middle, *_rising(u[k - 1 : k + 1], y[k - 1 : k + 1]))) for k in (a, b)]
+                inputs, outputs = (
+                    np.pad(u[a:b], 1, constant_values=middle),
+                    np.concatenate([ends[:1], y[a:b], ends[1:]]),
+                )
+                half = int(np.argmax(np.abs(inputs - middle)))
+                found.append((Branch(inputs[:half], outputs[:half]), Branch(inputs[half:], outputs[half:])))
+    return found
+
+
+def _rising(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(u)
+    return u[order], y[order]
+
+
+def area(one: Branch, other: Branch) -> float:
+    """Signed area between two branches, positive counter-clockwise."""
+    u, y = np.append(one.u, other.u), np.append(one.y, other.y)
+    u, y = u - u.mean(), y - y.mean()
+    return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
+
+
+def _thinned(branch: Branch) -> Branch:
+    """Every second sample of a branch, and its last one."""
+    kept = np.unique(np.append(np.arange(0, branch.u.size, 2), branch.u.size - 1))
+    return Branch(branch.u[kept], branch.y[kept])
+
+
+def area_error(pair: Pair, sigma: float, correlated: float = 0.0) -> float:
+    """Standard error of the area of a loop by noise.
+
+    Args:
+        sigma: standard deviation of the noise.
+        correlated: over which stretch of the input the noise is correlated; 0 for white noise.
+    """
+    steps = np.abs(np.gradient(np.append(pair[0].u, pair[1].u)))
+    together = max(1.0, 2.0 * correlated / max(float(np.median(steps)), 1e-300) - 1.0)  # sum of the autocorrelation
+    return sigma * float(np.sqrt(together * np.sum(steps**2)))
+
+
+def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[float, float, int]:
+    """Median area of closed loops, its standard error and their number.
+
+    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
+    comes that of straight lines between the samples: the areas of every second and of every fourth sample show how fast it falls with their
+    distance (Richardson and Aitken). Where the input does not come back, it is at least the strip that is missing.
+
+    Args:
+        pairs: branches of each loop, in the order of time.
+        sigma, correlated: see `area_error`.
+    """
+    areas = [abs(area(*pair)) for pair in pairs]
+    separate = [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
+    value = float(np.median(areas))
+    half = [(_thinned(one), _thinned(other)) for one, other in pairs]
+    quarter = [(_thinned(one), _thinned(other)) for one, other in half]
+    second, fourth = (float(np.median([abs(area(*pair)) for pair in thinned])) for thinned in (half, quarter))
+    lost = abs(value - second)
+    ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
+    strip = float(np.median([_missing(*pair) for pair in pairs]))
+    error = float(np.hypot(np.nan_to_num(combined(separate)[1]), lost / np.clip(ratio, 1.0, 3.0))) + strip
+    return value, error if error > 0 else np.nan, len(areas)
+
+
+def _missing(one: Branch, other: Branch) -> float:
+    """Largest area that is missing where the input does not come back to where the loop began, by more than a step between samples."""
+    gap, step = abs(other.u[-1] - one.u[0]), float(np.max(np.abs(np.diff(other.u[-3:]))))
+    return float(gap * np.ptp(one.y)) if gap > max(SAME_LEVEL * float(np.ptp(one.u)), 1.5 * step) else 0.0
+
+
+def is_open(pairs: Sequence[Pair], sigma: float) -> bool:
+    """Whether areas differ from zero by more than the noise makes them."""
+    error = np.nan_to_num(area_error(pairs[0], sigma))
+    return bool(abs(np.median([area(*pair) for pair in pairs])) > CLEAR * error / np.sqrt(len(pairs)))
+
+
+def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
+    """Value where a level passes zero, and its standard error; without where it ends on the side where it began, as an even output does.
+
+    Args:
+        level: along a branch, shape (n,).
+        values: at the same samples, shape (n,).
+        sigma: noise of the level; of_values: noise of the values. Where neither is known, the error is that between the samples.
+    """
+    passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
+    if passed.size % 2 == 0:
+        return NOT_FOUND
+    k = int(passed[len(passed) // 2])
+    step, run = level[k + 1] - level[k], values[k + 1] - values[k]
+    near = np.flatnonzero(np.abs(level) <= CLEAR * sigma)
+    runs = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)  # those at other crossings are apart
+    near = next((run for run in runs if k in run), near[:0])
+    if near.size < 5 or abs(step) > CLEAR * sigma:
+        per_level = abs(run / step)
+        known = np.isfinite(of_values)
+        curved = _beside_chord(level, values, k) if known else _beside_chord(values, level, k) * per_level
+        between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), of_jump(level, values, k))
+        error = float(np.hypot(np.nansum([sigma * per_level, of_values]), between))
+        rounding = np.finfo(float).eps * float(np.abs(values).max())
+        return float(values[k] - level[k] * run / step), error if error > rounding else np.nan
+    if not np.ptp(values[near]):  # an input that is switched between levels
+        return NOT_FOUND
+    # Noise crosses zero several times: a straight line through the samples about it.
+    slope, offset = np.polyfit(values[near], level[near], 1)
+    at = -offset / slope
+    spread = 1.0 / near.size + (at - values[near].mean()) ** 2 / max(
+        float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
+    )
+    return float(at), float(sigma / abs(slope) * np.sqrt(spread))
+
+
+def of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:
+    """Standard error of the place of a jump between two samples, of that part of it that the slopes beside it do not have.
+
+    It may lie anywhere between the two: a uniform distribution has 1 / sqrt(12) of its width.
+    """
+    slope = lambda at: abs(level[at + 1] - level[at]) / (abs(values[at + 1] - values[at]) or np.inf)
+    beside = [slope(at) for at in (k - 1, k + 1) if 0 <= at < level.size - 1]
+    own = slope(k)
+    part = max(0.0, 1.0 - max(beside, default=own) / own) if own > 0 else 0.0
+    return part * abs(values[k + 1] - values[k]) / math.sqrt(12)
+
+
+def _beside_chord(x: np.ndarray, y: np.ndarray, k: int) -> float:
+    """Half the squared distance of two neighboring samples times the mean second derivative on both sides of it.
+
+    Times f (1 - f) it is the error of a straight line between the two, at the part f of their distance. One sample that is off makes one
+    derivative large, as a bend on one side does; of six samples a branch the smaller of the two is too small by a factor of two.
+    """
+    triples = [slice(first, first + 3) for first in (k - 1, k) if first >= 0 and first + 3 <= x.size]
+    slopes = [np.diff(y[three]) / np.diff(x[three]) for three in triples if np.all(np.diff(x[three]))]
+    widths = [abs(x[three][2] - x[three][0]) for three in triples if np.all(np.diff(x[three]))]
+    second = [2 * abs(s[1] - s[0]) / width for s, width in zip(slopes, widths, strict=True) if width] or [0.0]
+    return 0.5 * float((x[k + 1] - x[k]) ** 2 * np.mean(second))
+
+
+def combined(found: list[Found]) -> tuple[float, float, int]:
+    """Median over branches and its standard error, by the noise of each or their scatter where that is larger; and their number."""
+    values, errors = np.array([one for one in found if np.isfinite(one[0])]).reshape(-1, 2).T
+    if not values.size:
+        return *NOT_FOUND, 0
+    stated = np.sqrt(np.mean(errors**2) / values.size)
+    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
+    return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
+
+
+def asymmetry(branches: list[Branch]) -> tuple[float, float]:
+    """How far a loop is no reflection of itself in its center; zeros without both branches.
+
+    Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
+    not show.
+
+    Returns:
+        The standard deviation of an output, and the stretch of the input over which it is correlated.
+    """
+    falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
+    if falling is None or rising is None:
+        return 0.0, 0.0
+    level = 0.5 * (max(falling.y.max(), rising.y.max()) + min(falling.y.min(), rising.y.min()))
+    shift = 0.5 * sum(crossing(b.y - level, b.u)[0] for b in (falling, rising))
+    if np.isfinite(shift):  # exchange bias may shift a loop by more than its width
+        falling, rising = (Branch(b.u - shift, b.y) for b in (falling, rising))
+    most = LARGEST * min(float(falling.u.max()), -float(falling.u.min()), float(rising.u.max()), -float(rising.u.min()))
+    if not most > 0:
+        return 0.0, 0.0
+    grid = np.linspace(-most, most, POINTS)
+    at = lambda u, y: np.interp(grid, u[np.argsort(u, kind="stable")], y[np.argsort(u, kind="stable")])
+    one, other = at(falling.u, falling.y), at(-rising.u, -rising.y)
+    columns = np.column_stack([np.ones(POINTS), np.gradient(0.5 * (one + other), grid) * most])
+    left = one - other - columns @ np.linalg.lstsq(columns, one - other, rcond=None)[0]
+    return float(np.sqrt(np.mean(left**2) / 2)), correlation_length(left) * 2 * most / (POINTS - 1)

@@ -1,0 +1,366 @@
+"""Quantities read off a measured loop, with standard errors and without a model: coercivity, remanence, loss, (BH)max, stiffness."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.circulation import FEWEST
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
+from hystfit.outcome import Code, Column, Note, Severity, Table
+from hystfit.outcome.notebook import fragment
+from hystfit.outcome.table import rounded
+from hystfit.params.units import loop_energy, quantity
+from hystfit.quality.coverage import is_switched
+from hystfit.quality.faults import noise_rms, saturated_samples
+from hystfit.quality.loops import LARGEST, SAME_LEVEL
+from hystfit.quality.reversal_curves import recognize_family
+from hystfit.results.measured.instrument_values import convention_notes, with_stated
+from hystfit.results.measured.loop_branches import (
+    ENDS,
+    Branch,
+    Pair,
+    closes,
+    combined,
+    crossing,
+    is_open,
+    large_branches,
+    large_cycles,
+    loss,
+    turns_of,
+)
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
+from hystfit.results.measured.magnetic_sample import Sample
+from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
+from hystfit.results.measured.measured_value import LoopValue
+from hystfit.results.measured.polarization_values import centered, offset_of, polarization_values
+
+MEASURED = "Quantities read off the measured loops, without the model"
+_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
+_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
+
+
+@dataclasses.dataclass(frozen=True)
+class LoopValues:
+    """The quantities of measured loops, record by record.
+
+    Attributes:
+        rows: for the name of each record its quantities; empty for records without a loop.
+        corrections: of magnetic loops, in their order.
+        notes: why a quantity is not given, and where the instrument's definition is another one.
+    """
+
+    rows: dict[str, tuple[LoopValue, ...]]
+    corrections: dict[str, tuple[Correction, ...]] = dataclasses.field(default_factory=dict)
+    notes: dict[str, tuple[Note, ...]] = dataclasses.field(default_factory=dict)
+
+    def table(self) -> Table:
+        """All quantities; standard errors by the size of the sample, half differences and results of the instrument where there are any."""
+        every = [one for values in self.rows.values() for one in values]
+        beside = {
+            "+- size": (lambda one: one.scale),
+            "+- branches, laws": (lambda one: one.spread),
+            "instrument": (lambda one: one.stated),
+        }
+        shown = {head: of for head, of in beside.items() if any(of(one) is not None for one in every)}
+        left = lambda head: Column(head, left=True)
+        columns = [left("quantity"), Column("value"), Column("+- stderr"), left("unit"), *map(Column, shown)]
+        rows = []
+        for name, values in self.rows.items():
+            for one in values:
+                label = one.label if len(self.rows) == 1 else f"{name}: {one.label}"
+                extra = [
+                    "" if of(one) is None else f"{of(one):.{5 if head == 'instrument' else 2}g}"
+                    for head, of in shown.items()
+                ]
+                rows.append([label, *rounded(one.value, one.stderr), one.unit, *extra, str(one.count)])
+        return Table([*columns, Column("read from")], rows)
+
+    def lines(self) -> list[str]:
+        """Corrections in their order, the table, and notes."""
+        one = len(self.rows) == 1
+        named = lambda record, text: str(text) if one else f"{record}: {text}"
+        corrected = [named(record, c) for record, all_of in self.corrections.items() for c in all_of]
+        lines = ["corrections, in this order", *(f"  {text}" for text in corrected), ""] if corrected else []
+        lines += self.table().lines() if any(self.rows.values()) else ["no loop to read quantities from"]
+        noted = [named(record, note) for record, all_of in self.notes.items() for note in all_of]
+        return [*lines, *(["", *(f"note: {text}" for text in noted)] if noted else [])]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines())
+
+    def _repr_html_(self) -> str:
+        return fragment("Quantities of the measured loops", (self.table(),))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `result.json`: by record and name."""
+        plain = lambda one: {k: v for k, v in dataclasses.asdict(one).items() if k != "name"}
+        return {record: {one.name: plain(one) for one in values} for record, values in self.rows.items()}
+
+    def remarks(self) -> dict[str, Any]:
+        """Corrections and notes for `result.json`, by record."""
+        return {
+            record: {
+                "corrections": [dataclasses.asdict(one) for one in self.corrections.get(record, ())],
+                "notes": [note.to_dict() for note in self.notes.get(record, ())],
+            }
+            for record in self.rows
+            if self.corrections.get(record) or self.notes.get(record)
+        }
+
+
+def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Collection[str] = ()) -> LoopValues:
+    """Quantities of the measured loops of every record, without a model.
+
+    Args:
+        data: records.
+        sample: of magnetic loops: size, volume or mass and demagnetizing factor, beside what the header of the file states.
+        correct: corrections of magnetic loops to apply besides volume, image and demagnetization: "drift", "offset", "slope". The
+            others are estimated and listed.
+
+    Raises:
+        DataError: a correction of another name.
+    """
+    records = Dataset.of(data)
+    family = recognize_family(records)
+    # Their reversals lie inside the loop.
+    inner = {record.name for record in family.curves[:-1]} if family else set[str]()
+    read = {
+        record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
+        for record in records
+    }
+    rows, corrections, notes = ({name: one[k] for name, one in read.items()} for k in range(3))
+    for record in records:  # several measurements in one record: its values are of none of them
+        notes[record.name] = (*(n for n in record.notes if n.code is Code.CONDITIONS), *notes[record.name])
+    some = lambda by_record: {name: value for name, value in by_record.items() if value}
+    return LoopValues(rows, some(corrections), some(notes))
+
+
+_NO_CYCLE = Note(
+    Code.NOT_CLOSED,
+    "no closed loop: the input does not cover the same range in both directions; measure a whole cycle",
+    Severity.WARNING,
+)
+_NO_AREA = Note(
+    Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
+)
+_LIMITED = Note(
+    Code.CLIPPED,
+    "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds",
+    Severity.WARNING,
+)
+_CUT_OFF = ("stroke", "saturation", "Js", "secant_stiffness", "loop_area", "W")
+_Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
+
+
+def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Read:
+    """Quantities, corrections and notes of a record."""
+    record, limited = _with_limited(record)
+    kept = record.used
+    u, y = record.u[kept], record.y[kept]
+    if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
+        return (), (), ()
+    kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
+    # Of sparse samples the most that it can be: errors without it would be those of the straight lines alone.
+    sigma = np.nan if noise is None else noise
+    if kind is LoopKind.FERROELECTRIC:
+        record, of_zero = centered(record)
+        y = record.y[kept]
+    magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
+    turns = turns_of(u)
+    if not turns.size:
+        rows = _of_quadrant(record, u, y, sigma)
+        return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
+    branches = large_branches(u, y, turns)
+    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
+    cycles = large_cycles(u, y, pairs) if pairs or (branches and kind in STRUCTURAL) else []
+    if not (pairs or cycles):
+        rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
+        return rows, corrections, (_NO_CYCLE, *notes)
+    if not is_open(pairs or cycles, np.nan if is_bound else sigma):
+        return (), (), (_NO_AREA,)
+    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
+    if kind is LoopKind.FERROELECTRIC:
+        found.extend(polarization_values(record, found, sigma))
+    if kind is LoopKind.MAGNETIC:
+        found.extend(offset_of(found, "offset (half sum of both coercivities)"))
+    rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
+    closed = any(closes(*pair, y) for pair in pairs)
+    rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
+    if limited:
+        rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
+    return rows, corrections, (*of_zero, *notes)
+
+
+def _with_limited(record: Record) -> tuple[Record, bool]:
+    """The record with the samples of a saturated sensor, which a fit leaves out, and whether it has any."""
+    limited = (
+        saturated_samples(record.u, record.y) & (np.cumsum(record.used) > 0) & (np.cumsum(record.used[::-1])[::-1] > 0)
+    )
+    return record.replace(weight=np.where(limited, 1.0, record.weight)), bool(limited.any())
+
+
+def _at_least(rows: Sequence[LoopValue]) -> Iterator[LoopValue]:
+    """The values of a loop whose ends are cut off: ranges and areas are the least that they can be, a ratio of both is left out."""
+    for row in rows:
+        if row.name in _CUT_OFF:
+            yield dataclasses.replace(row, label=f"{row.label}, at least", stderr=None)
+        elif row.name != "equivalent_damping_percent":
+            yield row
+
+
+def _with_data_sheet(
+    rows: tuple[LoopValue, ...],
+    record: Record,
+    sample: Sample,
+    correct: Collection[str],
+    sigma: float,
+    magnetic: MagneticLoop | None,
+    *,
+    closed: bool,
+) -> _Read:
+    """The rows with those of magnetic data sheets, their errors by the size of the sample, and what is not given and why."""
+    notes = list(convention_notes(record, rows))
+    if rows and not closed and any(row.name.startswith("coercive_input_") for row in rows):
+        text = "no loss per cycle: the loop does not end where it began"
+        notes.append(Note(Code.NOT_CLOSED, text, Severity.WARNING))
+    if magnetic is None:
+        return rows, (), tuple(notes)
+    sheet = magnetic_values(magnetic)
+    full = sample.with_header(record.metadata)
+    longer = [one for axis in range(3) if (one := full.longer(axis)) is not None]
+    moved = [{r.name: r.value for r in magnetic_values(MagneticLoop.of(record, one, sigma, correct))} for one in longer]
+    error = lambda row: (
+        float(np.sqrt(sum((m.get(row.name, np.nan) - row.value) ** 2 for m in moved))) if moved else None
+    )
+    sheet = tuple(dataclasses.replace(row, scale=error(row)) for row in sheet)
+    if sheet and not magnetic.absolute:
+        text = (
+            "Br, HcB and (BH)max need the volume of the sample, or its mass and density, and units of field and output"
+        )
+        notes.append(Note(Code.UNITS, text))
+    if magnetic.branches and not any(row.name == "Js" for row in sheet):
+        text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
+        notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
+    law = magnetic.saturation
+    falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
+    if falls and "slope" not in correct:
+        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope removes this slope"
+        notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
+    return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
+
+
+def _levels(
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float, kind: LoopKind, record: Record
+) -> Iterator[LoopValue]:
+    """Where the branches cross zero (coercivity, remanence), of other loops the middle of their ranges; stiffness of those of forces."""
+    named, units = kind in REMANENT, (record.u_unit, record.y_unit)
+    top, bottom = max(b.y.max() for b in branches), min(b.y.min() for b in branches)
+    if kind not in STRUCTURAL:
+        ends = [(b.u.max(), b.u.min()) for b in branches]
+        center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
+        middle = 0.0 if named else 0.5 * (top + bottom)
+        # A branch that begins inside the loop crosses the middle elsewhere.
+        whole = lambda b: named or np.ptp(b.y) >= LARGEST * (top - bottom)
+        of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
+        width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
+        height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}
+        words = ("coercivity", "remanence") if named else ("half width", "half height")
+        yield from _both(width, "coercive_input", words[0], units[0], sides=named)
+        yield from _both(height, "remanence", words[1], units[1], sides=named)
+    one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
+    y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
+    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
+    if named:
+        yield from _ends(branches, sigma, units[1])
+    if kind is LoopKind.DISPLACEMENT_DRIVEN:
+        yield from _stiffness(branches, cycles, sigma, units)
+
+
+def _range_error(y: np.ndarray, sigma: float) -> float:
+    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
+    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
+    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
+
+
+def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:
+    """Half the difference of the mean outputs near both ends of the input, as instruments read the saturation."""
+    u, y = (np.concatenate(columns) for columns in zip(*((b.u, b.y) for b in branches), strict=True))
+    center, half = 0.5 * (u.max() + u.min()), 0.5 * np.ptp(u)
+    high, low = u - center >= ENDS * half, u - center <= -ENDS * half
+    error = 0.5 * sigma * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
+    value = 0.5 * float(y[high].mean() - y[low].mean())
+    yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
+
+
+def _stiffness(
+    branches: list[Branch], cycles: Sequence[Pair], sigma: float, units: tuple[str, str]
+) -> Iterator[LoopValue]:
+    """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
+    width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
+    each = sigma * float(np.sqrt(2)) / width
+    longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
+    of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
+    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
+    unit = f"{units[1]}/{units[0]}".strip("/")
+    yield LoopValue("secant_stiffness", "secant stiffness", stiffness, error, unit, count)
+    if cycles and stiffness > 0:
+        size, uncertain, count = loss(cycles, sigma)
+        ratio = 100 * 2 * size / (np.pi * stiffness * width**2)
+        damping = ratio * float(np.hypot(uncertain / size, error / stiffness)) if size > 0 else None
+        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
+
+
+def _both(
+    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, *, sides: bool
+) -> Iterator[LoopValue]:
+    """Half the distance of what was read on the rising and the falling branch, and each of them where `sides`."""
+    (rising, *_), (falling, *_) = both = found[True], found[False]
+    if np.isfinite(rising - falling):
+        error = 0.5 * float(np.hypot(*(one[1] for one in both)))
+        text = f"{label} (half width)" if name == "coercive_input" and sides else label
+        yield LoopValue(name, text, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
+    for which, one in zip(("rising", "falling"), both, strict=True):
+        if sides and np.isfinite(one[0]):
+            yield LoopValue(f"{name}_{which}", f"{label}, {which} branch", one[0], one[1], unit, one[2])
+
+
+def _loss(closed: Sequence[Pair], sigma: float, record: Record) -> Iterator[LoopValue]:
+    """Loss per cycle, in energy where the units tell it."""
+    value, error, count = loss(closed, sigma)
+    unit, factor = loop_energy(record.u_unit, record.y_unit)
+    yield LoopValue("loop_area", "loss per cycle", factor * value, factor * error, unit, count)
+
+
+def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> tuple[LoopValue, ...]:
+    """Coercivity and remanence of a magnetic curve in one direction that is remanent at zero field; nothing of other curves.
+
+    It is a demagnetization curve, half a loop, or a curve of remanences after back fields, whose zero is the coercivity of remanence.
+    """
+    kinds = quantity(record.u_unit), quantity(record.y_unit)
+    named = {record.u_name[:1].upper(), record.y_name[:1].upper()} in ({"H", "B"}, {"H", "J"}, {"H", "M"})
+    magnetic = kinds[0] in ("field", "induction") and kinds[1] in ("induction", "magnetization", "moment")
+    slack, largest = SAME_LEVEL * float(np.abs(u).max()), float(np.abs(y).max())
+    rest = int(np.argmin(np.abs(u)))
+    if not (magnetic or named) or abs(y[rest]) < REMANENT_PART * largest:
+        return ()
+    field, flux = -np.sign(y[rest]) * u, np.sign(y[rest]) * y  # the demagnetizing field counts positive
+    if field[0] > field[-1]:  # in the order of the samples: on a steep part the field of digitized ones goes to and fro
+        field, flux = field[::-1], flux[::-1]
+    found = []
+    if field[-1] > slack and flux[-1] <= SAME_LEVEL * largest:
+        at, error = crossing(flux, field, sigma)
+        label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
+        at = at if np.isfinite(at) else float(field[-1])
+        found.append(LoopValue("coercive_input", label, at, error, record.u_unit))
+    if abs(u[rest]) <= slack:
+        order = np.argsort(field, kind="stable")
+        at_rest = float(np.interp(0.0, field[order], flux[order]))
+        found.append(LoopValue("remanence", "remanence", at_rest, sigma, record.y_unit))
+    return tuple(with_stated(record, found, lambda _: (), []))

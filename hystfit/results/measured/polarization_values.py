@@ -1,0 +1,95 @@
+"""Quantities of ferroelectric loops beside coercivity, remanence and loss: imprint, polarizations at the ends and tips, leakage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hystfit.data.record import Record
+from hystfit.outcome import Code, Note
+from hystfit.params.units import size_in
+from hystfit.results.measured.loop_branches import GAP
+from hystfit.results.measured.measured_value import LoopValue
+
+_TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
+_FEWEST = 3  # samples on each side of a tip
+# Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
+# start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
+_START, _OFF_CENTER = 0.02, 0.1
+
+
+def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
+    """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
+    u, y = record.u[record.used], record.y[record.used]
+    middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
+    if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
+        return record, ()
+    text = (
+        f"the output is relative to the start of the record: coercivity and remanence are those about the middle of its range "
+        f"({middle:.5g} {record.y_unit}".rstrip()
+        + ")"
+    )
+    return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)
+
+
+def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
+    """Half the sum of the coercivities of both branches: imprint, exchange bias, or an offset of the instrument."""
+    at = {row.name: row for row in rows}
+    sides = at.get("coercive_input_rising"), at.get("coercive_input_falling")
+    if sides[0] is not None and sides[1] is not None:
+        errors = [side.stderr for side in sides if side is not None]
+        error = None if None in errors else 0.5 * float(np.hypot(*errors))  # type: ignore[arg-type]
+        yield LoopValue("offset_input", label, 0.5 * (sides[0].value + sides[1].value), error, sides[0].unit)
+
+
+def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
+    """The rows besides those of every loop.
+
+    Args:
+        record: input a voltage or an electric field, output a charge or polarization.
+    """
+    yield from offset_of(rows, "offset (half sum of Vc+ and Vc-)")
+    u, y = record.u[record.used], record.y[record.used]
+    tips = {"rising": float(y[u.argmax()]), "falling": float(y[u.argmin()])}
+    for side, which in (("rising", "largest"), ("falling", "lowest")):
+        label = f"polarization at the {which} voltage"
+        yield LoopValue(f"polarization_tip_{side}", label, tips[side], noise, record.y_unit)
+    if abs(u[-1] - u[0]) <= GAP * np.ptp(u) and abs(u[-1]) <= GAP * np.ptp(u):
+        first, last = float(y[0]), float(y[-1])
+        switched = max((tip - first for tip in tips.values()), key=abs)
+        yield LoopValue("remanence_start", "polarization at the start of the loop", first, noise, record.y_unit)
+        label = "switched polarization, from the start to the farther tip"
+        yield LoopValue("switched_polarization", label, switched, noise * float(np.sqrt(2)), record.y_unit)
+        yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
+    yield from _leakage(record)
+
+
+def _leakage(record: Record) -> Iterator[LoopValue]:
+    """Current that does not change its sign with the direction of the input: mean of those before and after a tip.
+
+    Capacitance and ferroelectric polarization reverse their current with dV/dt where nothing switches, and conduction does not. Domains
+    that still switch behind the tip add to it, so that it is an upper bound.
+    """
+    if record.t is None:
+        return
+    u, y, t = record.u[record.used], record.y[record.used], record.t[record.used]
+    found, errors = [], []
+    for sign in (1.0, -1.0):
+        tip = int(np.argmax(sign * u))
+        near = sign * (u[tip] - u) <= _TIP * np.ptp(u)
+        before, after = tip, tip
+        while before > 0 and near[before - 1]:
+            before -= 1
+        while after < u.size - 1 and near[after + 1]:
+            after += 1
+        if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
+            return
+        lines = [np.polyfit(t[a : b + 1], y[a : b + 1], 1, cov=True) for a, b in ((before, tip), (tip, after))]
+        found.append(sign * 0.5 * sum(theta[0] for theta, _ in lines))
+        errors.append(0.5 * float(np.sqrt(sum(covariance[0, 0] for _, covariance in lines))))
+    per_time = f"{record.y_unit}/{record.t_unit}".strip("/")
+    unit, factor = size_in(per_time, "A/m2", "A") or (per_time, 1.0)
+    value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
+    spread = factor * 0.5 * abs(found[0] - found[1])
+    yield LoopValue("leakage", "leakage at the tips (upper bound)", value, error, unit, 2, spread=spread)

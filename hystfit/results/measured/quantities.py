@@ -1,0 +1,183 @@
+"""Engineering quantities that follow from a model: their definitions, and an estimate of one."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hystfit.data.circulation import FEWEST
+from hystfit.data.dataset import Dataset
+from hystfit.params.units import loop_energy
+from hystfit.quality.coverage import is_switched
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.steady_loops import SteadyLoops
+
+# Standard errors of both, and part of the measured value, by which a model's quantity must differ from it to be reported.
+_APART, _VISIBLE = 2.0, 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """The definition of a quantity.
+
+    Attributes:
+        label: its name in a report.
+        named: kinds of loops that have a name of their own for it, and this name.
+        doc: what it is.
+        unit: with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop.
+        of_loops: its value for each loop; None for the creep, which follows from a step.
+        kinds: of loops for which it is defined; None for all.
+        leads: kinds in whose reports it comes first, in the order of the registry.
+        at_middle: whether it is read at the middle of the loop, where instruments read it at zero.
+    """
+
+    label: str
+    doc: str
+    unit: str
+    of_loops: Callable[[SteadyLoops], np.ndarray] | None
+    kinds: frozenset[LoopKind] | None = None
+    leads: frozenset[LoopKind] = frozenset()
+    named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
+    at_middle: bool = False
+
+    def label_on(self, data: Dataset) -> str:
+        """Its name on these records, in the words of their field."""
+        kinds, own = self.named
+        return own if LoopKind.of(data) in kinds else self.label
+
+    def units(self, data: Dataset) -> str:
+        """Its unit on these records; empty where they have none."""
+        u, y = data.units["u"], data.units["y"]
+        force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
+        text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
+        return text if (u and y) or "/" not in self.unit else ""
+
+
+CREEP = "creep_percent_per_decade"
+QUANTITIES: dict[str, Quantity] = {
+    "loop_area": Quantity(
+        "loss per cycle", "area of the steady loop over the fitted input range", "{energy}", lambda loops: loops.loss,
+        leads=REMANENT | STRUCTURAL,
+    ),
+    "coercive_input": Quantity(
+        "half width", "half the width of the loop, in input, at the middle of the output", "{u}",
+        lambda loops: loops.coercive_input, leads=REMANENT | {LoopKind.OTHER},
+        named=(REMANENT, "coercivity (half width)"), at_middle=True,
+    ),
+    "remanence": Quantity(
+        "half height", "half the height of the loop, in output, at the middle of the input", "{y}",
+        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"), at_middle=True,
+    ),
+    "hysteresis_percent": Quantity(
+        "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",
+        lambda loops: 100 * loops.gap.max(1) / loops.stroke, leads=frozenset({LoopKind.ACTUATOR, LoopKind.OTHER}),
+        named=(frozenset({LoopKind.ACTUATOR}), "hysteresis (of the stroke)"),
+    ),
+    "stroke": Quantity(
+        "range of the output", "range of the output over the steady loop", "{y}", lambda loops: loops.stroke,
+        leads=frozenset({LoopKind.ACTUATOR}), named=(frozenset({LoopKind.ACTUATOR}), "stroke"),
+    ),
+    "secant_stiffness": Quantity(
+        "secant stiffness", "force over displacement between the ends of the steady loop", "{force}/{path}",
+        lambda loops: loops.secant_stiffness, kinds=STRUCTURAL, leads=STRUCTURAL,
+    ),
+    "equivalent_damping_percent": Quantity(
+        "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
+        lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
+    ),
+    CREEP: Quantity(
+        "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first 1 s", "%",
+        None,
+        leads=frozenset(LoopKind),
+    ),
+}  # fmt: skip
+
+
+def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
+    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
+
+    Args:
+        timed: whether the model creeps.
+    """
+    kind = LoopKind.of(data)
+    looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
+    return tuple(
+        name
+        for name, one in QUANTITIES.items()
+        if (one.kinds is None or kind in one.kinds) and (timed if one.of_loops is None else looped)
+    )
+
+
+class Unknown(enum.StrEnum):
+    """Why a quantity has no value, or no standard error."""
+
+    NOT_FINITE = "not-finite"
+    NO_CROSSING = "no-crossing"
+    LOBES = "lobes"
+    NOT_DETERMINED = "not-determined"
+    NO_ERRORS = "no-errors"
+
+    @property
+    def text(self) -> str:
+        """The reason in words."""
+        return _REASONS[self]
+
+
+_REASONS = {
+    Unknown.NOT_FINITE: "the model cannot be simulated on this loop",
+    Unknown.NO_CROSSING: "no branch passes from one side of the middle of the output to the other",
+    Unknown.LOBES: "the branches cross: the lobes run in opposite directions",
+    Unknown.NOT_DETERMINED: "the data do not determine it",
+    Unknown.NO_ERRORS: "the fit has no standard errors",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class QuantityEstimate:
+    """A quantity of a fit.
+
+    Attributes:
+        name, unit: what it is; its definition is in `QUANTITIES`.
+        value: None where it is unknown.
+        stderr: standard error to first order; None where it is unknown.
+        reason: why one of them is unknown; None where both are known.
+        measured: that of the measured loops, without a model; None where no measured cycle covers the fitted range.
+        measured_stderr: standard error of that, by noise or repeats; None where it is unknown.
+    """
+
+    name: str
+    value: float | None
+    stderr: float | None
+    unit: str
+    reason: Unknown | None = None
+    measured: float | None = None
+    measured_stderr: float | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the model's value is further from the measured one than both errors allow, and visibly so."""
+        if self.value is None or self.stderr is None or self.measured is None:
+            return False
+        apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
+        return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
+
+    def vaguer_than(self, stderr: float | None) -> bool:
+        """Whether its error is visible, and larger than that of the measured loop or, where none covers the fitted range, than this one of
+        a value that was read off other loops.
+        """
+        stderr = stderr if self.measured is None else self.measured_stderr
+        if None in (self.value, self.stderr, stderr):
+            return False
+        return self.stderr > max(stderr, _VISIBLE * abs(self.value))  # type: ignore[operator,arg-type,type-var]
+
+    def beside(self, value: float, stderr: float | None) -> QuantityEstimate:
+        """The same beside another measured value."""
+        return dataclasses.replace(self, measured=value, measured_stderr=stderr)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
+        return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"} | {"differs": self.differs}

@@ -1,0 +1,244 @@
+"""Steady loops of a model: the inputs on which they and the creep are computed, and what is measured on the outputs.
+
+The steady loop is the last of three cycles over the input range of the fit, after a device at rest in the middle has moved to the lower
+end: slow relaxation settles about the middle, and from rest at an end would still do so in the third cycle. The cycles of a model that
+hardens run the path of the record: the record need not show the loop of a new device at this amplitude. Where the record has a time, the
+cycles last as long as its own, with their waveform, sine or triangle, and their sampling rate: the delay of a lag of few samples includes
+half a sampling interval. Else they are triangular. The creep is that after a step over the same range, of a device that has rested at
+the lower end.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from statistics import median
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
+from hystfit.models.shared.slopes import CYCLES, POINTS
+from hystfit.params.relative_size import ROUNDED
+from hystfit.params.units import loop_energy
+from hystfit.quality.loops import LARGEST, cycles
+from hystfit.quality.shape import has_lobes
+from hystfit.results.measured.loop_kinds import LoopKind
+
+_FEWEST, _MOST = 40, 2000  # samples of a cycle
+_OF_CYCLE = 64  # samples of a cycle from which its rms follows to 0.1 %
+_SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
+_RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
+_STEP = 0.05  # seconds between the samples of the step
+_AT_1S, _AT_10S = (1 + round(seconds / _STEP) for seconds in (1, 10))  # samples of it
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadyLoops:
+    """Steady loops.
+
+    Attributes:
+        inputs: rising, of all loops, shape (P,), or of each, shape (count, P).
+        rising, falling: outputs of each loop at these inputs, shape (count, P).
+        force_driven: whether the input is the force.
+        energy: that of a unit of area, in the unit of `loop_energy`.
+    """
+
+    inputs: np.ndarray
+    rising: np.ndarray
+    falling: np.ndarray
+    force_driven: bool = False
+    energy: float = 1.0
+
+    @functools.cached_property
+    def gap(self) -> Float[np.ndarray, "count P"]:
+        """Height of the loop at each input."""
+        return np.abs(self.falling - self.rising)
+
+    @functools.cached_property
+    def stroke(self) -> Float[np.ndarray, " count"]:
+        """Range of the output."""
+        return np.maximum(self.rising.max(1), self.falling.max(1)) - np.minimum(self.rising.min(1), self.falling.min(1))
+
+    @property
+    def width(self) -> Any:
+        """Range of the input."""
+        return self.inputs[..., -1] - self.inputs[..., 0]
+
+    @functools.cached_property
+    def area(self) -> Float[np.ndarray, " count"]:
+        """Enclosed area."""
+        return np.abs(np.trapezoid(self.falling - self.rising, self.inputs, axis=1))
+
+    @functools.cached_property
+    def lobed(self) -> Bool[np.ndarray, " count"]:
+        """Whether the branches cross (a butterfly): lobes in opposite directions have no common height, and their areas cancel."""
+        return has_lobes(self.area, np.trapezoid(self.gap, self.inputs, axis=1), self.stroke * self.width)
+
+    @property
+    def loss(self) -> Float[np.ndarray, " count"]:
+        """Energy of the enclosed area; NaN of a butterfly."""
+        return np.where(self.lobed, np.nan, self.energy * self.area)
+
+    @property
+    def travel(self) -> Float[np.ndarray, " count"]:
+        """Change of the output from the lowest to the highest input."""
+        ends = 0.5 * (self.rising + self.falling)
+        return np.abs(ends[:, -1] - ends[:, 0])
+
+    @property
+    def coercive_input(self) -> Float[np.ndarray, " count"]:
+        """Half the distance of the branches at the middle of the output; NaN where they do not pass from one side to the other."""
+        middle = 0.5 * (
+            np.maximum(self.rising.max(1), self.falling.max(1)) + np.minimum(self.rising.min(1), self.falling.min(1))
+        )
+        crossing = lambda branch: _crossings(branch - middle[:, None], self.inputs)
+        return 0.5 * np.abs(crossing(self.rising) - crossing(self.falling))
+
+    @property
+    def remanence(self) -> Float[np.ndarray, " count"]:
+        """Half the height of the loop at the middle of the input; NaN of a butterfly."""
+        inputs, rows = np.broadcast_to(self.inputs, self.gap.shape), np.arange(len(self.gap))
+        middle = 0.5 * (inputs[:, 0] + inputs[:, -1])
+        k = np.clip((inputs < middle[:, None]).sum(axis=1), 1, inputs.shape[1] - 1)
+        share = (middle - inputs[rows, k - 1]) / (inputs[rows, k] - inputs[rows, k - 1])
+        height = (1 - share) * self.gap[rows, k - 1] + share * self.gap[rows, k]
+        return np.where(self.lobed, np.nan, 0.5 * height)
+
+    @property
+    def secant_stiffness(self) -> Float[np.ndarray, " count"]:
+        """Force over displacement between the ends of the loop."""
+        return self.width / self.travel if self.force_driven else self.travel / self.width
+
+
+def _crossings(
+    branches: Float[np.ndarray, "count P"], inputs: Float[np.ndarray, "... P"]
+) -> Float[np.ndarray, " count"]:
+    """The input at which each branch passes zero, the middle one of several (a sloping film); NaN where it ends on its first side."""
+    passed = np.signbit(branches[:, :-1]) != np.signbit(branches[:, 1:])
+    half = (passed.sum(axis=1, keepdims=True) + 1) // 2
+    k, rows = np.argmax(passed & (np.cumsum(passed, axis=1) == half), axis=1), np.arange(len(branches))
+    before, after, inputs = branches[rows, k], branches[rows, k + 1], np.broadcast_to(inputs, branches.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        place = inputs[rows, k] - before * (inputs[rows, k + 1] - inputs[rows, k]) / (after - before)
+        return np.where(passed.sum(axis=1) % 2 == 1, place, np.nan)
+
+
+@dataclasses.dataclass(frozen=True)
+class Excitation:
+    """The inputs on which the quantities of a fit are computed.
+
+    Attributes:
+        low, high: range of the input; a column of them, shape (count, 1), for `inputs` and `loops` of several that differ in these alone.
+        interval: between the samples of the cycles [s].
+        force_driven: whether the input is the force.
+        sine: whether the cycles of the records are nearer to a sine than to a triangle.
+        points: samples of a cycle, an even number.
+        cycles: the last of which shows the steady loop.
+        lead: samples of the way from the middle to the lower end before them; with 0 no cycle is corrected for what still settles.
+        energy: that of a unit of area of a loop.
+    """
+
+    low: Any
+    high: Any
+    interval: float
+    force_driven: bool = False
+    sine: bool = False
+    points: int = POINTS
+    cycles: int = CYCLES
+    lead: int = 0
+    energy: float = 1.0
+
+    @classmethod
+    def of(cls, data: Dataset, *, hardens: bool = False, jumps: bool = False) -> Excitation:
+        """The excitation over the range of the inputs from the first to the last sample that counts.
+
+        Args:
+            hardens: whether the loop of the model changes with the path, so that the cycles run that of the longest record.
+            jumps: whether the output of the model jumps at an input, which is then known to the distance of the samples alone.
+        """
+        low, high = min(float(r.reached.min()) for r in data), max(float(r.reached.max()) for r in data)
+        interval, sine, points = _waveform(data)
+        if jumps:
+            interval, points = interval * points / _MOST, _MOST
+        count = _cycles_of_path(data, high - low) if hardens else CYCLES
+        energy = loop_energy(data.units["u"], data.units["y"])[1]
+        lead = 0 if hardens else points - points // 4
+        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, lead, energy)
+
+    @functools.cached_property
+    def inputs(self) -> np.ndarray:
+        """Inputs of one branch, rising, shape (..., points / 2 + 1), evenly spaced in time."""
+        phase = np.linspace(0.0, 1.0, self.points // 2 + 1)
+        share = 0.5 * (1 - np.cos(np.pi * phase)) if self.sine else phase
+        return self.low + (self.high - self.low) * share
+
+    @functools.cached_property
+    def loop(self) -> Record:
+        """The way from the middle to the lower end, and the cycles, the last of which shows the steady loop and ends where it began."""
+        cycle = np.concatenate([self.inputs[:-1], self.inputs[:0:-1]])
+        u = np.concatenate([cycle[cycle.size - self.lead :], np.tile(cycle, self.cycles), cycle[: bool(self.lead)]])
+        return Record(u=u, y=np.zeros(u.size), t=self.interval * np.arange(u.size), name="steady loop")
+
+    @functools.cached_property
+    def step(self) -> Record:
+        """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
+        size = max(len(self.loop), _AT_10S + 1)
+        u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
+        t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
+        return Record(u=u, y=np.zeros(size), t=t, name="step")
+
+    def loops(self, y: np.ndarray) -> SteadyLoops:
+        """The steady loops in outputs over `loop`, shape (count, T)."""
+        half = self.points // 2
+        if self.lead:  # what still settles moves the end of the cycle away from its start
+            y, moved = y[:, -self.points - 1 : -1], y[:, -1:] - y[:, -self.points - 1, None]
+            y = y - moved * np.arange(self.points) / self.points
+        y = y[:, -self.points :]
+        falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
+        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy)
+
+    @staticmethod
+    def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:
+        """Creep a decade in percent of the change in the first second, by when a fast lag is over, from outputs over `step`, (count, T)."""
+        return 100 * (y[:, _AT_10S] - y[:, _AT_1S]) / (y[:, _AT_1S] - y[:, 1])
+
+
+def creeps(percent: np.ndarray) -> bool:
+    """Whether a model has creep: it is not 0 at all parameter values, shape (count,), as that of a lag or a viscous term is."""
+    return not bool((np.abs(percent) < ROUNDED).all())
+
+
+def _cycles_of_path(data: Dataset, span: float) -> int:
+    """Cycles over a range that run at most the longest path of a record up to its last sample that counts."""
+    path = max(float(np.abs(np.diff(record.u[: record.last + 1])).sum()) for record in data)
+    return int(np.clip(path / (2 * span), CYCLES, 50)) if span > 0 else CYCLES
+
+
+def _waveform(data: Dataset) -> tuple[float, bool, int]:
+    """Sampling interval [s] of cycles like the large ones of the records, whether these are nearer to a sine than a triangle, and samples.
+
+    The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
+    """
+    for record in data:
+        # Half: a first rise from the middle.
+        found = () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
+        if record.t is None or not len(found):
+            continue
+        first, last = found[:, 0], found[:, 2]
+        points = int(np.clip(2 * round(median((last - first).tolist()) / 2), _FEWEST, _MOST))
+        interval = median((record.t[last] - record.t[first]).tolist()) / points
+        return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
+    return data[0].sampling_interval or 1.0, False, POINTS
+
+
+def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:
+    """RMS over time of the input in each cycle, about the middle of its range and over half of it; cycles as by `cycles`."""
+    first, last = found[:, :1], found[:, 2:]
+    at = first + np.round((last - first) * np.linspace(0.0, 1.0, _OF_CYCLE + 1)).astype(int)
+    t, u = t[at], u[at]
+    low, high = u.min(axis=1, keepdims=True), u.max(axis=1, keepdims=True)
+    away = (2 * u - low - high) / (high - low)
+    return np.sqrt(np.trapezoid(away**2, t, axis=1) / (t[:, -1] - t[:, 0]))
