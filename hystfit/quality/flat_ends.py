@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.faults import MAD_TO_RMS, noise_rms, runs
+from hystfit.quality.faults import MAD_TO_RMS, runs
 
 _WITHIN = 5.0  # times the noise, within which the output is level
 _LEVEL = 1.5  # times the noise: the median deviation over a level end; slopes across the width of the noise have 2 to 3
@@ -18,7 +18,7 @@ _SEEN = 3.0
 _FEWEST = 2  # samples of each of these two parts
 
 
-def flat_ends(u: np.ndarray, y: np.ndarray) -> np.ndarray:
+def flat_ends(u: np.ndarray, y: np.ndarray, noise: float | None) -> np.ndarray:
     """Whether the output is level within its noise while the input goes on, turns and comes back, between two corners, shape (T,).
 
     Devices approach saturation slowly, backlash is level after a reversal alone, a plastic hinge before it, and a switch arrives at once.
@@ -26,23 +26,27 @@ def flat_ends(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     Args:
         u: input, shape (T,).
         y: output, shape (T,).
+        noise: rms noise of the output; None where it is not known, and then no end is found.
     """
     found = np.zeros(y.size, dtype=bool)
-    noise, is_bound = noise_rms(y)
     span = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
-    if noise is None or is_bound or not 0 < _SEEN * _WITHIN * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
+    if noise is None or not 0 < _SEEN * _WITHIN * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
         return found
-    for values in (y, -y):
-        level = float(np.median(values[values > np.nanmax(values) - 2 * _WITHIN * noise]))
-        inside = np.abs(values - level) <= _WITHIN * noise
-        for start, stop in runs(inside):
-            if stop - start >= _SHORTEST and _is_end(u, values, (start, stop), level, noise):
+    width = _WITHIN * noise
+    for sign, near_end in ((1.0, y > np.nanmax(y) - 2 * width), (-1.0, y < np.nanmin(y) + 2 * width)):
+        level = float(np.median(y[near_end]))
+        for start, stop in runs((y >= level - width) & (y <= level + width)):
+            if stop - start >= _SHORTEST and _is_end(u, y, (start, stop), level, sign, noise):
                 found[start:stop] = True
     return found
 
 
-def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, noise: float) -> bool:
-    """Whether the samples of a part, in which the output is near its upper level, are a level end between two corners."""
+def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, sign: float, noise: float) -> bool:
+    """Whether the samples of a part, in which the output is near a level, are a level end between two corners.
+
+    Args:
+        sign: 1 at the upper level, -1 at the lower one.
+    """
     start, stop = part
     spread = MAD_TO_RMS * float(np.median(np.abs(y[start:stop] - np.median(y[start:stop]))))
     if start == 0 or stop == y.size or spread > _LEVEL * noise:
@@ -51,18 +55,17 @@ def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, n
     turn = int(np.argmax(np.abs(drive - 0.5 * (drive[0] + drive[-1]))))
     onward = min(abs(drive[turn] - drive[0]), abs(drive[turn] - drive[-1]))
     gap = _ARRIVAL * float(np.nanmax(y) - np.nanmin(y))
-    sides = (u[:start][::-1], y[:start][::-1]), (u[stop:], y[stop:])
-    return bool(onward > _ONWARD * np.ptp(u)) and all(_has_corner(*side, level, gap) for side in sides)
+    sides = (slice(start - 1, None, -1), slice(stop, None))
+    return bool(onward > _ONWARD * np.ptp(u)) and all(_has_corner(u[k], sign * (level - y[k]), gap) for k in sides)
 
 
-def _has_corner(u: np.ndarray, y: np.ndarray, level: float, gap: float) -> bool:
+def _has_corner(u: np.ndarray, below: np.ndarray, gap: float) -> bool:
     """Whether the output leaves its level by a corner.
 
     Args:
-        u, y: samples from there on.
+        u, below: input, and distance of the output from its level, of the samples from there on.
         gap: how far it is followed.
     """
-    below = level - y
     if not (below >= gap).any():
         return False
     end = int(np.argmax(below >= gap))

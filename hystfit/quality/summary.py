@@ -162,7 +162,7 @@ def _summarize(record: Record) -> RecordQuality:
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
         correlation=_correlation(u[record.used], y[record.used]),
         of_rate=of_rate(u, y),
-        flat_ends=int(flat_ends(u, y).sum()),
+        flat_ends=int(flat_ends(u, y, y_column.known_noise).sum()),
         shape=shape,
         drift=drifts,
         lag=lag,

@@ -38,7 +38,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         CONTROLLED if any(controls_output(r.u, r.y, clear_reversals(r.u)) for r in fitted.data) else None,
         _failed(fitted),
         _at_an_end(fitted),
-        _clipped(fitted.data),
+        _clipped(fitted.data, fitted.baselines.noise),
         _outliers(fitted.data),
         disturbance_note(fitted.rows, fitted.data, robust=fitted.problem.objective.loss != "linear"),
         _delayed(fitted),
@@ -120,8 +120,12 @@ def _failed(fitted: Fitted) -> Note | None:
     return None
 
 
-def _clipped(data: Dataset) -> Note | None:
-    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit."""
+def _clipped(data: Dataset, noise: float | None) -> Note | None:
+    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit.
+
+    Args:
+        noise: rms noise of the output, where it is known.
+    """
     saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
     if saturated:
         text = (
@@ -131,7 +135,7 @@ def _clipped(data: Dataset) -> Note | None:
         return warn(Code.CLIPPED, text)
     count = sum(clipped_samples(record.u[record.used], record.y[record.used]).sum() for record in data)
     if not count:
-        level = sum(int(flat_ends(record.u[record.used], record.y[record.used]).sum()) for record in data)
+        level = sum(int(flat_ends(record.u[record.used], record.y[record.used], noise).sum()) for record in data)
         return warn(Code.CLIPPED, flat_words(level)) if level else None
     return warn(
         Code.CLIPPED,

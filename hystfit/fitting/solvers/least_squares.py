@@ -54,7 +54,7 @@ class LeastSquares(AbstractEstimator):
         return dataclasses.replace(self, brief=True)
 
     def up_to(self, most: float) -> LeastSquares:
-        return dataclasses.replace(self, most=most)
+        return dataclasses.replace(self, most=float(most))
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         short = thin(problem)
