@@ -100,6 +100,7 @@ def test_mean_of_unbounded_weights_is_the_solution_with_the_dense_covariance() -
     np.testing.assert_allclose(jacobian @ found, jacobian @ wanted, atol=0.35 * np.sqrt(np.mean((jacobian @ sd) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_band_between_fitted_amplitudes_covers_a_device_that_is_not_in_the_model(sampled: tuple) -> None:
     posterior, between = sampled
     low, middle, high = posterior.bands(between, count=400)

@@ -55,6 +55,7 @@ def test_evidence_is_that_of_quadrature_over_both_modes(two_modes, run):
     assert abs(found.log_z - (one_mode + np.log(2))) < 3 * found.error
 
 
+@pytest.mark.slow
 def test_the_evidence_counts_the_part_of_a_prior_outside_the_bounds():
     """c is positive, and five sixths of the mass of its prior lie below zero."""
     u = np.sin(np.linspace(0, 12, 50))

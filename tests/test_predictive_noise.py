@@ -75,6 +75,7 @@ def slow(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
     return np.stack(rows, axis=1)
 
 
+@pytest.mark.slow
 def test_bands_hold_what_they_claim_under_spikes_and_under_gaussian_noise():
     rng, shape = np.random.default_rng(1), (2 * REPLICATES, T)
     noise = OrnsteinUhlenbeck(1.0, 0.5, 10.0)

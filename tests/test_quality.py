@@ -1058,13 +1058,8 @@ def test_damaged_structures_are_out_of_reach(name):
 
 
 @needs_data
-@pytest.mark.parametrize(
-    "name",
-    [
-        "struct_slotboom/u-damper",
-        *(pytest.param(f"steel_resspylab/example_{k}", marks=pytest.mark.slow) for k in (1, 2)),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["struct_slotboom/u-damper", "steel_resspylab/example_1", "steel_resspylab/example_2"])
 def test_sound_steel_is_within_reach(name):
     report = check(datasets.load(name, folder=SHARED))
     assert report.verdict("bouc-wen-force").verdict == "yes"
