@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.data.two_levels import has_two_levels
 from hystfit.models import Relay
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
-from hystfit.quality.faults import is_switched, saturated_samples
+from hystfit.quality.faults import saturated_samples
 
 LOW, HIGH = 20.5, 22.5  # degC
 NOISE = np.random.default_rng(4).normal(size=(2, 1200))
@@ -45,6 +46,6 @@ def test_a_switch_of_another_input_is_no_relay_of_this_one() -> None:
 def test_a_heater_is_no_saturated_sensor() -> None:
     """Its power is 0 where it is off, and has noise where it is on."""
     temperature, power = logged(0.03)
-    assert is_switched(power)
+    assert has_two_levels(power)
     assert not saturated_samples(temperature, power).any()
-    assert not is_switched(np.tanh(5 * np.sin(np.linspace(0, 20, 400))))
+    assert not has_two_levels(np.tanh(5 * np.sin(np.linspace(0, 20, 400))))

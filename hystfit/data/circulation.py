@@ -54,6 +54,10 @@ def _returning(u: np.ndarray) -> slice:
     return slice(first, None) if u.size - first > last + 1 else slice(0, last + 1)
 
 
+# Part of its size from which an output is the rate of its input: memristors have 0.01, wide loops 0.25.
+OF_RATE = 0.6
+
+
 def of_rate(u: np.ndarray, y: np.ndarray) -> float:
     """By how much of its size an output has the sign of the rate of its input, -1 to 1; 0 of an input at rest.
 

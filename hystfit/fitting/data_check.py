@@ -20,14 +20,11 @@ from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
 from hystfit.quality.determination import Verdict, count
+from hystfit.quality.findings import INTEGRATED
 from hystfit.quality.held_out import equal_errors
 from hystfit.reading.in_memory import records_of
 from hystfit.results.accuracy import is_noise
 
-_INTEGRATED = (
-    "integrate",
-    "true",
-)  # option that reads a current as the charge, or a voltage as the flux, of which the loop is made
 _RANK = {Verdict.YES: 0, Verdict.PARTLY: 1, Verdict.NO: 2}
 
 
@@ -53,7 +50,7 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
 
 def is_settled(report: QualityReport) -> bool:
     """Whether no model can add to a report: there is no loop, no one loop, or the output is to be integrated first."""
-    charge = any(note.option == _INTEGRATED for note in report.findings)
+    charge = any(note.option == INTEGRATED for note in report.findings)
     return charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
 
 

@@ -8,6 +8,7 @@ import math
 import numpy as np
 
 from hystfit.data.preparation import smooth
+from hystfit.data.two_levels import has_two_levels
 
 FEWEST_SAMPLES = 16  # below which no noise is known and no loop is described
 MAD_TO_RMS = 1.4826  # of a normal distribution
@@ -23,8 +24,6 @@ _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is th
 _FAR, _STEPS = 4.0, 6
 _JUMP = 2.0  # the same of an input that jumps there, which the output follows
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
-# Part of the range within which outputs of a switch are near its levels, and part of the samples that each level has at least.
-_NEAR_LEVEL = 0.05
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
@@ -231,7 +230,7 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         y: output, shape (T,).
     """
     clipped = _at_a_limit(u, y)
-    if not clipped.any() or is_switched(y):
+    if not clipped.any() or has_two_levels(y):
         return np.zeros_like(clipped)
     noise, is_bound = noise_rms(y[~clipped])
     if noise is None or is_bound or noise <= (resolution(y) or 0.0):
@@ -243,16 +242,6 @@ def saturated_samples(u: np.ndarray, y: np.ndarray) -> np.ndarray:
         if arriving.size and not np.nanmedian(arriving) > _STEEP * usual:
             clipped[start:stop] = False
     return clipped
-
-
-def is_switched(y: np.ndarray) -> bool:
-    """Whether all outputs are near one of two levels, those of a switch with the noise of what it switches, shape (T,)."""
-    known = _finite(y)
-    if known.size < FEWEST_SAMPLES or not np.ptp(known) > 0:
-        return False
-    place = (known - known.min()) / np.ptp(known)
-    lower, upper = place <= _NEAR_LEVEL, place >= 1 - _NEAR_LEVEL
-    return bool((lower | upper).all() and min(lower.mean(), upper.mean()) > _NEAR_LEVEL)
 
 
 def spikes(y: np.ndarray, noise: float | None, u: np.ndarray) -> np.ndarray:

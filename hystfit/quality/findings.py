@@ -20,6 +20,7 @@ _MANY = 3  # notes that differ in their numbers alone, beyond which one stands f
 # transition and currents of a transistor have 2.0 to 6, loads, fields and the pressures of most isotherms less than 1.8.
 _DECADES = 2.0
 _NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, or a voltage as the flux
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 CONTROLLED = warn(
     Code.COLUMN_CHOICE,
@@ -158,7 +159,7 @@ def rate_note(units: Mapping[str, str], *, certain: bool) -> Note:
         f"the output is a {quantity(units['y'])} against a {quantity(units['u'])}: for a loop of {made}, --integrate (integrate=True) "
         "integrates it over time"
     )
-    return Note(Code.RATE, text, option=("integrate", "true") if certain else None)
+    return Note(Code.RATE, text, option=INTEGRATED if certain else None)
 
 
 def _response(record: RecordQuality) -> Iterator[Note]:

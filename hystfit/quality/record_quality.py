@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Mapping
 
+from hystfit.data.circulation import OF_RATE
 from hystfit.params.units import quantity
 from hystfit.quality.delay import SHORTEST, PureDelay
 from hystfit.quality.drift import Drift
@@ -20,11 +21,11 @@ WHOLE = 0.95  # part of the stiffness from which a device is whole
 # Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
 WEAKER = 0.88
 SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
-# Pairs of which the output may be the rate of a charge or of a flux, and the part of its size from which it is. The voltage of a
-# sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
+# Pairs of which the output may be the rate of a charge or of a flux, and the part of its size from which it is the latter with the other
+# sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
 _OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
-_OF_RATE, _WIDEST = 0.6, 0.9
+_WIDEST = 0.9
 # Size of the correlation of output and input from which the output follows the input, or falls as it rises.
 FOLLOWS = 0.5
 
@@ -255,5 +256,5 @@ def is_rate(units: Mapping[str, str], of_rate: float) -> bool:
         of_rate: of the output, see `circulation.of_rate`.
     """
     kinds = quantity(units["u"]), quantity(units["y"])
-    charges = kinds in OF_CHARGE and abs(of_rate) > _OF_RATE
-    return charges or (kinds in _OF_FLUX and (of_rate > _OF_RATE or of_rate < -_WIDEST))
+    charges = kinds in OF_CHARGE and abs(of_rate) > OF_RATE
+    return charges or (kinds in _OF_FLUX and (of_rate > OF_RATE or of_rate < -_WIDEST))

@@ -10,13 +10,14 @@ import numpy as np
 from hystfit.data.circulation import circulation
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.data.two_levels import has_two_levels
 from hystfit.errors import HystfitError
 from hystfit.fitting.judgment.verdict import turns_back
 from hystfit.fitting.structure.model_structure import Structure, falls
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.baselines import Baselines
-from hystfit.quality.faults import CLEAR, is_switched, noise_rms
+from hystfit.quality.faults import CLEAR, noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
@@ -84,7 +85,7 @@ def candidates(data: Dataset) -> Candidates:
         curves = [name for name, model in models.items() if model.from_saturation and _drives(model, data)]
         # Free masses take a tenth of the time of bounded ones, and their error may tell that these cannot win.
         return Candidates(tuple(sorted(curves, key=lambda name: models[name].has_inverse)) or (SEARCH,))
-    if all(is_switched(record.y[record.used]) for record in data):  # no other model has two levels alone
+    if all(has_two_levels(record.y[record.used]) for record in data):  # no other model has two levels alone
         return Candidates(tuple(name for name, model in models.items() if model.jumps and "+" not in name))
     timed = all(record.t is not None for record in data)
     count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))

@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.inference.autocorrelation import is_correlated
@@ -19,7 +20,7 @@ from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resol
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
-from hystfit.quality.faults import FEWEST_SAMPLES, is_switched, noise_rms, runs
+from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, runs
 from hystfit.quality.loops import clear_reversals
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
@@ -155,7 +156,7 @@ def _mistimed(fitted: Fitted) -> Note | None:
     latest, wrong, samples = 0, 0, 0
     for record, row in zip(fitted.data, fitted.rows, strict=True):
         y = record.y[record.used]
-        if not is_switched(y):
+        if not has_two_levels(y):
             return None
         upper = y > 0.5 * (y.min() + y.max())
         apart = np.abs(row) > 0.5 * np.ptp(y)

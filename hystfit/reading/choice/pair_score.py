@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hystfit.data.circulation import of_rate
+from hystfit.data.circulation import OF_RATE, of_rate
 from hystfit.reading.choice.column_facts import ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.choice.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.names.column_names import has_terminals, is_bare_role
@@ -52,9 +52,9 @@ _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
 # Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
 # Fewer samples show no harmonics.
 _CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
-# Points of an input of which the output is the rate: by that much of its size (0.01 of memristors, 0.25 of wide loops), and by more than
-# the other way around, or equally and with its sign, which is worth that much more.
-_INDUCED, _OF_RATE, _OF_ITS_SIGN = 2.0, 0.6, 0.1
+# Points of an input of which the output is the rate, and by more than the other way around, or equally and with its sign, which is worth
+# that much more.
+_INDUCED, _OF_ITS_SIGN = 2.0, 0.1
 # Points of a pair of which the input, with its direction, explains nothing of the output; none are lost where it explains half of its
 # variance. Loops with minor loops have 0.9 explained, a drifting temperature less than 0.1.
 _UNRELATED, _RELATED = -4.5, 0.5
@@ -185,7 +185,7 @@ class _Evidence:
         u, y = self.facts.table.columns[i], self.facts.table.columns[o]
         ways = of_rate(u, y), of_rate(y, u)
         sizes = [abs(way) + _OF_ITS_SIGN * (way > 0) for way in ways]
-        return abs(ways[0]) > _OF_RATE and sizes[0] > sizes[1]
+        return abs(ways[0]) > OF_RATE and sizes[0] > sizes[1]
 
     def _of_quantity(self, position: int, usual: Mapping[str, float], *, told: bool) -> float:
         """Points of the quantity of a column in a role; one that the names tell to have it is not unusual."""

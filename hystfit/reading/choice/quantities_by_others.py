@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hystfit.data.two_levels import has_two_levels
 from hystfit.reading.choice.pair_score import HEATED
 from hystfit.reading.choice.quantity_points import LOADS
-from hystfit.reading.limits import MAJORITY
+from hystfit.reading.limits import MAJORITY, ODD
 from hystfit.reading.names.column_names import RELATIVE_PRESSURE, column_quantity, column_role, parts_of
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import has_two_levels, is_even, is_near_median, proportional
+from hystfit.reading.table.signal_evidence import is_even, is_near_median, proportional
 
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
@@ -81,7 +82,7 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         if np.mean(held) > MAJORITY and np.ptp(table.columns[of][held]) > HEATED:
             kinds[k] = "status"
     if warm:  # a heater that is on or off
-        kinds.update({k: "state" for k in free if kinds[k] == "power" and has_two_levels(table.columns[k])})
+        kinds.update({k: "state" for k in free if kinds[k] == "power" and has_two_levels(table.columns[k], ODD)})
     fields = [k for k in free if kinds[k] == "field"]
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.reading.limits import NEAR, ODD
-
 # Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
 # leave 0.001 to 0.02 to their hysteresis.
 _PROPORTIONAL = 2e-4
@@ -41,16 +39,6 @@ def is_held(values: np.ndarray) -> bool:
     """Whether a column stays near one value far from zero."""
     finite = values[np.isfinite(values)]
     return finite.size > 0 and float(np.ptp(finite)) < _SMALL * float(np.abs(finite).min())
-
-
-def has_two_levels(values: np.ndarray) -> bool:
-    """Whether nearly all values of a column lie at its two ends, as those of a switch do, with the noise of what it switches."""
-    finite = values[np.isfinite(values)]
-    if not finite.size or not np.ptp(finite) > 0:
-        return False
-    place = (finite - finite.min()) / np.ptp(finite)
-    ends = [float(np.mean(place <= NEAR)), float(np.mean(place >= 1 - NEAR))]
-    return min(ends) > ODD and sum(ends) > 1 - ODD
 
 
 def is_near_median(values: np.ndarray) -> np.ndarray:
