@@ -83,6 +83,7 @@ def viscous_spring():
     )
 
 
+@pytest.mark.slow
 def test_a_model_without_damage_that_leaves_noise_refutes_damage():
     report = check(viscous_spring())
     assert report.advice is not None

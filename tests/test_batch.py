@@ -382,6 +382,7 @@ def test_a_killed_command_resumes_and_writes_the_same_table(tmp_path, monkeypatc
     assert len(rows.read_bytes().splitlines()) == 48
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_a_batch_of_several_processes(tmp_path):
     for number in range(64):
         write(measured(number, 150), tmp_path / f"loop{number}.csv")

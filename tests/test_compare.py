@@ -771,6 +771,7 @@ def test_progress_is_silent_where_nobody_looks(capsys):
 
 
 @pytest.mark.usefixtures("few_families")
+@pytest.mark.slow
 def test_a_loop_recorded_at_one_pace_is_hysteresis_though_a_lag_describes_it():
     """Strain of a wire over one heating and cooling at constant rates: two branches apart in temperature, which a lag before a curve
     describes as well, with a loop of two thirds of the measured area where it runs at its own pace.
@@ -1022,6 +1023,7 @@ def test_resonant_stage_gets_its_resonance_and_no_fit_of_models_without_one():
     assert not static & set(comparison.fits)
 
 
+@pytest.mark.slow
 def test_weights_of_either_sign_have_their_own_size_where_their_first_fit_errs_less(measured, monkeypatch):
     """With the size of bounded weights, which are fitted first, they err three times as much."""
     kinds = ("preisach", "preisach-signed", "preisach-magnetic")

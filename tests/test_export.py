@@ -120,7 +120,16 @@ def path(low: float, high: float, samples: int = 300) -> np.ndarray:
 
 
 # The code of the parts of these is that of others, and their weights are expanded in Python.
-SLOW = "preisach_positive", "preisach_symmetric", "plays_negated", "bouc_wen_line"
+SLOW = (
+    "preisach_positive",
+    "preisach_symmetric",
+    "preisach_demagnetized",
+    "plays_negated",
+    "bouc_wen_line",
+    "bouc_wen_asymmetric",
+    "bouc_wen_relaxation_offset",
+    "lag_preisach",
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES])

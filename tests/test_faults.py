@@ -171,7 +171,7 @@ def test_a_study_resumes_with_the_same_ranks_after_any_fault(old, tmp_path, faul
         shutil.rmtree(tmp_path / "run")
 
 
-@pytest.mark.parametrize("sampler", RUNS)
+@pytest.mark.parametrize("sampler", [pytest.param("nuts", marks=pytest.mark.slow), "emcee"])
 def test_a_folder_that_vanishes_ends_a_run_in_words(old, tmp_path, sampler):
     remove = lambda *_: shutil.rmtree(tmp_path / "run", ignore_errors=True)
     settings = RUNS[sampler] | {"draws": 600}

@@ -158,6 +158,7 @@ def test_a_long_table_is_written_in_parts(tmp_path: Path, monkeypatch: pytest.Mo
     np.testing.assert_array_equal(table["y"].to_numpy().reshape(SHAPE), np.indices(SHAPE)[0])
 
 
+@pytest.mark.slow
 def test_loops_of_few_samples_have_reasons() -> None:
     for samples in (2, 7):
         found = hf.fit_map("bouc-wen", U[:samples], cube()[..., :samples], workers=1, starts=1)

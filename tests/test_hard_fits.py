@@ -117,7 +117,9 @@ def test_a_penalty_that_fits_worse_wins_no_tie_between_left_out_errors():
     assert counts == {"right": 1}, wrong
 
 
-@pytest.mark.parametrize("common", [True, False], ids=["one input", "inputs of their own"])
+@pytest.mark.parametrize(
+    "common", [pytest.param(True, marks=pytest.mark.slow), False], ids=["one input", "inputs of their own"]
+)
 def test_loops_fitted_together_are_those_of_fit(common: bool) -> None:
     for row in maps.compared("bouc-wen", 10, 1, common=common):
         assert row.same

@@ -67,9 +67,11 @@ CASES = {
 SLOW = (
     "bouc-wen creep of displacement",
     "input negated",
+    "relaxation after",
+    "preisach off center",
     "preisach negative",
     "preisach symmetric",
-)  # another state, one inverse
+)  # another state, one inverse; the inverse of Preisach is that of a bisection below
 
 
 @pytest.mark.parametrize(

@@ -162,8 +162,8 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-# What takes longest to compile; relays, the exact and the asymmetric loop and the oscillator keep the laws in the quick form, and the
-# tests of Jiles-Atherton fit by its derivatives.
+# What takes longest to compile, and models whose parts are checked alone; relays, the exact and the asymmetric loop and the oscillator
+# keep the laws in the quick form, and the tests of Jiles-Atherton fit by its derivatives.
 SLOW = (
     "asymmetric, exact",
     "oscillator, hardening, held",
@@ -174,6 +174,9 @@ SLOW = (
     "jiles-atherton",
     "jiles-atherton driven by B",
     "jiles-atherton with losses",
+    "lag of order one",
+    "falling loop",
+    "series in a sum",
 )
 
 

@@ -285,6 +285,7 @@ def test_the_kurtosis_of_residuals_has_no_unit():
         assert excess_kurtosis([size * rows[0]]) == pytest.approx(scipy.stats.kurtosis(differences), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_noise_model_in_use_is_not_recommended():
     """A misfit that recurs every loop: discrepancy noise is advised beside another model, and not beside itself."""
     record, model = noisy_loop(0, "repeating", T=600)

@@ -170,6 +170,7 @@ def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
         load_population_priors(tmp_path / "pop")
 
 
+@pytest.mark.slow
 def test_the_change_with_a_covariate_that_the_files_state_is_that_of_least_squares(tmp_path, capsys):
     """c at temperatures in headers and names: its slope is that of a line through the values that simulated the devices."""
     degrees, c = np.arange(20.0, 50.0, 5.0), []

@@ -99,7 +99,7 @@ def test_many_other_free_parameters_are_refused() -> None:
         hf.fit(model, hf.Record(U, U, t=T), start="model", free=["levels"])
 
 
-@pytest.mark.parametrize("name", ["lag+preisach", "preisach+creep"])
+@pytest.mark.parametrize("name", ["lag+preisach", pytest.param("preisach+creep", marks=pytest.mark.slow)])
 def test_the_inverse_of_a_composition_follows_the_reference(name: str) -> None:
     model = truth(name)
     y = np.asarray(hf.simulate(model, U, DT)[0])

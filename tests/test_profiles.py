@@ -140,6 +140,7 @@ def plays() -> hf.FitResult:
     return hf.fit(model, hf.Record(u=u, y=y + 0.02 * np.random.default_rng(0).normal(size=400)), noise="iid")
 
 
+@pytest.mark.slow
 def test_in_a_flat_valley_the_lowest_refit_of_a_path_is_the_next_optimum(monkeypatch):
     """A parabola is the limit of an ever longer and flatter Bouc-Wen loop: every refit of a path is a little lower than the last."""
     k = np.arange(300)

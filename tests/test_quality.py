@@ -415,6 +415,7 @@ def test_one_loop_before_samples_without_output_shows_no_delay():
     assert estimate_delay(h, m, 1.0, geometry.reversals(h, 0.02)) is None
 
 
+@pytest.mark.slow
 def test_speed_dependence_is_distinguished_from_a_lag():
     t, u = signals.sine(10, 200)
     y = steel(u)
@@ -703,6 +704,7 @@ def test_lost_stiffness_is_reported_for_damaged_loops_only():
 
 
 @pytest.mark.usefixtures("findings_alone")
+@pytest.mark.slow
 def test_the_part_before_the_damage_is_proposed_for_a_fit(tmp_path, capsys):
     """Eighteen whole cycles of 50 samples, of three sizes; then every branch is softer than the one before."""
     u = np.concatenate([signals.sine(3, 50, low=-a, high=a)[1] for a in (0.4, 0.7, 1.0) * 4])
@@ -739,6 +741,7 @@ def test_failure_is_where_later_strokes_stay_below_80_percent_of_the_largest_for
     assert "part before the failure" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_lost_strength_is_reported_where_no_two_cycles_have_one_stroke():
     t = np.linspace(0, 8, 1200)
     u = (0.2 + 0.1 * t) * np.sin(2 * np.pi * t)
@@ -1128,7 +1131,7 @@ def test_a_calibration_point_is_no_branch_of_a_loop():
     assert not any("clockwise" in reason for item in report.determines for reason in item.reasons)
 
 
-@pytest.mark.parametrize(("loss", "expected"), [(0.0, False), (0.5, True)])
+@pytest.mark.parametrize(("loss", "expected"), [pytest.param(0.0, False, marks=pytest.mark.slow), (0.5, True)])
 def test_stiffness_lost_at_growing_strokes_is_damage(loss, expected):
     """No two cycles of one stroke: a yielding element whose stiffness falls with the dissipated energy, by a plain loop."""
     part = np.linspace(0, 1, 900)

@@ -216,6 +216,7 @@ def test_slope_coordinates_hold_the_slope_between_the_tips_and_have_determinant_
         assert 2.0 * np.exp(float(one.log_secant(jnp.asarray(0.7)))) == pytest.approx(tips, rel=0.02)
 
 
+@pytest.mark.slow
 def test_nuts_goes_along_a_ridge_on_which_only_two_products_are_known():
     """Little saturation shows a = c (1 - mu) and b = mu c tau; over mu c, least squares and priors give the posterior on a grid."""
     phase = np.linspace(0, 4 * np.pi, 200)
@@ -706,6 +707,7 @@ def test_nuts_killed_outright_goes_on_with_the_draws_of_an_unbroken_run(fitted, 
     assert whole.draws.shape == (1, 50 * (kept + 2), 5)
 
 
+@pytest.mark.slow
 def test_emcee_killed_outright_leaves_a_chain_that_goes_on(fitted, tmp_path):
     folder = tmp_path / "run"
     kill_in_the_middle(fitted, "emcee", folder, "emcee-00000.npz")
@@ -932,6 +934,7 @@ def test_a_simulation_that_breaks_has_no_likelihood(fitted, noise):
         assert float(eqx.filter_jit(density.slope)(far)[0]) == -np.inf
 
 
+@pytest.mark.slow
 def test_a_fit_at_which_the_simulation_breaks_is_not_refused():
     """Beside large noise least squares runs along c tau = const; the posterior is proper, and its mode is sought within the priors."""
     record, _ = loop(sigma=20.0)

@@ -34,6 +34,7 @@ def test_a_script_runs(script, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.usefixtures("as_users_run")
+@pytest.mark.slow
 def test_a_copied_script_runs_on_a_loop_that_does_not_determine_all_parameters(tmp_path, monkeypatch, capsys):
     t = np.arange(0, 12, 0.02)
     u = 3 * np.sin(t)

@@ -17,9 +17,9 @@ from hystfit.models.preisach import design_matrix
     "settings",
     [
         {},
-        {"initial": "negative"},
+        pytest.param({"initial": "negative"}, marks=pytest.mark.slow),
         {"initial": "positive", "degree": 2, "reversible": False},
-        {"symmetric": True},
+        pytest.param({"symmetric": True}, marks=pytest.mark.slow),
         {"elements": "relays"},
     ],
 )

@@ -226,6 +226,7 @@ def lagging() -> hf.FitResult:
     return hf.fit(model, hf.Record(u=u, y=y, t=np.arange(float(u.size))))
 
 
+@pytest.mark.slow
 def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitResult) -> None:
     # Given the time constant, the weights are normal with a variance in closed form: the posterior of the constant by sums over a grid.
     fit = lagging
@@ -278,7 +279,7 @@ def test_a_lag_before_many_cells_converges() -> None:
     assert abs(np.median(posterior["tau"]) - 0.05) < 4 * np.std(posterior["tau"])
 
 
-@pytest.mark.parametrize("noise", ["iid", "ou"])
+@pytest.mark.parametrize("noise", [pytest.param("iid", marks=pytest.mark.slow), "ou"])
 def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
     lagging: hf.FitResult, noise: str
 ) -> None:
