@@ -189,12 +189,7 @@ class Common(NamedTuple):
 
 
 def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, held: bool) -> Common | None:
-    """What loops have in common; None where their fits differ in more than numbers.
-
-    Args:
-        loops: outputs without faults.
-        held: parameters in `fix` without a value keep that of the model.
-    """
+    """What loops with faultless outputs have in common; None where their fits differ in more than numbers. `held`: see `set_up_fit`."""
     chosen = _different(loops)
     setups = [set_up_fit(model, Dataset.of(record), options, held=held) for record in chosen]
     first = setups[0]
@@ -261,11 +256,7 @@ def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np
 
 
 def solve_alike(common: Common, loops: Loops) -> tuple[Ends, Stack]:
-    """Where the best start that is read off a loop ended, for each of them, and their problems.
-
-    Args:
-        loops: outputs without faults, finite.
-    """
+    """Where the best start that is read off a loop ended, for each of them (finite, without faults), and their problems."""
     full, short = common.stack(loops), None
     if common.setup.problem.model.allows_thinning:
         found = kept_samples([group.record for group in loops.groups], loops.length, LEAST)

@@ -42,10 +42,7 @@ class Task(NamedTuple):
 
 
 def solve_together(tasks: Sequence[Task]) -> list[Estimate | None]:
-    """Estimates of tasks of one key.
-
-    None where a fit did not converge, is not finite or ends on a bound: those need the estimators of `hystfit.fitting`.
-    """
+    """Estimates of tasks of one key; None where a fit did not converge, is not finite or ends on a bound: those need other estimators."""
     full = Stack.of([task.problem.objective for task in tasks])
     short = None if tasks[0].short is None else Stack.of([task.short for task in tasks if task.short is not None])
     starts = np.stack([task.starts for task in tasks])

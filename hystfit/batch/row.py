@@ -69,11 +69,7 @@ class Row(WithStatus):
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Row:
-        """From what `to_dict` gave.
-
-        Raises:
-            KeyError, ValueError, TypeError: it is not such a description.
-        """
+        """From what `to_dict` gave; a KeyError, ValueError or TypeError where it is no such description."""
         known = {field.name: content[field.name] for field in dataclasses.fields(cls)}
         return cls(**known | {"status": Status(content["status"]), "codes": tuple(content["codes"])})
 

@@ -38,12 +38,7 @@ _SPIKE, _OF_RANGE = 9.0, 0.028  # times the noise, and of the range, that an out
 
 
 def row_noise(steps: Float[Any, "N T"], largest: Float[Any, " N"], xp: Any = np) -> Float[Any, " N"]:
-    """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error.
-
-    Args:
-        steps: between the samples.
-        largest: size of a sample of each row.
-    """
+    """RMS of white noise in each row, from differences of order 2 to 6 of the steps between samples; NaN where uncertain, or rounding."""
     change, sizes, difference = xp.abs(steps), [], steps
     least_step = xp.min(xp.where(change > 0, change, xp.inf), axis=1)
     for order in range(2, 7):
@@ -59,11 +54,7 @@ def row_noise(steps: Float[Any, "N T"], largest: Float[Any, " N"], xp: Any = np)
 
 
 def sound_rows(y: Float[Any, "N T"], low: Any, high: Any, xp: Any = np) -> tuple[Any, Float[Any, " N"]]:
-    """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool; and their noise.
-
-    Args:
-        low, high: least and largest value of each row.
-    """
+    """Which rows, between `low` and `high`, have known noise and no sample that may be clipped or an outlier, bool; and their noise."""
     stays = xp.maximum(*(xp.count_nonzero(y == end[:, None], axis=1) for end in (low, high))) > _LIMIT
     steps = y[:, 1:] - y[:, :-1]
     noise, back = row_noise(steps, xp.maximum(-low, high), xp), -steps

@@ -22,14 +22,7 @@ from hystfit.params.host_arrays import NUMBERS, compiled
 def slow_information(
     loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"]
 ) -> tuple[Float[np.ndarray, "N p p"], np.ndarray]:
-    """Information about the parameters under slow and independent noise with the statistics of the residuals, in output units.
-
-    Args:
-        z: estimates, unconstrained.
-
-    Returns:
-        The matrices, and of which loops: not where error recurs every loop, or where such noise is not plausible.
-    """
+    """Information about the parameters at z, under slow and independent noise; and of which loops: not where error recurs every loop."""
     residual, jacobian = _linearized(stack, z)
     return loops.each(_of_group, residual, jacobian)
 

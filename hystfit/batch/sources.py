@@ -36,14 +36,7 @@ class Source(NamedTuple):
         return self.name if self.record is None else ""
 
     def loops(self, reading: Mapping[str, Any], unread: dict[str, str] | None = None) -> list[tuple[str, Record]]:
-        """Name and record of each loop: a file may hold several curves.
-
-        Args:
-            unread: takes the reasons of curves that cannot be read, by the names of their loops.
-
-        Raises:
-            HystfitError, OSError: the file cannot be read.
-        """
+        """Name and record of each loop of a file or record; `unread` takes the reasons of curves that cannot be read, by loop."""
         if self.record is not None:
             return [(self.name, self.record)]
         failed: dict[str, str] = {}

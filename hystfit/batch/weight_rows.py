@@ -151,12 +151,7 @@ def judge_weights(
 def _errors(
     weights: Weights, record: Record, at: np.ndarray, white: np.ndarray, scale: Float[np.ndarray, "m p"]
 ) -> tuple[np.ndarray, Float[np.ndarray, "m p"], list[tuple[Note, ...]]]:
-    """Of some loops: which are beyond doubt, their standard errors, and notes on these.
-
-    Args:
-        white: which of them have white residuals, shape (m,), bool.
-        scale: natural scales of their parameters.
-    """
+    """Of some loops: which are beyond doubt, their standard errors, and notes on these; `white` tells which have white residuals."""
     space, columns, x, ridge = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
     residual, rows = x @ columns.T - weights.targets[at], np.linalg.qr(columns, mode="r")
     relative, on_bound = relative_size(space, x, scale), np.logical_or(*space.reached(x, scale=scale))
@@ -202,11 +197,7 @@ def _analyses(
     live: np.ndarray,
     relative: Float[np.ndarray, "m p"],
 ) -> list[ResidualAnalysis]:
-    """Analyses of autocorrelated residuals: the slow noise of loops with as many live weights is sought side by side.
-
-    Args:
-        live: which weights act and are off their bounds, shape (m, p), bool.
-    """
+    """Analyses of autocorrelated residuals, side by side for loops with as many `live` weights, which act and are off their bounds."""
     if not len(residual):
         return []
     samples, none = Samples.of(Setting.on_host(Batch.of(Dataset.of(record)))), np.zeros((len(columns), 0))

@@ -307,20 +307,12 @@ def _judge(work: Work, loop: _Loop) -> None:
 
 
 def record_of(work: Work, source: Source, row: Row) -> Record:
-    """The record of a row, in the units of the batch.
-
-    Raises:
-        HystfitError: it cannot be read.
-    """
+    """The record of a row, in the units of the batch."""
     return dict(source.loops(work.reading))[row.name].in_units(**work.units)
 
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
-    """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
-
-    Raises:
-        HystfitError: the loop cannot be read or fitted.
-    """
+    """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before."""
     record = record_of(work, source, row)
     model = row.model if work.searches and row.model else work.model
     return fit(model, record, **work.options.of_fit())

@@ -225,11 +225,7 @@ class _Sizes(NamedTuple):
 
     @classmethod
     def of(cls, result: FitResult, *, by_flux: bool) -> _Sizes:
-        """Those of a fit.
-
-        Args:
-            by_flux: the input is not the field, but what it magnetizes.
-        """
+        """Those of a fit; `by_flux` where the input is not the field, but what it magnetizes."""
         first = result.data[0]
         names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)
         field, output = (size_in(name, "A/m", "T") for name in names)

@@ -38,11 +38,7 @@ class Server(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, session: Session, port: int = 0):
-        """Listen on a port of 127.0.0.1.
-
-        Args:
-            port: 0 takes a free one.
-        """
+        """Listen on a port of 127.0.0.1; 0 takes a free one."""
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except (OSError, OverflowError) as error:
@@ -167,11 +163,7 @@ _PARTS = ("panel.js", "source.js", "explorer.js")
 
 
 def document(scene: Mapping[str, Any], *, model_script: str = "", nonce: str = "") -> str:
-    """HTML with style, scripts and data in it.
-
-    Args:
-        scene: what the page shows first, see `Session.scene`.
-    """
+    """HTML with style, scripts and data in it; the scene is what the page shows first, see `Session.scene`."""
     from jinja2 import Environment, PackageLoader
 
     texts = {

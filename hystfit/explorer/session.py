@@ -71,11 +71,7 @@ class Session:
         source: Source | None = None,
         translate: Callable[[str], str] = str,
     ):
-        """Choose models for a record, and read starting values off it.
-
-        Args:
-            model: the first model; "auto" takes the one with the fewest parameters that suits the loop.
-        """
+        """Choose models for a record, and read starting values off it; "auto" takes that with the fewest parameters that suits the loop."""
         require_x64()
         self._translate = translate
         self.record, self._source, self.result = record, source or Source(), None
@@ -260,12 +256,9 @@ def chunks(samples: int, columns: int) -> Int[np.ndarray, " chunks"]:
 
 
 def visible(starts: Int[np.ndarray, " chunks"], *signals: Float[np.ndarray, " T"]) -> Int[np.ndarray, " kept"]:
-    """Numbers of the samples to draw: first, last, lowest and highest of every signal in each piece.
+    """Numbers of the samples to draw: first, last, lowest and highest of every signal in each piece; NaN is not drawn.
 
     A polyline through them covers the same pixels as one through all samples, whichever signal it is drawn over.
-
-    Args:
-        *signals: equally long; NaN is not drawn.
     """
     count = signals[0].size
     if starts.size == count:

@@ -91,14 +91,7 @@ class View:
         )  # fmt: skip
 
     def model(self, values: Mapping[str, Any]) -> AbstractHysteresis:
-        """The model at values of some sliders.
-
-        Args:
-            values: by name; the others keep the values of the view.
-
-        Raises:
-            ParameterError: an unknown name, or a value that is not a number or outside its bounds.
-        """
+        """The model at values of some sliders by name, the others as in the view; a ParameterError where it cannot have them."""
         x = self._x.copy()
         for name, value in self.checked(values).items():
             x[self._place[name]] = value

@@ -51,12 +51,7 @@ def fit_model(
     options: FitOptions,
     **settings: Any,
 ) -> FitResult:
-    """Fit one model to records; result and errors as for `hystfit.fit`.
-
-    Args:
-        model: a model, its class or its name.
-        **settings: of a sequential identifier.
-    """
+    """Fit one model, its class or its name to records; result and errors as for `hystfit.fit`. The settings are those of an identifier."""
     require_seed(options.seed)
     if is_sequential(options.method):
         watch = Stopwatch()

@@ -88,12 +88,9 @@ def set_up_fit(
 
 
 def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
-    """Records in which the samples of a saturated sensor, and isolated outliers of the output, have no weight.
+    """Records in which samples of a saturated sensor have no weight, nor isolated outliers of the output unless they are kept.
 
     If the weights differ, as for stated standard deviations, they describe the noise, and no sample counts as an outlier.
-
-    Args:
-        keep_outliers: whether outliers keep their weights.
     """
 
     def cleaned(record: Record) -> Record:
@@ -142,9 +139,6 @@ def solve(
     """Run an estimator from `points`, the best first, or from the problem's model and a Latin hypercube about it.
 
     `seed` is that of the hypercube. The fit may stop early if its rms error on held-out samples exceeds `worth` [y].
-
-    Raises:
-        ParameterError: nothing is free.
     """
     estimator = ESTIMATORS.make(method).up_to(worth)
     return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))

@@ -68,11 +68,8 @@ class Refined:
 def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) -> Refined:
     """Refine a fit with a noise model.
 
-    Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a
-    second round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
-
-    Raises:
-        ParameterError: an unknown noise model.
+    Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a second
+    round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
     """
     on_bound = problem.on_bound(x)
     weights = on_bound & problem.space.linear
@@ -90,11 +87,7 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
 
 
 def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise], moving: np.ndarray) -> Refined:
-    """`refine` where only the parameters `moving`, shape (p,), bool, may change.
-
-    Raises:
-        ParameterError: an unknown noise model.
-    """
+    """`refine` where only the parameters `moving`, shape (p,), bool, may change."""
     r, J = problem.linearize(x)
     rows = [row[on] for row, on in zip(r, problem.used, strict=True)]
     time = max(autocorrelation_time(row) for row in rows)

@@ -40,13 +40,7 @@ class Trial:
 
 
 def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
-    """Judge a fit on records that were not fitted.
-
-    With `refit_offset`, each prediction is shifted to the mean of its record.
-
-    Raises:
-        HystfitError: the model cannot predict the records.
-    """
+    """Judge a fit on records that were not fitted; with `refit_offset`, each prediction is shifted to the mean of its record."""
     try:
         records = [result.in_fitted_units(result.problem.prepared(record)) for record in records]
         runs = [result.predict(record, refit_offset=refit_offset) for record in records]
@@ -75,13 +69,7 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
 
 
 def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
-    """The result judged on records that were not fitted: their error, and a status that includes it.
-
-    With `refit_offset`, each prediction is shifted to the mean of its record.
-
-    Raises:
-        HystfitError: the model cannot predict the records.
-    """
+    """The result judged on records that were not fitted: their error, and a status that includes it; offsets as in `evaluate_on`."""
     trial = evaluate_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
     notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
     status = worse(result.status, trial.status)

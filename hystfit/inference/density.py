@@ -101,10 +101,7 @@ class Density(eqx.Module):
         return plain, whole.at[right, left].set(products)
 
     def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Scalar:
-        """Log posterior over z, up to a constant; minus infinity where it is not finite.
-
-        With `lean`, the likelihood is that of `log_likelihood_lean`.
-        """
+        """Log posterior over z, up to a constant, minus infinity where it is not finite; `lean` by `log_likelihood_lean`."""
         total = self.log_prior(z) + (self.log_likelihood_lean(z) if lean else self.log_likelihood(z))
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 

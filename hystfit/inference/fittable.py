@@ -35,15 +35,7 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
 
 
 def check_smooth(space: ParameterSpace, method: str) -> None:
-    """Refuse methods that need derivatives by all free parameters, where the output is piecewise constant in one.
-
-    Args:
-        space: of the fit.
-        method: in words, at the start of a sentence.
-
-    Raises:
-        ModelError: there is such a parameter.
-    """
+    """Refuse a method (in words, for the message) that needs derivatives, where the output is piecewise constant in a free parameter."""
     if names := space.stepwise_names:
         listed = ", ".join(names)
         raise ModelError(

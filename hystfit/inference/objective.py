@@ -231,12 +231,7 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
 def misfit_slope(
     objective: Objective, residual: Float[np.ndarray, "R T"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """`Objective.misfit` on the host, and its derivative with respect to each residual.
-
-    Args:
-        objective: gives weights, size and loss.
-        residual: output units.
-    """
+    """`Objective.misfit` on the host of residuals in output units, and its derivative with respect to each."""
     root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
     misfit, slope = (root * residual).reshape(-1), root.reshape(-1)
     if objective.loss == "linear":

@@ -58,10 +58,7 @@ class ResidualAnalysis:
     def of(
         cls, setting: Setting, residual: Float[np.ndarray, " m"], derivatives: Derivatives | None = None
     ) -> ResidualAnalysis:
-        """From residuals and derivatives of all samples of a batch, record after record.
-
-        `residual` is weighted [y], shape (R T,).
-        """
+        """From weighted residuals [y] and derivatives of all samples of a batch, record after record."""
         on = np.asarray(setting.weight) > 0
         return cls(on, residual[on.reshape(-1)], lambda: Samples.of(setting), derivatives)
 
@@ -206,11 +203,7 @@ class Diagnosis:
 
 
 def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
-    """Look for autocorrelation, heavy tails and repeating error in residuals.
-
-    Args:
-        noise: name of the noise model in use, which is not recommended again.
-    """
+    """Look for autocorrelation, heavy tails and repeating error; the noise model in use, by name, is not recommended again."""
     correlated, repeating, kurtosis = analysis.correlated, analysis.repeating, excess_kurtosis(analysis.rows)
     findings: list[Note] = []
     recommended = "ou" if correlated else "iid"

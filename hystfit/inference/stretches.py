@@ -49,11 +49,8 @@ def in_stretches(objective: Objective) -> bool:
 def stretches(objective: Objective, x: Float[np.ndarray, " p"], *, misfit: bool = False) -> Iterator[Stretch]:
     """Residuals and their derivatives with respect to physical x, without the samples behind the last one that counts.
 
-    All derivatives share one simulation, and all stretches of records of any length one program.
-
-    Args:
-        x: physical parameters.
-        misfit: residuals and derivatives as they count in the misfit, not in output units.
+    All derivatives share one simulation, and all stretches of records of any length one program. With `misfit`, both are as they count in
+    the misfit, not in output units.
     """
     own, used = objective.coordinates.own, np.asarray(objective.batch.weight) > 0
     length = _length(own.shape[1])

@@ -215,12 +215,9 @@ def coarse(ratio: Any) -> tuple[str, ...]:
 
 
 def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float], np.ndarray]:
-    """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and Legendre coefficients 2, 3, ... of the backbone there.
+    """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and `degree` Legendre coefficients, from 2 on, of the backbone there.
 
     The output is linear in all but tau and rho.
-
-    Args:
-        degree: number of the backbone's coefficients.
     """
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))

@@ -64,11 +64,7 @@ class Curve(AbstractHysteresis):
 
     @classmethod
     def of(cls, knots: int = _KNOTS) -> Curve:
-        """A curve with this many knots.
-
-        Raises:
-            ModelError: fewer than two.
-        """
+        """A curve with this many knots, at least two."""
         return cls(bend=np.zeros(knots), knots=np.linspace(0.0, 1.0, knots))
 
     def init(self, u0: Scalar) -> State:

@@ -109,15 +109,7 @@ class Varying(AbstractComposition):
 
     @classmethod
     def of(cls, model: AbstractHysteresis, pairs: Sequence[tuple[str, str]], records: Sequence[Record]) -> Varying:
-        """The model with its parameters at the mean of the covariates, and slopes of zero.
-
-        Args:
-            pairs: (covariate, parameter).
-
-        Raises:
-            ParameterError: an unknown parameter, or one that cannot vary.
-            DataError: a record without a value, or covariates that do not differ enough to determine slopes.
-        """
+        """The model with its parameters at the mean of the covariates, and slopes of zero; `pairs` are (covariate, parameter)."""
         names = tuple(dict.fromkeys(name for name, _ in pairs))
         values = np.array([[covariate(record, name) for name in names] for record in records])
         _check_spread(names, values)

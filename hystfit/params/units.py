@@ -204,10 +204,7 @@ def _plain(text: str) -> str:
 
 @functools.cache
 def parse_unit(text: str) -> Unit | None:
-    """The unit of a column, such as "um", "kA/m", "uC/cm2" or "emu/g"; None if it is not known.
-
-    lb is a force here, as in load cells.
-    """
+    """The unit of a column, such as "um", "kA/m", "emu/g" or "lb" (here a force, as in load cells); None if it is not known."""
     return _product(_plain(text)) or _product(_plain(re.sub(r"(?<=[a-z])(?=[A-Z][a-z]{2})", "_", text)))  # NewtonMeter
 
 

@@ -57,12 +57,7 @@ def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
 
 
 def persistent_error(errors: Any, xp: Any = np) -> Any:
-    """Size of the error that three successive samples have in common: at each sample, the smallest of it and its neighbors.
-
-    Args:
-        errors: of successive samples, shape (..., T), like the result.
-        xp: module of the arrays, NumPy or jax.numpy.
-    """
+    """Size of the error that three successive samples, shape (..., T), have in common: the smallest of each and its neighbors."""
     size = xp.abs(errors)
     if size.shape[-1] < _LASTING:
         return size
@@ -77,11 +72,7 @@ def _lasting_percent(rows: Sequence[np.ndarray], baselines: Baselines) -> float:
 
 
 def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
-    """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
-
-    Args:
-        rows: errors of each record, on samples that count [y].
-    """
+    """Limits of a usable description that errors, the `rows` of each record [y], exceed, each in words; empty for a usable one."""
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
     limits, found, largest = Limits.of(baselines), [], _lasting_percent(rows, baselines)
@@ -121,11 +112,7 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
 
 
 def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines, what: str) -> Note:
-    """The error with its limits, and relative to the noise and simpler descriptions.
-
-    Args:
-        rows: errors of each record, on samples that count [y].
-    """
+    """The error with its limits, and relative to the noise and simpler descriptions; `rows` as in `exceeded_limits`."""
     if metrics.nrmse_percent is None or metrics.max_error_percent is None or baselines.span <= 0:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)

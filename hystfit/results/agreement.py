@@ -11,11 +11,7 @@ SIMILAR = 1.25  # ratio up to which two standard errors count as equal
 
 
 def differences(result: FitResult, errors: Mapping[str, float | None], source: str, reason: str) -> list[Note]:
-    """A note where standard errors differ from those of a fit; none where they agree within `SIMILAR`.
-
-    Args:
-        errors: standard errors by parameter; None where there is none.
-    """
+    """A note where standard errors by parameter (None: unknown) differ from those of a fit; none where they agree within `SIMILAR`."""
     ratios = {}
     for name, error in errors.items():
         reported = result[name].stderr if name in result.free_names else None

@@ -48,11 +48,7 @@ class ParameterEstimate:
 
 
 def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[ParameterEstimate, ...]:
-    """Every parameter with its declaration, free ones first, then tied and fixed ones, without standard errors.
-
-    Args:
-        x: the free ones, physical, shape (p,).
-    """
+    """Every parameter with its declaration, free ones first, at physical x, then tied and fixed ones, without standard errors."""
     free = ((*row, False, None) for row in zip(space.names, x, space.infos, strict=True))
     tied = ((tie.name, value, info, False, tie.expression) for tie, value, info, _ in space.tied(x))
     fixed_ones = ((*row, True, None) for row in space.fixed())

@@ -26,9 +26,6 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
 
     It has model, status, units; parameters (name, value, stderr, lower, upper, unit, fixed), free_names and covariance; rmse and
     error_percent; records (name, t, u, y, weight, predicted). Unknown numbers are NaN.
-
-    Raises:
-        DataError: the folder does not exist, or cannot be written.
     """
     import scipy.io
 
@@ -63,11 +60,7 @@ def _contents(result: FitResult) -> dict[str, Any]:
 
 
 def to_xarray(result: FitResult) -> Any:
-    """A fit as an xarray data set: value, stderr over `parameter`; covariance; u, y, predicted over `sample`, with the name of the record.
-
-    Raises:
-        MissingExtraError: xarray is not installed.
-    """
+    """A fit as an xarray data set: value, stderr over `parameter`; covariance; u, y, predicted over `sample`, with record names."""
     xarray = optional("xarray", "frames", "to_xarray")
     units, free = result.data.units, list(result.free_names)
     series = {

@@ -142,11 +142,7 @@ class ForceLoops:
         }
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the backbones of the first and the last cycles, and the failure points.
-
-        Args:
-            ax: to draw on; None makes one.
-        """
+        """Draw the backbones of the first and the last cycles, and the failure points, on given axes or new ones."""
         from hystfit.results.colors import MODEL, SECOND
 
         if ax is None:

@@ -152,11 +152,7 @@ def _swings(values: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, " K"]:
 
 
 def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, " p"]:
-    """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors.
-
-    Args:
-        problem: with the same parameters; samples of weight zero do not count.
-    """
+    """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors."""
     x, size = posterior.result.x, float(problem.scales.y)
     noise = {name: float(np.median(posterior[name])) for name in posterior.names if name.startswith("noise_")}
     slow, unit = None, noise["noise_white"]

@@ -94,12 +94,7 @@ class LinearPart(eqx.Module):
 
 
 def _jointly_linear(problem: Problem, x: np.ndarray, steps: np.ndarray, clear: np.ndarray) -> list[int]:
-    """Numbers of parameters in which the output is linear together, the others as they are: derivatives do not depend on them.
-
-    Args:
-        steps: over which derivatives are compared, shape (p,).
-        clear: which parameters may be among them, shape (p,).
-    """
+    """Numbers of parameters, of those that are clear, in which the output is linear together: derivatives over steps are those at x."""
     objective, candidates = problem.objective, np.flatnonzero(clear)
     derivatives = lambda x: linearized(objective, x)[1][..., candidates].reshape(-1, candidates.size)
     here = derivatives(x)

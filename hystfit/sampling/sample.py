@@ -140,12 +140,9 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
 def suited_sampler(
     result: FitResult, noise: str | type[AbstractNoise] = "auto", priors: Mapping[str, AbstractPrior] | None = None
 ) -> str:
-    """The sampler that suits a fit: "weights" if most parameters are weights and it supports their noise model and priors.
+    """The sampler that suits a fit: "weights" if most parameters are weights and it supports their noise and priors (as in `sample`).
 
-    Args:
-        noise: as in `sample`. If the residuals need a noise model that "weights" lacks, "independence" is chosen for up to `MOST`
-            parameters.
-        priors: as in `sample`.
+    If the residuals need a noise model that "weights" lacks, "independence" is chosen for up to `MOST` parameters.
     """
     problem, space = result.problem, result.problem.space
     if not space.mostly_linear or not space.weights.any() or not are_free_or_positive(space):

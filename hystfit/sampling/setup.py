@@ -93,10 +93,7 @@ def _physical(density: Density, z: Array) -> Array:
 
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
-    """The noise model to use, and notes on the choice.
-
-    "auto" takes slow noise unless the residuals need another.
-    """
+    """The noise model to use, and notes on the choice; "auto" takes slow noise unless the residuals need another."""
     diagnosis = diagnose(residuals)
     if choice != "auto":
         mismatches = diagnosis.objections(NOISES.find(choice))  # type: ignore[arg-type]
@@ -117,12 +114,9 @@ def prepare(
     priors: Mapping[str, AbstractPrior] | None = None,
     by_residuals: bool = True,
 ) -> Setup:
-    """Prepare the posterior of a fit: noise model, priors, mode and curvature.
+    """Prepare the posterior of a fit: noise model, priors (both as in `sample`), mode and curvature.
 
-    Args:
-        noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
-        priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
-        by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
+    An evidence needs priors without `by_residuals`: residuals then do not suggest the size of model error.
     """
     check_smooth(result.problem.space, "sampling")
     problem = result.problem.with_loss("linear")
@@ -185,10 +179,7 @@ def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
-    """Widths of the bends of weights with one bound: their standard deviations given the other parameters, in natural sizes.
-
-    `root` is a square root of the information matrix of the model's parameters, shape (p, p).
-    """
+    """Widths of the bends of weights with one bound: their deviations given the others, natural sizes; `root` of the information."""
     space = problem.space
     soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
     precision = np.sum((root * space.scale) ** 2, axis=0) + WIDE**-2

@@ -107,10 +107,7 @@ class Target(eqx.Module):
         return (w, jnp.zeros(())) if self.noise is None else self.noise.z_and_slope(w)
 
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
-        """Log posterior over v.
-
-        With `lean`, see `Density.log_density`.
-        """
+        """Log posterior over v; `lean` as for `Density.log_density`."""
         return self.log_density_and_z(v, lean)[0]
 
     def log_density_and_z(

@@ -195,15 +195,7 @@ def parameters_of(space: ParameterSpace, w: Float[np.ndarray, "... p"], size: fl
 def weight_equations(
     problem: Problem, x: np.ndarray, grid: NoiseGrid, priors: Mapping[str, AbstractPrior], size: float
 ) -> WeightEquations:
-    """The equations of a problem about an estimate.
-
-    Args:
-        problem: model, data and weights of its samples.
-        x: estimate, shape (p,).
-        grid: of the noises.
-        priors: of weights without a penalty, and of the other parameters.
-        size: of the output, by which it is divided.
-    """
+    """The equations of a problem about x, (p,), outputs over `size`; `priors` are of weights without a penalty and of other parameters."""
     space, linear = problem.space, problem.space.linear
     bounded = linear & (space.lower == 0)
     if not are_free_or_positive(space):
@@ -243,11 +235,7 @@ def weight_equations(
 def weight_priors(
     problem: Problem, x: np.ndarray, given: Mapping[str, AbstractPrior] | None
 ) -> dict[str, AbstractPrior]:
-    """Priors by name: the user's own, which multiply a penalty, and the default ones of weights without a penalty.
-
-    Raises:
-        ParameterError: see `choose_priors`.
-    """
+    """Priors by name: the user's own, which multiply a penalty, and the default ones of weights without a penalty."""
     space, own = problem.space, set(given or {})
     penalized = np.diag(smoothness_penalty(space, list(problem.data), x)) > 0
     rows = zip(space.names, choose_priors(space, given, x), penalized, strict=True)

@@ -89,11 +89,7 @@ class Design(WithStatus):
         return self.candidates[0]
 
     def record(self, seed: int = 0, sigma: float | None = None) -> Record:
-        """A simulated measurement of the best input, with white noise.
-
-        Args:
-            sigma: its standard deviation [y]; that of the residuals by default.
-        """
+        """A simulated measurement of the best input, with white noise of standard deviation sigma [y]; by default that of the residuals."""
         u = self.best.u
         t = None if self.dt is None else np.arange(u.size) * self.dt
         y = np.asarray(simulate(self.result.model, u, self.dt)[0])
@@ -125,11 +121,7 @@ class Design(WithStatus):
     __repr__ = __str__
 
     def text(self, width: int | None = None) -> str:
-        """The proposed input, and the predicted standard errors with all inputs.
-
-        Args:
-            width: columns of the table; a wider one is shown in parts.
-        """
+        """The proposed input, and the predicted standard errors with all inputs; a table of more than `width` columns is shown in parts."""
         lines = [
             f"{self.result.name}: next input for {', '.join(self.families(self.aim))}",
             f"proposed input: {self.best.name}",

@@ -123,9 +123,7 @@ class Walk:
         return bool(root < 0.5 * _STRIDE or abs(root - expected) < _ORDINARY * expected)
 
     def _nearby(self, value: float, before: Point) -> Point:
-        """The refit with the parameter at a value, from the refit before; where its statistic is not that of the curvature, from the
-        optimum too.
-        """
+        """The refit with the parameter at a value, from that before; from the optimum too where its statistic is not the curvature's."""
         point = self._refit(value, before.v)
         if self._ordinary(point):
             return point

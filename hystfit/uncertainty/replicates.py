@@ -210,12 +210,7 @@ def collect(
     scheduler: str | None,
     progress: Callable[[str], None] | None,
 ) -> tuple[list[Chunk], list[str]]:
-    """`count` chunks in order, and a sentence on each that broke; a chunk that broke is not kept, so that the same call tries it again.
-
-    Raises:
-        DataError: the folder holds another study.
-        HystfitError: settings that cannot be used, or a missing extra.
-    """
+    """`count` chunks in order, and a sentence on each that broke, which is not kept, so that the same call tries it again."""
     place = None if folder is None else _claim(Path(folder), study)
     done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
     missing = [k for k in range(count) if k not in done]

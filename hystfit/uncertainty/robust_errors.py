@@ -88,14 +88,7 @@ class StandardErrors:
         return [f"{name}[{len(places)}]", value, *(_span(error[places]) for error in self.errors.values()), remark]
 
     def text(self, parameter: str | Sequence[str] | None = None) -> str:
-        """The table and the notes.
-
-        Args:
-            parameter: see `table`.
-
-        Raises:
-            ParameterError: see `table`.
-        """
+        """The table, see there, and the notes."""
         lines = [f"Standard errors of {self.result.name} by several methods", *self.table(parameter).lines()]
         if arrays := [(name, len(places)) for name, places in self._families(parameter) if len(places) > 1]:
             name, many = arrays[0]

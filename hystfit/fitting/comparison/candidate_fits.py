@@ -148,11 +148,7 @@ class CandidateFits:
     def _sized(
         self, one: Candidate, model: AbstractHysteresis, progress: Progress, of_last: tuple[Problem, Split] | None
     ) -> tuple[AbstractHysteresis | None, FitSetup | None]:
-        """The model of the size that suits the data, and its setup where it is known; none of a model without choices.
-
-        Args:
-            of_last: problem and equations of the last fit.
-        """
+        """The model of the size that suits the data, and its setup if known; none without choices. `of_last`: equations of the last fit."""
         if (alike := self._alike(model, one.first)) is not None:
             given = type(model).of(**alike.model.settings())
             if of_last is None:

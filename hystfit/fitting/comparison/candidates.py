@@ -60,12 +60,7 @@ class Candidates:
         return dataclasses.replace(self, iterated=early, late=(*late, *self.late))
 
     def beside(self, found: Structure, delay: bool) -> Candidates:
-        """The same after the search, with what it found before and beside its plays before and beside the iterated models too.
-
-        Args:
-            found: the terms that the search took.
-            delay: whether it took a pure delay.
-        """
+        """The same after the search, with the terms and the pure delay that it found before and beside the iterated models too."""
         before = "delay+" * delay + "negate+" * found.falls
         around = lambda name: f"{before}{name}" + "+linear" * found.line
         lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop

@@ -118,11 +118,7 @@ def _refusal(errors: Sequence[Exception], rows: Sequence[Row]) -> HystfitError:
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
-    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it.
-
-    Raises:
-        ModelError: one of them is not a model.
-    """
+    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it."""
     chosen: dict[str, Any] = {}
     for choice in [models] if isinstance(models, str) else models:
         if isinstance(choice, str):

@@ -230,11 +230,7 @@ class Comparison:
         return [f"{row.name}: {row.note}" for row in self.rows if row.note]
 
     def text(self, width: int | None = None) -> str:
-        """The ranking as text.
-
-        Args:
-            width: columns of the table; a wider one is shown in parts.
-        """
+        """The ranking as text; a table of more than `width` columns is shown in parts."""
         purpose = "" if self.purpose == "prediction" else f" (for {self.purpose})"
         remarks = [f"  - {remark}" for remark in self.remarks()]
         winner = f"winner: {self.rows[0].name}{purpose}"

@@ -89,13 +89,9 @@ class ComparisonRun:
         return candidates
 
     def run_until_settled(self, waiting: list[Candidate], names: Sequence[str]) -> None:
-        """Finish candidates, after first fits of others, from those with the fewest parameters on.
+        """Finish candidates that wait after their first fits, and the others by name, from those with the fewest parameters on.
 
         One that errs by no more than the noise is fitted at once: where its residuals are white, the others are not looked at.
-
-        Args:
-            waiting: candidates after their first fits.
-            names: of the others.
         """
         ahead = sorted(names, key=lambda name: weights_of(make_model(name)))
         while ahead:

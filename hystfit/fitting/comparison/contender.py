@@ -67,12 +67,7 @@ class Candidate:
 
 
 def leader(waiting: Sequence[Candidate], equal: float = 1.0) -> Candidate | None:
-    """The model to validate next, because it may stop the others; None where no first fit is known.
-
-    Args:
-        waiting: models that are not validated.
-        equal: ratio to the smallest error of a first fit up to which that with the fewest parameters goes first.
-    """
+    """The next to validate, as it may stop others: the smallest within the ratio `equal` of the least first error; None without one."""
     firsts = [(one, one.first) for one in waiting if one.first is not None]
     most = equal * min((first.ranked for _, first in firsts), default=0.0)
     alike = [(one, first) for one, first in firsts if first.ranked <= most]

@@ -40,9 +40,6 @@ def traits(data: Dataset, rows: Sequence[Row], baselines: Baselines) -> tuple[Tr
 
     The difference must be larger than what as many errors as the records have branches leave open. Traits of time need branches of several
     durations.
-
-    Args:
-        rows: of a comparison.
     """
     short = thinned(without_faults(data))
     validated = [row for row in rows if row.score_percent is not None]
@@ -117,14 +114,11 @@ _BENT = [power for power in POWERS if power > 1]
 
 
 def without_slip(problem: Problem) -> LinearSystem:
-    """The linear system of self-similar stops whose branches at one peak can only soften.
+    """The linear system of self-similar stops, alone in a problem, whose branches at one peak can only soften.
 
-    A pinched branch is soft near zero input and stiffens towards the last peak: the device slips until the gap of the last peak is
-    closed. Stops do so by negative weights, and self-similar stops by powers of u over its peak too. Here the weights of the stops are
-    >= 0, and the powers above one are of u itself: a spring that hardens makes no slip that grows with the peak.
-
-    Args:
-        problem: of `SelfSimilarStops` alone.
+    A pinched branch is soft near zero input and stiffens towards the last peak: the device slips until the gap of the last peak is closed.
+    Stops do so by negative weights, and self-similar stops by powers of u over its peak too. Here the weights of the stops are >= 0, and
+    the powers above one are of u itself: a spring that hardens makes no slip that grows with the peak.
     """
     system = LinearSystem.of(problem, problem.space.vector(problem.model))
     names = [problem.space.names[k] for k in linear_positions(problem)]

@@ -89,12 +89,8 @@ def uncertainty(
     (`inference.noise.slow_likelihood`). For hundreds of weights, or if this noise would be far larger than the residuals, the covariance is
     multiplied by their integrated autocorrelation time instead. Parameters at a bound and undetermined directions have no finite error. The
     errors of the others treat the bounds as prior information if at most 60 parameters are near theirs (`near_bounds`); otherwise
-    parameters at a bound are fixed there.
-
-    Args:
-        estimate: the estimate.
-        correlated: allow for autocorrelated residuals.
-        root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
+    parameters at a bound are fixed there. The root R of the information R'R about x under a noise model, shape (p, p), is used instead
+    where it is given.
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
@@ -217,12 +213,9 @@ def determine(
     live: np.ndarray,
     inside: np.ndarray | None,
 ) -> dict[str, Any]:
-    """Covariance, and which parameters and directions the data determine.
+    """Covariance, and which parameters and directions the data determine; `live` ones act and are off their bounds, shape (p,), bool.
 
-    Args:
-        relative: sizes of the parameters, see `relative_size`.
-        live: which parameters act and are off their bounds, shape (p,), bool.
-        inside: covariance where bounds are near, shape (p, p).
+    `relative` are the sizes of the parameters, see `relative_size`; `inside` is the covariance where bounds are near, shape (p, p).
     """
     at = np.flatnonzero(live)
     covariance, determined = np.full((x.size, x.size), np.nan), np.zeros(x.size, bool)

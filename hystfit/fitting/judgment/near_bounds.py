@@ -240,13 +240,7 @@ def about_estimate(
 def truncated_moments(
     precision: Float[np.ndarray, "N k k"], slope: Float[np.ndarray, "N k"], low: Float[np.ndarray, "N k"]
 ) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k k"]]:
-    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low.
-
-    Args:
-        precision: P, positive semidefinite.
-        slope: s.
-        low: lower limits.
-    """
+    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low; the precision P is positive semidefinite, s the slope."""
     if not slope.size:
         return slope, precision
     unit = np.eye(slope.shape[1])

@@ -58,12 +58,7 @@ class Convex(AbstractEstimator):
         return dataclasses.replace(found, converged=converged, message=message, evaluations=evaluations)
 
     def of_ridge(self, fit: RidgeFit, x: np.ndarray, at: np.ndarray, size: float, groups: int) -> Estimate:
-        """The estimate that a solution gives.
-
-        Args:
-            x: all parameters, shape (p,).
-            size: half range of the output.
-        """
+        """The estimate that a solution gives: x has all parameters, shape (p,), and `size` is half the range of the output."""
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
         note = (

@@ -54,13 +54,9 @@ class Estimate:
         return cls(x, cost, True, "solved", 1, np.array([cost]), **others)
 
     def freedom(self, samples: int, live: int) -> float:
-        """Degrees of freedom of the residuals, at least 1: samples less the parameters that these determine.
+        """Degrees of freedom of the residuals, at least 1: samples that count, less the parameters off their bounds that these determine.
 
         A penalty that holds hundreds of weights together leaves far more than their number would.
-
-        Args:
-            samples: number of samples that count.
-            live: number of parameters off their bounds.
         """
         return max(samples - (live if self.effective is None else self.effective), 1.0)
 

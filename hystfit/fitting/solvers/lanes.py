@@ -159,12 +159,7 @@ def descend_lanes(
 
 
 def go_on(ends: Ends, lanes: np.ndarray, run: Callable[[np.ndarray, np.ndarray], Ends]) -> None:
-    """Continue those of some descents that have neither converged nor been given up, in place.
-
-    Args:
-        lanes: their numbers.
-        run: descends from the points z of lanes, from their numbers and these.
-    """
+    """Continue, in place, descents of lanes that have neither converged nor been given up; `run` descends lanes from their points z."""
     lanes = lanes[~ends.converged[lanes] & ~ends.beaten[lanes] & np.isfinite(ends.cost[lanes])]
     if lanes.size:
         more = run(lanes, ends.normal.z[lanes])
@@ -218,12 +213,7 @@ def _on_host(
 
 
 def _of_records(stack: Stack, records: np.ndarray, most: int) -> tuple[Stack, np.ndarray]:
-    """The problems of some records on the CPU, padded to a power of two, and the place of each record among them.
-
-    Args:
-        records: numbers of the records, which may repeat.
-        most: largest number of problems, padding included.
-    """
+    """The problems of some records on the CPU, padded to a power of two up to `most`, and the place of each record, which may repeat."""
     among, place = np.unique(records, return_inverse=True)
     size = min(most, room(among.size))
     if among[-1] - among[0] < among.size <= size <= stack.count:  # contiguous: arrays are not copied

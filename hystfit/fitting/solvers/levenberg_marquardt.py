@@ -68,12 +68,7 @@ class Lane(NamedTuple):
 
     @classmethod
     def at(cls, z: Float[np.ndarray, "L p"], damping: Float[np.ndarray, " L"] | None = None) -> Lane:
-        """Lanes before their first step.
-
-        Args:
-            z: where they start.
-            damping: damping of their first step, to continue earlier descents.
-        """
+        """Lanes before their first step, from z; `damping` continues earlier descents."""
         count, p = z.shape
         none, no = np.zeros(count), np.zeros(count, bool)
         best = Normal(z.copy(), none + np.inf, np.zeros((count, p)), np.zeros((count, p, p)))
@@ -152,11 +147,7 @@ def _steps(point: Normal, damping: Array, samples: int, bounded: np.ndarray, xp:
 
 
 def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
-    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,).
-
-    Args:
-        problems: the number of the problem of each.
-    """
+    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,)."""
     rival, cost, ended = _rival(lane, problems), np.asarray(lane.best.cost), np.asarray(lane.ended)
     near, hopeless = cost <= (1 + _CLOSE) * rival, cost - np.asarray(lane.promised) >= (1 - _BETTER) * rival
     return ~ended & np.isfinite(rival) & near & hopeless

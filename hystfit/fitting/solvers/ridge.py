@@ -43,12 +43,7 @@ class LinearSystem:
 
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
-        """The system at given values of the other parameters; for all linear parameters, or some.
-
-        Args:
-            x: physical parameters, shape (p,).
-            which: parameters to solve for, shape (p,), bool; None for all linear ones.
-        """
+        """The system at physical x, shape (p,), for the linear parameters `which`, shape (p,), bool; None for all of them."""
         at = linear_positions(problem) if which is None else np.flatnonzero(which)
         lower, upper = (np.asarray(b)[at] for b in (problem.space.coordinates.lower, problem.space.coordinates.upper))
         if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():

@@ -66,12 +66,7 @@ class EvenRows:
     def at(
         self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
     ) -> tuple[Float[np.ndarray, "*N m k k"], Float[np.ndarray, "*N m"]]:
-        """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio, at m points.
-
-        Args:
-            ratio: of white to slow variance.
-            time: correlation time of the slow part, typical sampling intervals.
-        """
+        """X' M^-1 X and log det M of the columns X at m points, M = correlation of the slow part + ratio of white to slow variance."""
         decay, fresh = np.exp(-self.gap / time), -np.expm1(-2 * self.gap / time)
         low, white = np.expm1(-self.gap / time) ** 2, fresh * self.weight / ratio
         corner, k = decay * -np.expm1(-self.gap / time), self.rows.shape[-2]

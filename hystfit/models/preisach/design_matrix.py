@@ -59,13 +59,7 @@ class Triangles:
 
 
 def features(model: AbstractPlane, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Design matrix on distinct states: the output is `A @ concatenate([w, slopes, b]) + offset`, A one row per state.
-
-    The weights of the model do not matter.
-
-    Returns:
-        A of shape (S, p), and the row of each sample, shape (T,).
-    """
+    """Matrix A on distinct states, (S, p), and the row of each sample: the output is `A @ concatenate([w, slopes, b]) + offset`."""
     columns, single_valued, index = states(model, u)
     return np.column_stack([columns, *single_valued]), index
 

@@ -142,12 +142,9 @@ class Everett(eqx.Module):
 
 
 def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
-    """Parts of the cells of a row that lie in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
+    """Parts of the cells of a row, (..., n), in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
 
-    `row` and `x` have one shape (...); a rise counts within its row only.
-
-    Returns:
-        Parts of each cell's area, shape (..., n); columns above the diagonal are 0.
+    `row` and `x` have one shape (...); a rise counts within its row only. Columns above the diagonal are 0.
     """
     base = levels[row]
     x = xp.clip(x, base, levels[row + 1])

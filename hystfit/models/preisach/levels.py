@@ -124,18 +124,11 @@ def _quotient(rise: np.ndarray, run: np.ndarray) -> np.ndarray:
 def sharp_levels(
     branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, *, power: float = 0.5, even: float = 0.2
 ) -> np.ndarray:
-    """Levels denser where the output is steep: equal shares of the mean of |dy/du|^power on each kind of branch, and an even part.
+    """n + 1 levels denser where the output is steep: equal shares of the mean |dy/du|^power on each kind of branch, and an even part.
 
-    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight
-    lines between levels, and need fewer of them where the output is steep but straight.
-
-    Args:
-        branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
-        power: of the slope.
-        even: size of the even part relative to the mean of the other.
-
-    Returns:
-        n + 1 levels over the range of the inputs.
+    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight lines
+    between levels, and need fewer of them where the output is steep but straight. All kinds of branches, (inputs, slopes), count the same;
+    `even` is the size of the even part relative to the mean of the other.
     """
     low, high = min(u.min() for u, _ in branches), max(u.max() for u, _ in branches)
     axis = np.linspace(low, high, 50 * n + 1)

@@ -241,13 +241,7 @@ def _far(level: Any) -> Any:
 
 
 def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Rows of the used samples but those between two neighbors on one branch, along which all cells switch one way.
-
-    Args:
-        columns: of weights that belong to cells, shape (S, p).
-        index: row of each sample, shape (T,).
-        used: which samples count, shape (T,), bool.
-    """
+    """Rows, by `index`, of the used samples but those between two neighbors on one branch, along which all cells switch one way."""
     moves = np.diff((columns @ np.ones(columns.shape[1]))[index])
     ends = used.copy()
     ends[1:-1] &= ~(used[:-2] & used[2:] & (moves[1:] * moves[:-1] > 0))
@@ -275,12 +269,7 @@ class _Gram:
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
-        """Add samples.
-
-        Args:
-            few: sparse rows of the product on distinct states; None without one.
-            A: columns that stand for themselves, on the same states.
-        """
+        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are columns that stand for themselves there."""
         states, place = np.unique(index, return_inverse=True)
         mass = np.bincount(place, weight)
         mean = np.bincount(place, weight * y) / mass

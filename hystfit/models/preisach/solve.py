@@ -124,11 +124,7 @@ def fit_forc(
 
 
 def density_of(model: Preisach, *, rising: bool = True) -> ForcDiagram:
-    """The density of a fitted model as a diagram over the middles of its cells.
-
-    Args:
-        rising: the curves rise from their reversals, as those of `forc_diagram` that begin at positive saturation.
-    """
+    """The density of a fitted model over the middles of its cells; `rising` as for curves that begin at positive saturation."""
     levels, (i, j) = np.asarray(model.levels), cells(model.n)
     width, middle = np.diff(levels), 0.5 * (levels[1:] + levels[:-1])
     area = width[:, None] * width[None, :] * np.where(np.eye(model.n, dtype=bool), 0.5, 1.0)

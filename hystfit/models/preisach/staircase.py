@@ -53,15 +53,7 @@ class Staircase:
 
 
 def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
-    """Compile an input into its staircase states.
-
-    Args:
-        v: input, or any rising code of it (numbers of thresholds passed), shape (T,).
-        rest: state before the first sample.
-
-    Returns:
-        The states, in NumPy.
-    """
+    """Compile an input, or a rising code of it (numbers of thresholds passed), shape (T,), into its states, from the rest before it."""
     v = np.asarray(v)
     fresh = np.append(True, v[1:] != v[:-1])
     run, v = np.cumsum(fresh) - 1, v[fresh]
@@ -136,13 +128,7 @@ class Tree:
 
 
 def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:
-    """The tree of a sequence of turning points.
-
-    Args:
-        v: turning points, neighbors different, shape (m,).
-        code: whole numbers that tell their values apart, below `codes`, shape (m,).
-        codes: how many there are.
-    """
+    """The tree of turning points v, (m,), neighbors different; whole numbers `code` below `codes` tell their values apart."""
     given, v = v, np.asarray(v, dtype=float)
     parent, level = np.full(v.size, -1), np.ones(v.size, dtype=np.int32)
     low, high = np.empty(v.size), np.empty(v.size)
@@ -159,11 +145,7 @@ def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: f
 
 
 def closed_pairs(v: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Take pairs that close a loop out of a sequence of turning points, pass after pass.
-
-    Returns:
-        Positions that are left, and for each pass positions (A, B, C): the pairs B, C, and the last that is left before each.
-    """
+    """Take out pairs B, C that close a loop, pass after pass: positions left, and of each pass (A, B, C), A the last left before each B."""
     kept, passes = np.arange(v.size), []
     while kept.size > _FEW:
         x = v[kept]
@@ -211,14 +193,7 @@ def opposite(v: Any, rest: str, center: float) -> Any:
 def enclosing_nodes(
     v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does.
-
-    Args:
-        v: inputs, shape (K,).
-        node: extremum from which each begins, shape (K,); -1 for none.
-        parent: of each node, shape (N,); -1 for none.
-        low, high: interval of each node, shape (N,).
-    """
+    """Walk up the tree from nodes (-1: none) to those whose interval (low, high) contains the inputs v, shape (K,); -1 where none does."""
     node = node.copy()
     active = np.flatnonzero(node >= 0)
     while active.size:

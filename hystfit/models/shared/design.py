@@ -116,11 +116,7 @@ class DesignMatrix:
 
     @classmethod
     def of(cls, model: Any, columns: Mapping[str, np.ndarray]) -> DesignMatrix:
-        """The output as these columns alone, a row for each sample.
-
-        Args:
-            columns: by the name of the field, shapes (T, p).
-        """
+        """The output as these columns alone, (T, p) by the name of the field, a row for each sample."""
         blocks = [
             Block(leaf.index, leaf.info, columns[leaf.path[-1]])
             for leaf in leaves_of(model)
@@ -142,13 +138,7 @@ class DesignMatrix:
 
 
 def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) -> float:
-    """Number of weights that the data determine: trace of (A + penalty)^-1 A over the weights not held at zero.
-
-    Args:
-        gram: normal matrix A of the weights, shape (p, p).
-        penalty: shape (p, p).
-        free: which weights are not held at zero, shape (p,), bool.
-    """
+    """Number of weights that the data determine: trace of (A + penalty)^-1 A over those not held at zero; A is their normal matrix."""
     at = np.flatnonzero(free)
     own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
@@ -161,14 +151,9 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
 
 
 def with_own_offsets(A: np.ndarray, b: np.ndarray, weights: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Weights of fits, shape (N, p), with the offsets of records that were left out as a whole at their least-squares values.
+    """Weights of fits, shape (N, p), with the offsets `own` of records that were left out as a whole at their least-squares values.
 
-    Only the samples left out determine these offsets.
-
-    Args:
-        A, b: normal equations of the samples left out, shapes (p, p) and (N, p).
-        weights: of fits without them.
-        own: offsets of records that were left out as a whole, shape (p,), bool.
+    Only the samples left out, of normal equations A, (p, p), and b, (N, p), determine these offsets.
     """
     at = np.flatnonzero(own & (np.diag(A) > 0))
     if not at.size:

@@ -108,13 +108,7 @@ def relaxed(
     x: Signal,
     dt: Signal,
 ) -> tuple[Float[Array, " modes"], Signal]:
-    """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
-
-    Args:
-        tau: time constants [s].
-        gain: of each relaxation, or one for all.
-        weight: of each relaxation in the sum, or one for all.
-    """
+    """Relaxations tau dz/dt = gain x - z, exact for steps of x, times in s: the last state, and their weighted sum at each sample."""
 
     def body(state: Array, x: Array, part: Array) -> tuple[Array, Array]:
         state = state + part * (gain * x - state)

@@ -40,17 +40,7 @@ def solve_nonnegative(
 def solve_several(
     A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solutions of several small problems with the same bounds, pivoted side by side: the calls take longer than their arithmetic.
-
-    Args:
-        A: positive definite, shape (K, p, p), or (p, p) where all problems share it.
-        b: shape (K, p).
-        bounded: which unknowns are >= 0, shape (p,), bool.
-        start: which unknowns are positive at neighboring solutions, shape (K, p), bool; None for none.
-
-    Returns:
-        Solutions, and which unknowns are not held at zero, shapes (K, p).
-    """
+    """`solve_nonnegative` for b of shape (K, p) and A, (K, p, p) or one for all: side by side, as calls take longer than arithmetic."""
     A = np.broadcast_to(A, (len(b), *A.shape[-2:]))
     active = np.tile(~bounded, (len(b), 1)) if start is None else start | ~bounded
     found, waiting = np.zeros_like(b), np.arange(len(b))

@@ -24,11 +24,7 @@ class AbstractSecant(eqx.Module):
     tau: eqx.AbstractVar[Scalar]
 
     def log_secant(self, swing: Scalar) -> Scalar:
-        """log of the slope between the tips of a loop over c: 1 - mu tanh(tau swing) / (tau swing), that of a symmetric loop.
-
-        Args:
-            swing: half range of the input [u].
-        """
+        """log of the slope between the tips of a symmetric loop of half range `swing` [u], over c: 1 - mu tanh(tau swing) / (tau swing)."""
         x = self.tau * swing
         small = x < _STRAIGHT
         safe = jnp.where(small, 1.0, x)

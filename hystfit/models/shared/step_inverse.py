@@ -36,13 +36,7 @@ class AbstractStepInverse(eqx.Module):
 
     @abc.abstractmethod
     def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
-        """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
-
-        Args:
-            state: of the model after the last sample.
-            u0: input of the last sample.
-            dt: time since the last sample [s].
-        """
+        """The input that a time dt [s] after u0 gives the target, maybe outside the limits; and whether the output rises on the way."""
 
     # Optional, as those of a model:
 

@@ -202,11 +202,7 @@ class MagneticLoop:
         return dataclasses.replace(made, saturation=law)
 
     def ends(self, sign: float = -0.5) -> Found:
-        """Mean output at the positive plus, or minus by default, that at the negative ends of the branches over two, and its error.
-
-        Args:
-            sign: 0.5 for the sum, -0.5 for the difference.
-        """
+        """Half the mean output at the positive ends plus `sign` (0.5: sum, -0.5: difference) times that at the negative ends; its error."""
         largest = min(float(self.h.max()), -float(self.h.min()))
         high, low = self.h >= ENDS * largest, self.h <= -ENDS * largest
         if not (largest > 0 and high.any() and low.any()):

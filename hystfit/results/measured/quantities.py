@@ -98,11 +98,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
-
-    Args:
-        timed: whether the model creeps.
-    """
+    """Names of the quantities that records of these units have, `timed` if the model creeps; no loop where the input has two levels."""
     kind = LoopKind.of(data)
     looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
@@ -166,9 +162,7 @@ class QuantityEstimate:
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def vaguer_than(self, stderr: float | None) -> bool:
-        """Whether its error is visible, and larger than that of the measured loop or, where none covers the fitted range, than this one of
-        a value that was read off other loops.
-        """
+        """Whether its error is visible, and larger than that of the measured loop, or without one than `stderr`, read off other loops."""
         stderr = stderr if self.measured is None else self.measured_stderr
         if None in (self.value, self.stderr, stderr):
             return False

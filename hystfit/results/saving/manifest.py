@@ -36,21 +36,13 @@ def digest(content: bytes) -> str:
 
 
 def seal(folder: Path, names: Sequence[str]) -> None:
-    """Write the manifest of a folder whose files are complete.
-
-    Args:
-        names: files that opening reads; the manifest of a folder within stands for its files.
-    """
+    """Write the manifest of a folder whose files that opening reads are complete; the manifest of a folder within stands for its files."""
     files = {name: digest((folder / name).read_bytes()) for name in names}
     (folder / MANIFEST).write_text(json.dumps({"schema": _SCHEMA, "files": files}, indent=1) + "\n", encoding="utf-8")
 
 
 def read_files(folder: Path, names: Sequence[str], *, allow_edits: bool = False) -> Files:
-    """The files of a sealed folder, each compared with the manifest, as bytes.
-
-    Args:
-        names: files that must be there.
-    """
+    """The files of a sealed folder that must be there, each compared with the manifest, as bytes."""
     for attempt in range(_ATTEMPTS):
         places = _places(folder)
         try:
