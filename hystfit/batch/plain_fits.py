@@ -138,13 +138,9 @@ def fit_plain(
 
 
 class _Solved(NamedTuple):
-    """Solved loops.
+    """Solved loops: their numbers, notes on the errors of plain ones, estimates by number, and outputs over the input of their groups.
 
-    Attributes:
-        judged: their numbers.
-        on_errors: notes on the errors of each plain loop.
-        estimate: makes the estimate of a loop from its number.
-        outputs: of each loop's model over the input of its group, one record a group, shape (N, T), padded with outputs that mean nothing.
+    `outputs` takes one record a group, and gives shape (N, T), padded with outputs that mean nothing.
     """
 
     judged: Judged

@@ -115,13 +115,7 @@ class Accuracy(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """What loops over one input share.
-
-    Attributes:
-        at: numbers of the m samples that count.
-        basis: polynomials over their inputs.
-        first, last: how many of them are before the first turning point, and before the last.
-    """
+    """What loops over one input share: samples that count, polynomials over them, how many come before the first and last turning point."""
 
     at: np.ndarray
     basis: np.ndarray

@@ -42,14 +42,7 @@ SAMPLES = 2**20  # in memory at once: of files read before they are fitted, and 
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """The task for every loop, as other processes receive it.
-
-    Attributes:
-        model: a model or its name.
-        options: of each fit.
-        reading: of `hystfit.read`, for loops that are files.
-        units: to which loops are converted.
-    """
+    """The task for every loop, as other processes receive it: how files are read, the units of all loops, and the options of each fit."""
 
     model: AbstractHysteresis | str
     options: FitOptions

@@ -68,13 +68,7 @@ def _command(step: Step) -> str:
 
 @dataclass
 class _State:
-    """How the steps of a study ended, on disk after each step.
-
-    Attributes:
-        study: the steps.
-        known: rows of an earlier run by step.
-        rows: rows of this run by step.
-    """
+    """How the steps of a study ended, on disk after each step: rows by step, of this run and of an earlier one (`known`)."""
 
     study: Study
     known: dict[str, dict[str, Any]]

@@ -26,12 +26,7 @@ def real_numbers(values: Any) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class CoarseClock:
-    """Time stamps that are written less often than samples are taken.
-
-    Attributes:
-        step: between different stamps [unit of time].
-        samples: that share one stamp (median, the first and last stamp aside).
-    """
+    """Time stamps that are written less often than samples are taken: their step, and the samples that share one (median)."""
 
     step: float
     samples: float
@@ -51,12 +46,7 @@ class CoarseClock:
 
 @dataclasses.dataclass(frozen=True)
 class RoundedStamps:
-    """Time stamps of evenly spaced samples, which were written with few digits.
-
-    Attributes:
-        resolution: of the stamps, a power of ten [unit of time].
-        start, interval: of the samples [unit of time].
-    """
+    """Time stamps of evenly spaced samples, which were written with few digits; their resolution is a power of ten."""
 
     resolution: float
     start: float

@@ -29,11 +29,7 @@ Answer = Points | Mapping[str, Any]
 
 
 class Server(ThreadingHTTPServer):
-    """The page of a session and its answers; runs from `open` until `close`.
-
-    Attributes:
-        url: address of the page, with its token.
-    """
+    """The page of a session and its answers; it runs from `open` until `close` at the address `url`, which has its token."""
 
     daemon_threads = True
 

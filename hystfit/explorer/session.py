@@ -27,12 +27,7 @@ from hystfit.results.result import FitResult
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """How the record is read again, in the words of a shell and of Python; empty where that is unknown.
-
-    Attributes:
-        shell: LOOP and the options for reading it.
-        python: a line that makes `record`.
-    """
+    """How the record is read again, at a shell (LOOP and options) and in Python (a line that makes `record`); empty where unknown."""
 
     shell: str = ""
     python: str = ""
@@ -40,12 +35,7 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Points:
-    """Curves for a canvas, in single precision from an origin in double.
-
-    Attributes:
-        facts: lengths, start of the time axis and errors, for JSON.
-        numbers: the curves one after another.
-    """
+    """Curves for a canvas, one after another, in single precision from an origin in double; `facts` are for JSON."""
 
     facts: dict[str, Any]
     numbers: Float[np.ndarray, " n"]

@@ -48,14 +48,7 @@ class Slider:
 
 
 class View:
-    """A model with values, on a record; parameters without a slider keep the values of the model.
-
-    Attributes:
-        choice: the model as the user chose it.
-        record: as it is fitted.
-        sliders: the parameters that the user moves.
-        hidden: free parameters without a slider.
-    """
+    """A model as the user chose it, on a record as it is fitted; free parameters without a slider, `hidden`, keep their values."""
 
     def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
         """Choose sliders and their ranges."""

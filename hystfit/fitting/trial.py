@@ -24,14 +24,7 @@ _WORSE = 3.0  # times the error of the fit, up to which that of cross-validation
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A fit on records that were not fitted.
-
-    Attributes:
-        metrics: error of the prediction.
-        baselines: error of simple descriptions fitted to the same records as the model.
-        status: `OK`, `ROUGH` or `POOR`.
-        notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
-    """
+    """A fit on records that were not fitted: errors beside those of simple descriptions, `OK`, `ROUGH` or `POOR`, and reasons."""
 
     metrics: Metrics
     baselines: Baselines

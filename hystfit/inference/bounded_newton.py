@@ -30,13 +30,7 @@ _STEPS, _TRIAL = 30, 8  # of a descent, and of those from several starts of whic
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """End point of a descent.
-
-    Attributes:
-        v: coordinates, shape (p,).
-        value: half the squared whitened residual.
-        gradient, matrix: of the value with respect to v, shapes (p,) and (p, p).
-    """
+    """End point of a descent: coordinates v, half the squared whitened residual there, its gradient and its matrix."""
 
     v: np.ndarray
     value: float
@@ -46,13 +40,7 @@ class Point:
 
 @dataclasses.dataclass(frozen=True)
 class BoundedNewton:
-    """Whitened least squares of a problem within the bounds of its parameters.
-
-    Attributes:
-        problem: model and data.
-        whitened: the noise.
-        origin: physical parameters about which a problem that is linear in all of them is expanded, shape (p,).
-    """
+    """Whitened least squares of a problem within the bounds of its parameters; a linear one is expanded about physical `origin`."""
 
     problem: Problem
     whitened: Whitened

@@ -22,15 +22,7 @@ from hystfit.params.coordinates import Coordinates
 
 
 class Density(eqx.Module):
-    """Log likelihood, prior and posterior at z, the unconstrained parameters of the model, then of the noise, shape (d,).
-
-    Attributes:
-        objective: data and model.
-        noise: coordinates of the noise model.
-        setting: the data in the form that the noise needs.
-        priors: of the parameters, over physical values.
-        dependence: of the priors on each other; None where they are independent.
-    """
+    """Log likelihood, prior and posterior at z, the unconstrained parameters of the model, then of the noise, shape (d,)."""
 
     objective: Objective
     noise: Coordinates

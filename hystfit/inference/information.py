@@ -118,11 +118,7 @@ class LeastSquaresInformation(AbstractInformation):
 
 
 class LikelihoodInformation(AbstractInformation):
-    """The maximum of a Gaussian likelihood, whose shapes (the same in every record) are integrated out.
-
-    Attributes:
-        noise: with values.
-    """
+    """The maximum of a Gaussian likelihood under a noise model, whose shapes (the same in every record) are integrated out."""
 
     noise: AbstractNoise
 

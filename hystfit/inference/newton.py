@@ -22,14 +22,10 @@ _PART = 0.5
 
 
 class Optimum(NamedTuple):
-    """End point of an optimizer.
+    """End point z of an optimizer, with the value and the second derivatives there.
 
-    Attributes:
-        z: coordinates, shape (d,).
-        value: of the function.
-        hessian: second derivatives there, shape (d, d).
-        converged: the predicted gain of a further step is negligible, by the gradient there or by its average about it: on a
-            maximum that is a kink the former does not vanish.
+    It has converged where the predicted gain of a further step is negligible, by the gradient there or by its average about it: on a
+    maximum that is a kink the former does not vanish.
     """
 
     z: Float[Array, " d"]

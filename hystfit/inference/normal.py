@@ -20,14 +20,7 @@ FEW = 12  # parameters up to which one scan sums the normal matrix: it carries a
 
 
 class Normal(NamedTuple):
-    """Normal equations in unconstrained coordinates.
-
-    Attributes:
-        z: the point, shape (p,).
-        cost: half the sum of squared misfits there; infinite where something is not finite.
-        gradient: J'r, shape (p,).
-        matrix: J'J, shape (p, p).
-    """
+    """Normal equations at unconstrained z: half the sum of squared misfits, infinite where one is not finite, J'r and J'J."""
 
     z: Float[Array, " p"]
     cost: Scalar

@@ -24,14 +24,9 @@ BROKEN = 1e3  # value of residuals that are not finite, in half ranges of the ou
 
 
 class Objective(eqx.Module):
-    """Arrays and structure of a `Problem`, without labels.
+    """Arrays and structure of a `Problem`, without labels; misfits are divided by `size`, half the range of the output.
 
-    Attributes:
-        coordinates: maps from z to the model.
-        batch: the data.
-        size: half range of the output, by which the misfit is divided.
-        bend: misfit above which a robust loss reduces the influence of a residual.
-        loss: loss function of the residuals; "linear" is plain least squares.
+    `bend` is the misfit above which a robust loss reduces the influence of a residual; "linear" is plain least squares.
     """
 
     coordinates: Coordinates

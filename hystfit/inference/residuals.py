@@ -169,12 +169,7 @@ def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
 
 @dataclasses.dataclass(frozen=True)
 class Repeating:
-    """A smooth curve over (input, direction) in residuals.
-
-    Attributes:
-        share: its fraction of the residual variance.
-        chance: p-value under slow noise alone.
-    """
+    """A smooth curve over (input, direction) in residuals: its share of their variance, and its p-value under slow noise alone."""
 
     share: float
     chance: float
@@ -187,12 +182,7 @@ class Repeating:
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """Which noise the residuals show.
-
-    Attributes:
-        recommended: name of a noise model.
-        findings: deviations from white Gaussian noise, each a note; none for white residuals.
-    """
+    """Which noise model the residuals recommend, and their deviations from white Gaussian noise as notes; none for white ones."""
 
     recommended: str
     findings: tuple[Note, ...]

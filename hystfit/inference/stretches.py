@@ -23,14 +23,7 @@ _FEWEST = 2**10  # samples of one
 
 
 class Stretch(NamedTuple):
-    """Successive samples of one record.
-
-    Attributes:
-        record: its number.
-        at: the samples.
-        residual: shape (m,).
-        jacobian: derivatives with respect to all parameters, shape (m, p).
-    """
+    """Successive samples of one record, with residuals and derivatives with respect to all parameters."""
 
     record: int
     at: slice

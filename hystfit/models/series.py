@@ -185,13 +185,7 @@ class Series(AbstractComposition):
 
 
 class SeriesStep(AbstractStepInverse):
-    """Inverses of the parts of a `Series`, from the last to the first.
-
-    Attributes:
-        model: the series.
-        inner: an inverse for each part.
-        edges: between which input limits each part but the first is searched, infinite for closed forms.
-    """
+    """Inverses of the parts of a `Series`, from the last to the first; each but the first searches between its limits (`edges`)."""
 
     model: Series
     inner: tuple[AbstractStepInverse, ...]

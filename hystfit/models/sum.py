@@ -110,13 +110,7 @@ class Sum(AbstractComposition):
 
 
 class SumStep(AbstractStepInverse):
-    """Inverse of a sum of one model and constants.
-
-    Attributes:
-        model: the sum.
-        inner: inverse of the part that is not constant.
-        which: its number.
-    """
+    """Inverse of a sum of one model, number `which`, and constants."""
 
     model: Sum
     inner: AbstractStepInverse

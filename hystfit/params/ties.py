@@ -13,12 +13,7 @@ from hystfit.params.named_leaves import NamedLeaves
 
 @dataclasses.dataclass(frozen=True)
 class Tie:
-    """target = factor * source + constant; both are a leaf of the tree and a flat position in it.
-
-    Attributes:
-        name: of the target.
-        expression: as the user wrote it, for one element of an array with the name of that element.
-    """
+    """target = factor * source + constant, both a leaf of the tree and a flat position in it; `expression` is that of the user."""
 
     name: str
     expression: str

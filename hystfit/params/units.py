@@ -97,12 +97,7 @@ def with_unit(name: str, unit: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Unit:
-    """A unit of a measured column.
-
-    Attributes:
-        factor: its size in SI base units.
-        powers: of the base units, sorted by name; the dimension.
-    """
+    """A unit of a measured column: its size in SI base units, and their powers, sorted by name."""
 
     factor: float
     powers: tuple[tuple[str, float], ...]

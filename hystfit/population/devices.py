@@ -30,12 +30,7 @@ DRAWS = 2000  # of a device's own posterior, at most
 
 @dataclasses.dataclass(frozen=True)
 class Common:
-    """The coordinates z of all devices: those of the first one, so that natural scales of single records do not enter.
-
-    Attributes:
-        space: of the first device.
-        at: positions of the parameters that scatter between devices, in every device's own vector.
-    """
+    """The coordinates z of all devices, those of the first: natural scales of single records do not enter. `at`: what scatters."""
 
     space: ParameterSpace
     at: np.ndarray

@@ -44,13 +44,7 @@ _RARE = (
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """A quantity of the measured loops beside that of replicated data.
-
-    Attributes:
-        measured: its value.
-        lower, median, upper: of the replicated data, with 95 % between the outer ones.
-        above: share of the replicated data with a larger value.
-    """
+    """A quantity of the measured loops, the median and 95 % of replicated data, and the share of these `above` it."""
 
     measured: float
     lower: float

@@ -28,12 +28,7 @@ _FLATTEST = 0.5  # slope of straight(v) at the center below which the center its
 
 
 class Shear(eqx.Module):
-    """The map between linear coordinates y and v.
-
-    Attributes:
-        order: coordinates with two bounds, those first that bend most.
-        slopes: by which the coordinates behind each of them follow it, 0 for itself and those before.
-    """
+    """The map between linear coordinates y and v: others follow those with two bounds, in `order` of their bends, by `slopes`."""
 
     order: Int[Array, " b"]
     slopes: Float[Array, "b d"]

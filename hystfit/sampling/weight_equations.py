@@ -98,15 +98,7 @@ class WeightEquations(eqx.Module):
 
 
 class Exact(eqx.Module):
-    """The density over w of a model with parameters in which its output is not linear, up to a constant.
-
-    Attributes:
-        density: of model and noise; its priors do not count.
-        grid: of the noises.
-        linear: which parameters are weights, shape (p,).
-        priors: of the others, None for weights.
-        size: of the output.
-    """
+    """The density over w of a model with parameters in which its output is not linear, up to a constant; priors of these alone."""
 
     density: Density
     grid: NoiseGrid
@@ -135,13 +127,7 @@ class Exact(eqx.Module):
 
 
 class NoiseGrid(eqx.Module):
-    """Noises among which the sampler moves, on a grid about the most probable one.
-
-    Attributes:
-        ratios: of white to slow variance, shape (m,); None for independent noise.
-        times: correlation times, typical sampling intervals, shape (m,).
-        log_prior: of each noise, up to a constant.
-    """
+    """Noises among which the sampler moves, about the most probable one: ratios of white to slow variance (None: white), and times."""
 
     models: ClassVar[tuple[str, ...]] = ("iid", "ou")  # noise models that are on such grids
     ratios: Any

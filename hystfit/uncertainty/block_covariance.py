@@ -181,12 +181,7 @@ def _orthonormal(slopes: list[np.ndarray]) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class _Blocks:
-    """Blocks of consecutive samples of a linear model y = Q q + e with orthonormal Q.
-
-    Attributes:
-        scores: Q_g' e_g of each block g, shape (G, k).
-        grams: Q_g' Q_g, shape (G, k, k).
-    """
+    """Blocks g of samples of y = Q q + e with orthonormal Q: scores Q_g' e_g, (G, k), and grams Q_g' Q_g, (G, k, k)."""
 
     scores: np.ndarray
     grams: np.ndarray

@@ -75,14 +75,9 @@ def typical_noise(name: str, problem: Problem) -> AbstractNoise:
 
 
 class Spaces:
-    """Parameter spaces, priors and the traced posterior of a study.
+    """Parameter spaces, priors and the traced posterior, centered on these, of a study; its data are replaced.
 
-    Attributes:
-        target: the posterior, centered on the priors; its data are replaced.
-        truth: space of the noise of the simulation.
-        true_priors: of the model's parameters, then of that noise.
-        names: of all parameters of the inference.
-        shared: which of them have a true value and a posterior.
+    `shared` of the names of the inference have a true value and a posterior.
     """
 
     def __init__(self, study: Study):

@@ -40,12 +40,7 @@ Progress = Callable[[str], object]
 class CandidateFits:
     """Fits of candidates, which use what those of others told: sizes, equations of the same elements, and the error to beat.
 
-    Args:
-        data: records.
-        left_out: see `hystfit.fitting.comparison.compare.compare`.
-        options: of every fit.
-        named: models by the name of their row, where the user chose them.
-        standings: the models that are done.
+    `named` are models by the name of their row, where the user chose them; the standings are those of the models that are done.
     """
 
     def __init__(

@@ -24,11 +24,7 @@ Purpose = Literal["prediction", "inverse", "export"]
 
 
 class Obstacles(Mapping[str, str]):
-    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables.
-
-    Args:
-        result: the fit.
-    """
+    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables."""
 
     def __init__(self, result: FitResult):
         self._result = result

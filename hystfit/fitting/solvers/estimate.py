@@ -68,11 +68,7 @@ class Estimate:
 
 
 class AbstractEstimator(eqx.Module):
-    """A way to fit a problem; its settings are its fields.
-
-    Class attributes:
-        needs_starts: whether several starting points can lead to different minima.
-    """
+    """A way to fit a problem; its settings are its fields, and `needs_starts` whether several starts can lead to different minima."""
 
     needs_starts: eqx.AbstractClassVar[bool]
 

@@ -47,12 +47,7 @@ _ROUND = 6  # steps per round on a GPU
 
 
 class Stack(eqx.Module):
-    """Objectives of N records as one pytree: arrays that differ between records have a leading axis of N, the others are shared.
-
-    Attributes:
-        objective: the objective with these arrays.
-        own: for each leaf of the objective, whether it has that axis.
-    """
+    """Objectives of N records as one pytree: its `own` leaves differ between records and have an axis of N, the others are shared."""
 
     objective: Objective
     own: tuple[bool, ...] = eqx.field(static=True)

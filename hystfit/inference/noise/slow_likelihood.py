@@ -134,12 +134,7 @@ def slow_solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoiseFit:
-    """Slow and independent noise estimated from residuals.
-
-    Attributes:
-        noise: the most probable one.
-        others: noises about it, with their posterior weights `shares`.
-    """
+    """Slow and independent noise estimated from residuals: the most probable one, and others about it by their posterior weights."""
 
     noise: SlowNoise
     others: tuple[SlowNoise, ...]

@@ -24,12 +24,7 @@ _TOGETHER = 2**14
 
 @dataclasses.dataclass(frozen=True)
 class Triangles:
-    """The basis of the columns: which cells lie in the triangle of each cell, from its beta up to its alpha; see `Basis`.
-
-    Attributes:
-        n: cells along an axis.
-        symmetric: whether cells that are mirror images share a weight.
-    """
+    """The basis of the columns: the cells in the triangle of each, from its beta to its alpha; mirror images may share a weight."""
 
     n: int
     symmetric: bool

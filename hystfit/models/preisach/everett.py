@@ -104,13 +104,7 @@ def place(levels: Float[Array, " m"], u: Float[Array, "..."]) -> Place:
 
 
 class Everett(eqx.Module):
-    """The function E of cell masses, ready for look-up.
-
-    Attributes:
-        off: sums of the cells off the diagonal, shape (n + 1, n + 1).
-        diagonal: masses of the diagonal cells, shape (n,).
-        sums: their cumulative sums, shape (n + 1,).
-    """
+    """The function E of cell masses, ready for look-up: sums of the cells off the diagonal, masses and their sums of those on it."""
 
     off: Float[Array, "m m"]
     diagonal: Float[Array, " n"]
@@ -162,14 +156,7 @@ def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyA
 
 
 class FirstRise(eqx.Module):
-    """Mass that a first rise from the demagnetized state switches up.
-
-    Attributes:
-        square: masses, shape (n, n).
-        sums: what rises to each level switch, shape (n + 1,).
-        levels: shape (n + 1,).
-        center: where the demagnetized input rests.
-    """
+    """Mass that a first rise from the demagnetized state, at rest in `center`, switches up; `sums`: by a rise to each level."""
 
     square: Float[Array, "n n"]
     sums: Float[Array, " m"]

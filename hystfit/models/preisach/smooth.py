@@ -158,12 +158,7 @@ class _Solved(NamedTuple):
 
 
 class _Trials:
-    """Solutions of a system with penalties of different strengths, each started from the one before.
-
-    Args:
-        fixed: see `fit_smooth`.
-        likely: strength of a penalty that a similar system chose.
-    """
+    """Solutions of a system with penalties of different strengths, each started from the one before; see `left_out_errors`."""
 
     def __init__(self, system: SmoothSystem, fixed: np.ndarray, likely: float | None = None):
         self._grams, self.free = _reduced(system, fixed - system.origin * system.size)

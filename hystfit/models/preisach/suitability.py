@@ -175,12 +175,7 @@ def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
 
 @dataclasses.dataclass(frozen=True)
 class PreisachChecks:
-    """Results of the Preisach tests on all records of a data set.
-
-    Attributes:
-        checks: of the records.
-        family: the first-order reversal curves that the records are; None where they are not.
-    """
+    """Results of the Preisach tests on all records of a data set; `family` are first-order reversal curves, None where these are none."""
 
     checks: tuple[PreisachCheck, ...]
     family: ReversalFamily | None

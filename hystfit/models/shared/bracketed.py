@@ -13,12 +13,7 @@ from hystfit.models.shared.shapes import Scalar
 
 
 class Root(NamedTuple):
-    """Result of a bracketed search.
-
-    Attributes:
-        x: where the function came nearest to zero.
-        rising: no slope met on the way fell.
-    """
+    """Result of a bracketed search: where the function came nearest to zero, and whether no slope met on the way fell."""
 
     x: Scalar
     rising: Bool[Array, ""]

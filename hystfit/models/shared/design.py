@@ -55,12 +55,7 @@ class Basis(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Factored:
-    """Columns as a product, rows @ basis, of rows with few entries and a basis that all inputs share; to NumPy it is that array.
-
-    Attributes:
-        rows: shape (S, q).
-        basis: shape (q, p).
-    """
+    """Columns as a product of sparse rows, (S, q), and a basis, (q, p), that all inputs share; to NumPy it is that array."""
 
     rows: scipy.sparse.csr_array
     basis: Basis
@@ -85,14 +80,7 @@ Columns = np.ndarray | Factored
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """Columns of one array of linear weights.
-
-    Attributes:
-        leaf: number of the array among the leaves of the model.
-        info: its declaration.
-        columns: shape (S, p), for the elements of the array in order.
-        penalty: of weights that are many and smooth.
-    """
+    """Columns, shape (S, p), of one array of linear weights, a leaf of the model; with a penalty if they are many and smooth."""
 
     leaf: int
     info: ParamInfo
@@ -104,10 +92,7 @@ class Block:
 class DesignMatrix:
     """The output of a model as a function of its linear weights: rest + sum over the blocks of columns @ weights.
 
-    Attributes:
-        blocks: one for each array of weights.
-        rest: output where all these weights are zero, shape (S,).
-        index: row of each sample, shape (T,); rows that many samples share are stored once.
+    Rows that many samples share are stored once: `rest` has shape (S,), and `index`, the row of each sample, (T,).
     """
 
     blocks: tuple[Block, ...]

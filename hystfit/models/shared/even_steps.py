@@ -28,12 +28,7 @@ def even_step(dt: Any, xp: Any = jnp) -> tuple[Any, Any]:
 
 
 class Clock(NamedTuple):
-    """Even time steps on the host, where a recursion needs no program.
-
-    Attributes:
-        interval: of all steps but those of 0 [s].
-        moved: the samples after such a step, shape (T,), bool.
-    """
+    """Even time steps on the host, where a recursion needs no program; steps of 0 have not `moved`."""
 
     interval: float
     moved: np.ndarray

@@ -19,14 +19,7 @@ class Derived(NamedTuple):
 
 
 class PlayWeights(NamedTuple):
-    """Weights of the plays or stops of one envelope.
-
-    Attributes:
-        label: of the envelope and operator.
-        threshold: half width of each, rising [u], shape (n,).
-        weight: of each [y], shape (n,).
-        names: of the parameters that are the weights.
-    """
+    """Weights [y] of the plays or stops of one envelope by their half width [u], rising, and the names of these parameters."""
 
     label: str
     threshold: np.ndarray

@@ -21,11 +21,7 @@ COMES_LATER = (
 
 
 class AbstractStepInverse(eqx.Module):
-    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.
-
-    Attributes:
-        model: what is inverted.
-    """
+    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1."""
 
     model: eqx.AbstractVar[Any]
 
@@ -51,12 +47,7 @@ class AbstractStepInverse(eqx.Module):
 
 
 class SearchStep(AbstractStepInverse):
-    """Bracketed search on the model's own step: for every model whose output rises, or falls, with its input.
-
-    Attributes:
-        model: any model.
-        sign: -1 where the output falls with the input, else 1.
-    """
+    """Bracketed search on the model's own step, for every model whose output rises with its input, or falls (sign -1)."""
 
     model: Any
     sign: float = eqx.field(static=True, default=1.0)

@@ -19,12 +19,7 @@ _ATTEMPTS, _PAUSE = 4, 0.05  # to read a folder while another process writes it,
 
 
 class Files(NamedTuple):
-    """Files of one result.
-
-    Attributes:
-        contents: bytes by name.
-        edited: names of those that differ from what hystfit saved; empty unless edits were allowed.
-    """
+    """Files of one result as bytes by name, and names of those that differ from what hystfit saved, where edits were allowed."""
 
     contents: dict[str, bytes]
     edited: tuple[str, ...]
