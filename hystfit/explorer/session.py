@@ -21,7 +21,7 @@ from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, make_model
 from hystfit.params.param import leaves_of
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import Metrics
 from hystfit.results.result import FitResult
 
 

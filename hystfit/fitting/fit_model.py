@@ -38,8 +38,8 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import Baselines
+from hystfit.results.accuracy import Metrics
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
-from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
 

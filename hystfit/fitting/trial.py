@@ -14,8 +14,7 @@ from hystfit.errors import HystfitError
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import POOR, accuracy_note, exceeded_limits, is_noise
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import POOR, Metrics, accuracy_note, exceeded_limits, is_noise
 from hystfit.results.result import FitResult
 
 _OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it

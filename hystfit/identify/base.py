@@ -22,8 +22,7 @@ from hystfit.models.shared.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
-from hystfit.results.accuracy import POOR
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import POOR, Metrics
 
 
 class Sample(NamedTuple):

@@ -17,9 +17,8 @@ from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.default_start import hypercube_start
-from hystfit.models.shared.description import format_model
 from hystfit.models.shared.design import COLUMNS, Block, DesignMatrix
-from hystfit.models.shared.reported import Derived, PlayWeights
+from hystfit.models.shared.reported import Derived, PlayWeights, format_model
 from hystfit.models.shared.simulation import AbstractDynamics, checked_drive, run
 from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep

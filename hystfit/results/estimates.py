@@ -1,16 +1,18 @@
-"""Parameters and noise as a fit reports them."""
+"""Parameters and noise as a fit reports them, and where the standard errors of other verbs differ."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
+from hystfit.outcome import Code, Note
 from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
+from hystfit.results.result import FitResult
 
 T = TypeVar("T")
 
@@ -94,3 +96,21 @@ class NoiseEstimate:
     def refines(self) -> bool:
         """Whether the estimate is the optimum of a likelihood of its own, not of least squares."""
         return self.name not in ("auto", "iid")
+
+
+SIMILAR = 1.25  # ratio up to which two standard errors count as equal
+
+
+def differences(result: FitResult, errors: Mapping[str, float | None], source: str, reason: str) -> list[Note]:
+    """A note where standard errors by parameter (None: unknown) differ from those of a fit; none where they agree within `SIMILAR`."""
+    ratios = {}
+    for name, error in errors.items():
+        reported = result[name].stderr if name in result.free_names else None
+        if error and reported and not 1 / SIMILAR < error / reported < SIMILAR:
+            ratios[name] = error / reported
+    if not ratios:
+        return []
+    name = max(ratios, key=lambda one: max(ratios[one], 1 / ratios[one]))
+    others = f" ({len(ratios)} parameters differ)" if len(ratios) > 1 else ""
+    text = f"standard error of {name} by {source} {errors[name]:.3g}, by the fit {result[name].stderr:.3g}{others}: {reason}"
+    return [Note(Code.ERRORS_DIFFER, text)]

@@ -24,9 +24,9 @@ from hystfit.results.result import FitResult
 from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers, usable_cores
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.bend import Shear
 from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.setup import Setup, given_others, prepare
-from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
 from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
 

@@ -26,7 +26,7 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
-from hystfit.results.agreement import differences
+from hystfit.results.estimates import differences
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 from hystfit.results.saving.folders import alone

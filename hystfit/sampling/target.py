@@ -15,10 +15,9 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled, to_device
-from hystfit.sampling.bend import Bend
+from hystfit.sampling.bend import Bend, Shear
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.noise_coordinates import NoiseCoordinates
-from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
 ROWS = 200  # places at once where only sums are kept

@@ -26,8 +26,7 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
 from hystfit.params.units import with_unit
 from hystfit.quality.coverage import coverage_notes
-from hystfit.results.agreement import differences
-from hystfit.results.estimates import grouped
+from hystfit.results.estimates import differences, grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import Plan, covariance_with
 

@@ -16,8 +16,7 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
 from hystfit.outcome.wrapping import listed
 from hystfit.quality.determination import count
-from hystfit.results.agreement import differences
-from hystfit.results.estimates import grouped
+from hystfit.results.estimates import differences, grouped
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Progress
 from hystfit.sampling.sample import sample, suited_sampler

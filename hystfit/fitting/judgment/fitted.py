@@ -16,7 +16,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.summary import may_change, summarize
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import Metrics
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A model as a `uniaxialMaterial` of OpenSees (see `hystfit.control.opensees`)."""
+"""A model as a `uniaxialMaterial` of OpenSees (see `hystfit.control.export`)."""
 
 from __future__ import annotations
 
