@@ -49,12 +49,7 @@ class Loop(eqx.Module):
     finer: int = eqx.field(static=True, default=1)
 
     def move(self, state: Array, u0: Array, u1: Array) -> tuple[Array, Array]:
-        """State and output of the plant after the input went from u0 to u1 in `finer` equal steps.
-
-        Args:
-            state: of the plant before the sample.
-            u0, u1: input at the previous and at this sample.
-        """
+        """State and output of the plant after the input went from u0 to u1 in `finer` equal steps."""
         if self.finer == 1:
             return self.plant.step(state, u0, u1, self.dt)
         part, dt = (u1 - u0) / self.finer, self.dt / self.finer

@@ -70,14 +70,7 @@ class Law:
 
 @dataclasses.dataclass(frozen=True)
 class Parts:
-    """A Jiles-Atherton model taken apart.
-
-    Attributes:
-        static: the static law, with the field as input.
-        dynamic: `eddy`, `excess` and `e` of the dynamic fields, in the units of the model; without those that it does not have.
-        line: slope of a straight line beside the law, output over input of the model.
-        by_flux: whether the input of the model is the flux density.
-    """
+    """A Jiles-Atherton model taken apart: its static law by the field, those dynamic fields that it has, and a straight line beside."""
 
     static: JilesAtherton
     dynamic: dict[str, float]
@@ -91,13 +84,7 @@ class Parts:
         return dataclasses.replace(self.static, slope=self.static.slope + line)
 
     def law(self, per_field: float, per_output: float, *, vacuum: bool = False) -> Law:
-        """The parameters in SI units.
-
-        Args:
-            per_field: size of the unit of the field [A/m].
-            per_output: size of the unit of the flux density, polarization or magnetization [T].
-            vacuum: whether the field itself adds to the flux density, beside what the model gives.
-        """
+        """The parameters in SI units, from the units of the model; in `vacuum` the field itself adds to the flux density."""
         static, one = self.static, lambda values, other: float(values[0]) if values.size else other
         saturation = per_output / MU0 * float(static.Ms)
         units = {"eddy": per_field / per_output, "excess": per_field / per_output**0.5, "e": per_output}
@@ -211,13 +198,7 @@ def _with_gap(h: np.ndarray, flux: np.ndarray, gap: float) -> tuple[np.ndarray, 
 
 
 class _Sizes(NamedTuple):
-    """Units of a fit.
-
-    Attributes:
-        field: size of the unit of the field [A/m].
-        output: size of the unit of the flux density, polarization or magnetization [T].
-        vacuum: whether that is a magnetization, to which the field adds for the flux density.
-    """
+    """Units of a fit: of the field [A/m], and of the flux density, polarization or magnetization [T]; a magnetization adds the field."""
 
     field: float
     output: float

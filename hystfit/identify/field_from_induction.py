@@ -63,12 +63,7 @@ class FluxSequence:
 
 
 class Reach(NamedTuple):
-    """What sequences cover. Beyond it losses may be of either sign: at 150 degC that of a core measured from 25 to 70 degC was.
-
-    Attributes:
-        peak: largest flux density [T].
-        coldest, warmest: lowest and highest temperature [degC].
-    """
+    """What sequences cover [T, degC]. Beyond it losses may have either sign: at 150 degC that of a core measured from 25 to 70 degC had."""
 
     peak: float
     coldest: float

@@ -32,13 +32,7 @@ _EXCESS = 0.02  # fraction of the response's RMS by which the equation error may
 
 
 class GradientState(NamedTuple):
-    """State of the recursion.
-
-    Attributes:
-        theta: shape (p,), in the units of the basis.
-        last: (u, y) of the previous sample; NaN before the first.
-        count: rows used so far (the index of time-varying weights).
-    """
+    """State of the recursion: theta in units of the basis, (u, y) of the sample before (NaN at first), and how many rows were used."""
 
     theta: Float[Array, " p"]
     last: Float[Array, "2"]
