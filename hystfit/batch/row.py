@@ -55,7 +55,6 @@ class Row(WithStatus):
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         content |= {name: dict(content[name]) for name in ("values", "stderr", "quantities", "units")}
         return content | {"status": str(self.status), "codes": list(self.codes)}

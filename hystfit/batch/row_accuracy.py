@@ -124,7 +124,6 @@ class _Frame(NamedTuple):
 
     @classmethod
     def of(cls, group: Group) -> _Frame:
-        """The frame of a group."""
         record = group.record
         at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
         first, last = np.searchsorted(at, [turns[0] + 1, turns[-1]]) if turns.size else (np.int64(0), np.int64(at.size))

@@ -104,7 +104,6 @@ class GradientCorrection(LinearIdentifier):
         return cls(regressor, theta0, jnp.asarray(lambdas, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
 
     def init(self) -> GradientState:
-        """The start."""
         return GradientState(self.theta0, jnp.full(2, jnp.nan, self.theta0.dtype), jnp.zeros((), int))
 
     def correct(self, state: GradientState, phi: Array, error: Array) -> GradientState:

@@ -146,7 +146,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return BoucWenStep(self)
 
     def c_part(self) -> CPart:
-        """Both schemes are in one template."""
         return CPart.of(self, "bouc_wen", h0=equilibrium(self, np.zeros(()))[0], exact=self.scheme == "exact")
 
 

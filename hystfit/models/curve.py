@@ -72,7 +72,6 @@ class Curve(AbstractHysteresis):
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The curve."""
         return state, self.sweep(state, u0, u1[None], dt)[1][0]
 
     def sweep(self, state: State, u0: Scalar, u: Any, dt: Any) -> tuple[State, Any]:

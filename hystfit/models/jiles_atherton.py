@@ -115,7 +115,6 @@ class JilesAtherton(AbstractHysteresis):
         return cls(curve=curve, q=[0.0] if pinning else (), p=second[0], r=second[1])
 
     def settings(self) -> dict[str, int | bool | str]:
-        """As of `of`."""
         return {"curve": self.curve, "pinning": self.q.size > 0, "double": self.p.size > 0}
 
     def anhysteretic(self, x: Scalar) -> Scalar:
@@ -224,7 +223,6 @@ class JilesAtherton(AbstractHysteresis):
         return JilesAthertonStep(self)
 
     def c_part(self) -> CPart:
-        """The same search in C."""
         return search_in_c(self, self, (1.0, -self.mean_field), (self.slope, 0.0, self.Ms))
 
 

@@ -34,15 +34,12 @@ class Linear(AbstractHysteresis):
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The line."""
         return state, self.k * u1
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """The line on the host."""
         return float(self.k) * np.asarray(checked_drive(self, u, dt)[0])
 
     def design_matrix(self, u: Any, dt: Any = None) -> DesignMatrix:
-        """The input."""
         return DesignMatrix.of(self, {"k": np.asarray(checked_drive(self, u, dt)[0])[:, None]})
 
     def start(self, records: Sequence[Record]) -> Linear:

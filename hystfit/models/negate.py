@@ -28,22 +28,18 @@ class Negate(AbstractHysteresis):
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The opposite of the input."""
         return state, -u1
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """Without a scan."""
         return state, -u
 
     def start(self, records: Sequence[Record]) -> Negate:
-        """It has no parameters."""
         return self
 
     def inputs_between(self, low: float, high: float) -> tuple[float, float]:
         return -high, -low
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """The opposite of the target."""
         return NegateStep(self)
 
 

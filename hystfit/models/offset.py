@@ -29,7 +29,6 @@ class Offset(AbstractHysteresis):
         return jnp.zeros((0,), dtype=jnp.result_type(float))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The constant."""
         return state, self.value + 0.0 * u1
 
     def start(self, records: Sequence[Record]) -> Offset:

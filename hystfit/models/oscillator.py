@@ -211,7 +211,6 @@ class BoucWenOscillator(AbstractHysteresis):
         return record.replace(weight=weight).noted(Code.PREPARED, text)
 
     def start(self, records: Sequence[Record]) -> BoucWenOscillator:
-        """The first of `starting_points`."""
         return self.starting_points(records)[0]
 
     def starting_points(self, records: Sequence[Record]) -> tuple[BoucWenOscillator, ...]:

@@ -57,7 +57,6 @@ class Plan(eqx.Module):
 
     @classmethod
     def of(cls, result: FitResult) -> Plan:
-        """The plan for a fit."""
         problem, x = result.problem, result.x
         c, infos = problem.space.coordinates, problem.space.infos
         held = problem.on_bound(x) & np.array([info.linear for info in infos])
