@@ -12,7 +12,6 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
-from hystfit.results.result import FitResult
 
 T = TypeVar("T")
 
@@ -101,16 +100,16 @@ class NoiseEstimate:
 SIMILAR = 1.25  # ratio up to which two standard errors count as equal
 
 
-def differences(result: FitResult, errors: Mapping[str, float | None], source: str, reason: str) -> list[Note]:
+def differences(
+    parameters: Sequence[ParameterEstimate], errors: Mapping[str, float | None], source: str, reason: str
+) -> list[Note]:
     """A note where standard errors by parameter (None: unknown) differ from those of a fit; none where they agree within `SIMILAR`."""
-    ratios = {}
-    for name, error in errors.items():
-        reported = result[name].stderr if name in result.free_names else None
-        if error and reported and not 1 / SIMILAR < error / reported < SIMILAR:
-            ratios[name] = error / reported
+    fitted = {one.name: one.stderr for one in parameters if one.tie is None and one.stderr}
+    ratios = {name: error / fitted[name] for name, error in errors.items() if error and name in fitted}
+    ratios = {name: ratio for name, ratio in ratios.items() if not 1 / SIMILAR < ratio < SIMILAR}
     if not ratios:
         return []
     name = max(ratios, key=lambda one: max(ratios[one], 1 / ratios[one]))
     others = f" ({len(ratios)} parameters differ)" if len(ratios) > 1 else ""
-    text = f"standard error of {name} by {source} {errors[name]:.3g}, by the fit {result[name].stderr:.3g}{others}: {reason}"
+    text = f"standard error of {name} by {source} {errors[name]:.3g}, by the fit {fitted[name]:.3g}{others}: {reason}"
     return [Note(Code.ERRORS_DIFFER, text)]

@@ -269,7 +269,7 @@ def _agreement_notes(result: FitResult, setup: Prepared, draws: Float[np.ndarray
             f"the posterior weights the samples by its noise model, least squares weights them equally; a fit with noise={setup.noise!r} "
             "has the estimate of the posterior"
         )
-    return differences(result, errors, "the posterior", reason)
+    return differences(result.parameters, errors, "the posterior", reason)
 
 
 def notes_of_fit(result: FitResult) -> list[Note]:

@@ -241,7 +241,7 @@ def _notes(
         "the present data alone",
         "the design combines the data with a wide prior and no other regularization",
     )
-    return (*notes, *differences(result, present, source, reason))
+    return (*notes, *differences(result.parameters, present, source, reason))
 
 
 def _score(covariance: Array, counted: Array) -> Array:

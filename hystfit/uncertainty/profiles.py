@@ -226,7 +226,7 @@ def profile(
         name: (p.upper - p.lower) / (2 * np.sqrt(limit)) if p.lower is not None and p.upper is not None else None
         for name, p in profiles.items()
     }
-    notes += differences(result, halves, "half the distance between the limits", _reason(result, noise))
+    notes += differences(result.parameters, halves, "half the distance between the limits", _reason(result, noise))
     return Profiles(result, profiles, level, described, tuple(notes))
 
 

@@ -189,7 +189,7 @@ def standard_errors(
             notes.append(Note(Code.BLOCKS, text))
         reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
-        notes += differences(result, by_name, f"the {kind}", reason)
+        notes += differences(result.parameters, by_name, f"the {kind}", reason)
     if suited_sampler(result) == "weights":
         errors["posterior"], factors["posterior"], remarks = _of_draws(result, seed, progress)
         notes += remarks
