@@ -97,14 +97,7 @@ class Soundness(NamedTuple):
 
 
 class Accuracy(NamedTuple):
-    """Of N solved loops.
-
-    Attributes:
-        described: which are described beyond doubt.
-        white: of these, those with white residuals.
-        close: which are described as well as a usable fit is.
-        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
-    """
+    """Of N solved loops: which are described beyond doubt, of these those with white residuals, and the rest as in `Judged`."""
 
     described: Any
     white: Any

@@ -18,13 +18,7 @@ from hystfit.reading.several import files_of, pair_of
 
 
 class Source(NamedTuple):
-    """A file or a record.
-
-    Attributes:
-        name: path of the file, or name of the record.
-        key: identifies the data: a checksum with the name.
-        record: None for a file, which is read where it is fitted.
-    """
+    """A file (its path in `name`, read where it is fitted) or a record; `key`, a checksum with the name, identifies the data."""
 
     name: str
     key: str

@@ -24,15 +24,7 @@ _NAME = re.compile(r"[\w-]+")
 
 @dataclass(frozen=True)
 class Step:
-    """One call of a verb.
-
-    Attributes:
-        name: of the step and its folder.
-        arguments: the verb and its arguments, as on the command line.
-        folder: where the verb writes.
-        needs: steps whose folders it uses.
-        sources: values that may name files or folders.
-    """
+    """One call of a verb that writes `folder`; `needs` are steps whose folders it uses, `sources` values that may name files or folders."""
 
     name: str
     arguments: tuple[str, ...]
@@ -43,14 +35,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Study:
-    """A run file.
-
-    Attributes:
-        file: as named by the user.
-        out: folder of all steps, relative to the folder of the file.
-        sha256: pinned SHA-256 by file.
-        steps: those that others need come first; otherwise in the order of the file.
-    """
+    """A run file: `out` is the folder of all steps, `sha256` pinned digests by file; steps that others need come first."""
 
     file: Path
     out: Path

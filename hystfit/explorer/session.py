@@ -42,15 +42,7 @@ class Points:
 
 
 class Session:
-    """A record, the models that the user has chosen for it, and the fit that runs.
-
-    Attributes:
-        record: the measured loop.
-        choices: models that the page offers.
-        result: the last fit; None before it.
-        model: as it was drawn last.
-        values: of the sliders, as they were drawn last.
-    """
+    """A record, the models that the user has chosen for it, and the fit that runs; `values` are those of the sliders, as last drawn."""
 
     def __init__(
         self,
@@ -117,11 +109,7 @@ class Session:
     def predict(self, request: Mapping[str, Any]) -> Points:
         """The model's curve between two samples: x, u, y, the same at two other settings, and the residuals.
 
-        Args:
-            request: `view`, `values` by name, `band` (two sets of values that replace some, or nothing), and the part.
-
-        Raises:
-            HystfitError: values that the model cannot have.
+        A request has `view`, `values` by name, `band` (two sets of values that replace some, or nothing), and the part.
         """
         part, starts = self._part(request)
         view, values = self._view(request), request["values"]
@@ -139,11 +127,7 @@ class Session:
         return dataclasses.replace(points, facts=points.facts | {"error": error})
 
     def start_fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Begin a fit from the values of the sliders in the background; `fit_state` follows it.
-
-        Args:
-            request: `view`, `values`, and `fitted`: names of the parameters that the fit may change.
-        """
+        """Begin a fit in the background from `view`, `values` of the sliders and `fitted`, what it may change; `fit_state` follows it."""
         view = self._view(request)
         start, fitted = view.checked(request["values"]), set(request["fitted"])
         options = {

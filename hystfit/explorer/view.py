@@ -22,16 +22,9 @@ _REACH = 10.0  # factor to either side of a logarithmic slider
 
 @dataclasses.dataclass(frozen=True)
 class Slider:
-    """A parameter that the user moves.
+    """A parameter that the user moves from `low` to `high`; other values within its bounds `lower` and `upper` can be typed.
 
-    Attributes:
-        name, unit, doc: what it is.
-        value: where it begins.
-        low, high: ends of the slider; values beyond can be typed.
-        lower, upper: bounds; None where there is none.
-        logarithmic: whether equal distances are equal factors.
-        fitted: whether a fit changes it unless the user says otherwise.
-        weight: whether it is one of many weights.
+    On a `logarithmic` one equal distances are equal factors; a fit changes those that are `fitted` unless the user says otherwise.
     """
 
     name: str

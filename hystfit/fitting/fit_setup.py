@@ -30,15 +30,10 @@ _MANY = 4  # non-negative weights from which the convex solve is the default
 
 @dataclasses.dataclass(frozen=True)
 class FitSetup:
-    """A fit that is ready to be solved.
+    """A fit that is ready to be solved by `method`, an estimator or its name, from `points`, the best first.
 
-    Attributes:
-        problem: what is fitted.
-        method: an estimator or its name.
-        points: models to start from, the best first.
-        notes: notes on the choices made.
-        candidates: problems with different initial states, of which `problem` has the smallest cross-validation error; empty without
-            a choice.
+    `candidates` are problems with different initial states, of which `problem` has the smallest cross-validation error; empty without a
+    choice.
     """
 
     problem: Problem

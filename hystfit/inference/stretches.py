@@ -123,14 +123,8 @@ def _advance(
 ) -> tuple[Array, Array, Array, Array]:
     """Residuals, their derivatives along k directions, and the state behind the samples of a part with its own derivatives.
 
-    Args:
-        part: one record, some samples.
-        x: physical parameters.
-        record: number of the record in the whole objective.
-        directions: shape (k, p).
-        first: whether the record begins here.
-        state: before the samples; `along` are its derivatives, shape (k, states).
-        before: the input before them.
+    The part has some samples of the record of that number, which begins here if it is `first`; `directions` has shape (k, p). Before it are
+    the state, its derivatives `along` the directions, shape (k, states), and the input `before`.
     """
     batch = part.batch
     u, dt = batch.u[0], batch.dt[0]

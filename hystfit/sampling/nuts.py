@@ -183,15 +183,10 @@ class Nuts(AbstractSampler):
 
 @dataclasses.dataclass(frozen=True)
 class _Chain:
-    """One chain of a run, in memory or continued from the files of a folder.
+    """One chain of a run, in memory or continued from the files of a folder; nothing is kept where the folder is None.
 
-    Attributes:
-        nuts, target: what is drawn.
-        goal: acceptance for which the step size is tuned.
-        key: of this chain.
-        folder, label: where it is kept, and the first part of the files' names; nothing is kept where the folder is None.
-        before: the end of the warm-up of the chain before it, whose transitions diverged.
-        chunks: drawn so far.
+    `goal` is the acceptance for which the step size is tuned, `label` the first part of the files' names, and `before` the end of the
+    warm-up of the chain before it, whose transitions diverged.
     """
 
     nuts: Nuts

@@ -40,21 +40,7 @@ _AWAY = 3.0  # standard deviations of the places where its walkers begin: they m
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What is calibrated, ready to be sent to another process.
-
-    Attributes:
-        model: whose present values center the priors.
-        data: records that give inputs, times and weights; their outputs are replaced.
-        truth: the noise that simulates, with values.
-        assumed: name of the noise model of the inference.
-        method: "laplace" (curvature at the mode: least squares), "nuts" or "emcee".
-        spread: relative width of the priors.
-        priors: the user's own, by name.
-        fix: parameters that are not fitted.
-        free: fitted parameters that the model fixes by default.
-        tie: parameters that follow from others.
-        seed: of everything.
-    """
+    """What is calibrated, ready to be sent to another process: `truth` is the noise that simulates, all else as for `calibrate`."""
 
     model: AbstractHysteresis
     data: Dataset

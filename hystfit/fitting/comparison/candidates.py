@@ -34,12 +34,9 @@ _LEFT = 0.5
 class Candidates:
     """Models that a comparison tries, in order.
 
-    Attributes:
-        closed: models whose weights follow from a linear solve: they take a tenth of a second each.
-        iterated: models whose parameters are searched for.
-        resonant: those of them with a resonance, which take longest.
-        late: models tried only where the others leave more than noise: those that need more speeds than the long branches have.
-        last: those for loops of the other direction that describe these too: where no other model does.
+    The weights of `closed` ones follow from a linear solve, in a tenth of a second each; `iterated` ones are searched for, of which the
+    `resonant` take longest. `late` ones, which need more speeds than the long branches have, and the `last`, for loops of the other
+    direction that describe these too, are tried only where the others leave more than noise.
     """
 
     closed: tuple[str, ...]

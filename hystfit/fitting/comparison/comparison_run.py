@@ -41,17 +41,8 @@ _Work = Callable[[Candidate, Callable[[str], object]], None]
 class ComparisonRun:
     """Tries candidates side by side and keeps their rows.
 
-    Args:
-        data: records.
-        left_out, purpose: see `hystfit.fitting.comparison.compare.compare`.
-        options: of every fit.
-        named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
-        shown: progress of the models.
-        workers: which fit them side by side.
-
-    Attributes:
-        standings: the models that are done.
-        errors: of those that could not be fitted.
+    Models that are `named` by the user, by the name of their row, are validated however poor their fit. `standings` are the models that are
+    done, `errors` those of models that could not be fitted.
     """
 
     def __init__(

@@ -41,17 +41,9 @@ class First(NamedTuple):
 class Candidate:
     """A model in a comparison, with the results so far.
 
-    Attributes:
-        name: of its row.
-        row: once it is validated, stopped, or has failed.
-        solved: the fit, without standard errors.
-        sizes: the search for its size.
-        choices: notes on its choices.
-        result: its verdict.
-        first: the first fit, where there was one.
-        failure: why there is no result.
-        started: models with starting values from the records, the best first, where they are those of its fit too.
-        seconds: time of its fits and validation.
+    It has a row once it is validated, stopped, or has failed. `solved` is the fit without standard errors, `result` its verdict, `choices`
+    are notes on its choices, `started` models with starting values from the records, the best first, where they are those of its fit too,
+    and `seconds` the time of its fits and validation.
     """
 
     name: str

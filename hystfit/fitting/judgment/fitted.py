@@ -23,15 +23,8 @@ from hystfit.results.accuracy import Metrics
 class Fitted:
     """The data on which a verdict is based.
 
-    Attributes:
-        problem: what was fitted.
-        model: the fitted model.
-        estimate: where the fit ended.
-        train: its error.
-        rows: residuals of each record, samples that count only [y].
-        baselines: of the records.
-        method: name of the estimator; `usual` is that which the model takes by default.
-        thorough: whether the records are searched for damage and drift, which takes longer than many a fit.
+    `train` is the error of the fit, and `rows` are the residuals of each record, samples that count only [y]; `usual` is the method that
+    the model takes by default. A `thorough` verdict searches the records for damage and drift, which takes longer than many a fit.
     """
 
     problem: Problem

@@ -48,14 +48,8 @@ _BETTER = 1e-4  # relative decrease below the cost of a converged lane that is w
 class Lane(NamedTuple):
     """The state of descents, with any leading axes.
 
-    Attributes:
-        best: normal equations at the best point.
-        trial: the next point to evaluate, (..., p).
-        damping: damping of the step to it.
-        promised: decrease of the cost from the best point, as predicted by the linear model.
-        last: whether the next point is the last.
-        ended: whether the descent has ended.
-        steps: number of linearizations.
+    `best` are normal equations at the best point, from which a step with `damping` leads to `trial`, (..., p). `promised` is the decrease
+    of the cost from there, as predicted by the linear model; `last` tells whether the trial is the last; `steps` counts linearizations.
     """
 
     best: Normal
@@ -93,12 +87,8 @@ class Lane(NamedTuple):
 def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarray, xp: ModuleType) -> Lane:
     """Lanes after their trial points were linearized.
 
-    Args:
-        lane: before.
-        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
-        samples: of each problem.
-        bounded: which parameters have bounds, shape (p,).
-        xp: `numpy` or `jax.numpy`.
+    `gain` is the relative decrease of the cost, predicted by the linear model, below which a lane has converged; `samples` are those of
+    each problem; `bounded` tells which parameters have bounds, shape (p,).
     """
     # The last step may change the cost by less than rounding errors do.
     better = new.cost < xp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)

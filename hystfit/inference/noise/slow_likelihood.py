@@ -34,14 +34,10 @@ _WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the
 
 @dataclasses.dataclass(frozen=True)
 class Samples:
-    """The samples that count, record after record.
+    """The samples that count, n of those of shape (R, T) in which `on` is true, record after record.
 
-    Attributes:
-        on: mask of these samples, shape (R, T), bool.
-        gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
-        weight: of each.
-        place: input as a fraction of its range.
-        rising: whether the input last rose.
+    `gap` is the time since the one before, in typical sampling intervals, infinite at the first of a record; `place` the input as a
+    fraction of its range; `rising` tells whether the input last rose.
     """
 
     on: np.ndarray

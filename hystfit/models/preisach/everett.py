@@ -185,12 +185,8 @@ class FirstRise(eqx.Module):
 class CellMemory(eqx.Module):
     """Tables of a model with cells; output = rest + first(e_0) + sum over k of pair(e_{k+1}, e_k).
 
-    Attributes:
-        everett: mass in triangles.
-        up, down: mass switched by a first excursion from an asymmetric demagnetized state; None where it is not needed.
-        rest: output of the initial state.
-        levels, center: as given.
-        initial: the state before the record.
+    `up`, `down` are the mass switched by a first excursion from an asymmetric demagnetized state, None where it is not needed; `rest` is
+    the output of the initial state.
     """
 
     everett: Everett

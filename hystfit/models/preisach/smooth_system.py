@@ -253,13 +253,10 @@ def _is_offset(block: Block) -> bool:
 
 
 class _Gram:
-    """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a basis.
+    """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a `basis`.
 
-    Args:
-        basis: of the product; None without one.
-        inside: which columns of A the product is.
-        others: which ones stand for themselves; the output is the last.
-        whole: where the sum is made, zeros at first, shape (p + 1, p + 1).
+    `inside` tells which columns are that product, `others` which stand for themselves, the output last; the sum is made in `whole`, shape
+    (p + 1, p + 1), zeros at first.
     """
 
     def __init__(self, basis: Basis | None, inside: slice, others: np.ndarray, whole: np.ndarray):

@@ -33,12 +33,8 @@ _LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at leas
 class _Row:
     """A quantity of one falling branch.
 
-    Attributes:
-        name, label: of the row.
-        kind: "field", "induction", "energy product" or "" for a ratio, which tells its unit.
-        of_branch: value and standard error, from the branch and the noise.
-        hard: whether only hard materials have it.
-        absolute: whether it needs the polarization in T.
+    `kind` is "field", "induction", "energy product" or "" for a ratio, and tells its unit; `of_branch` gives value and standard error from
+    the branch and the noise; only hard materials have a `hard` one, and an `absolute` one needs the polarization in T.
     """
 
     name: str
