@@ -136,21 +136,13 @@ class Loops:
 
 
 class Common(NamedTuple):
-    """What the loops have in common.
+    """What the loops have in common."""
 
-    Attributes:
-        setup: the fit of one of them.
-        starts: shape (S, p), relative to the sizes of each loop; none for weights, which need none.
-        levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
-        powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
-        read: how many of the starts, the first ones, are read off loops; the others surround them.
-    """
-
-    setup: FitSetup
-    starts: np.ndarray
-    levels: np.ndarray
-    powers: np.ndarray
-    read: int = 0
+    setup: FitSetup  # the fit of one of them
+    starts: np.ndarray  # shape (S, p), relative to the sizes of each loop; none for weights, which need none
+    levels: np.ndarray  # middle of the output over its half range, of the loop that each start is from, shape (S,)
+    powers: np.ndarray  # of the sizes of input, output and time in the scale of each parameter, shape (3, p)
+    read: int = 0  # how many of the starts, the first ones, are read off loops; the others surround them
 
     @property
     def of_weights(self) -> bool:

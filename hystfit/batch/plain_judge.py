@@ -119,21 +119,15 @@ _SINGULAR = 1e-15  # least eigenvalue of information with a diagonal of ones, be
 
 
 class Judged(NamedTuple):
-    """Results of N loops; those of loops that are not plain mean nothing.
+    """Results of N loops; those of loops that are not plain mean nothing."""
 
-    Attributes:
-        plain: which loops are beyond doubt.
-        slow: of these, those with autocorrelated residuals.
-        close: which are described as well as a usable fit is, without a parameter at its bound: another start would not end lower.
-        x, stderr: estimates and standard errors, shape (N, p).
-        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
-    """
-
-    plain: np.ndarray
-    slow: np.ndarray
+    plain: np.ndarray  # which loops are beyond doubt
+    slow: np.ndarray  # of these, those with autocorrelated residuals
+    # which are described as well as a usable fit is, without a parameter at its bound: another start would not end lower
     close: np.ndarray
-    x: Float[np.ndarray, "N p"]
+    x: Float[np.ndarray, "N p"]  # x, stderr: estimates and standard errors, shape (N, p)
     stderr: Float[np.ndarray, "N p"]
+    # rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error
     rmse: Float[np.ndarray, " N"]
     percent: Float[np.ndarray, " N"]
     largest_percent: Float[np.ndarray, " N"]
@@ -205,17 +199,11 @@ def _errors(
 
 @dataclasses.dataclass(frozen=True)
 class RowNotes:
-    """Notes on N loops besides their accuracy: most loops share their codes, and a text is made when it is asked for.
+    """Notes on N loops besides their accuracy: most loops share their codes, and a text is made when it is asked for."""
 
-    Attributes:
-        sets: the different sets of codes, each with that of the accuracy.
-        of: which of them each loop has, shape (N,); -1 for loops that are not plain.
-        make: the notes on a plain loop, by its number.
-    """
-
-    sets: tuple[tuple[str, ...], ...]
-    of: np.ndarray
-    make: Callable[[int], Sequence[Note]]
+    sets: tuple[tuple[str, ...], ...]  # the different sets of codes, each with that of the accuracy
+    of: np.ndarray  # which of them each loop has, shape (N,); -1 for loops that are not plain
+    make: Callable[[int], Sequence[Note]]  # the notes on a plain loop, by its number
 
     def codes(self, k: int) -> tuple[str, ...]:
         """The codes of the notes on a plain loop."""

@@ -40,27 +40,17 @@ from hystfit.results.accuracy import VISIBLE
 
 
 class Weights(NamedTuple):
-    """Solved weights of N loops over one input.
+    """Solved weights of N loops over one input."""
 
-    Attributes:
-        common: what the loops have in common.
-        columns: of the weights on the n samples that count, shape (n, p), times the roots of the samples' weights.
-        targets: what they have to explain, shape (N, n).
-        x: solutions, shape (N, p).
-        penalty: diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p).
-        left_out: rms errors of samples left out, by which the penalties were chosen, shape (N,).
-        chosen: which loops begin in the state that `common` assumes, shape (N,), bool.
-        estimate: makes the estimate of a loop from its number.
-    """
-
-    common: Common
+    common: Common  # what the loops have in common
+    # of the weights on the n samples that count, shape (n, p), times the roots of the samples' weights
     columns: np.ndarray
-    targets: np.ndarray
-    x: np.ndarray
-    penalty: np.ndarray
-    left_out: np.ndarray
-    chosen: np.ndarray
-    estimate: Callable[[int], Estimate]
+    targets: np.ndarray  # what they have to explain, shape (N, n)
+    x: np.ndarray  # solutions, shape (N, p)
+    penalty: np.ndarray  # diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p)
+    left_out: np.ndarray  # rms errors of samples left out, by which the penalties were chosen, shape (N,)
+    chosen: np.ndarray  # which loops begin in the state that `common` assumes, shape (N,), bool
+    estimate: Callable[[int], Estimate]  # makes the estimate of a loop from its number
 
     def outputs(self, record: Record) -> Float[np.ndarray, "N T"]:
         """Outputs of all models over the input of a record."""

@@ -26,36 +26,24 @@ class Law:
     """B' = mu0 (mu H' + M),  H = H' + eddy dB'/dt + excess dB'/dt / ((dB'/dt)^2 + e^2)^(1/4) + gap B',  B = B' + air H.
 
     H' and M are those of `JilesAtherton`: the field inside the material, and what it magnetizes.
-
-    Attributes:
-        Ms, a, k: [A/m].
-        alpha, c: of the mean field, and reversible part.
-        q: fall of the pinning with the magnetization.
-        p, r: weight of the first of two anhysteretic curves, and ratio of their shapes; p = 1 for one curve.
-        tanh: whether that is the curve, instead of the Langevin function.
-        eddy: [A s/(m T)].
-        excess: [A s^0.5/(m T^0.5)].
-        e: [T/s].
-        mu: relative permeability beside the magnetization, 1 in the published law.
-        air: flux density over the field, of a path beside the material [T m/A].
-        gap: field over the flux density, of a gap in the material [A/(m T)].
     """
 
-    Ms: float
+    Ms: float  # Ms, a, k: [A/m]
     a: float
     k: float
-    alpha: float
+    alpha: float  # alpha, c: of the mean field, and reversible part
     c: float
-    q: float = 0.0
+    q: float = 0.0  # fall of the pinning with the magnetization
+    # p, r: weight of the first of two anhysteretic curves, and ratio of their shapes; p = 1 for one curve
     p: float = 1.0
     r: float = 1.0
-    tanh: bool = False
-    eddy: float = 0.0
-    excess: float = 0.0
-    e: float = 1e-6
-    mu: float = 1.0
-    air: float = 0.0
-    gap: float = 0.0
+    tanh: bool = False  # whether that is the curve, instead of the Langevin function
+    eddy: float = 0.0  # [A s/(m T)]
+    excess: float = 0.0  # [A s^0.5/(m T^0.5)]
+    e: float = 1e-6  # [T/s]
+    mu: float = 1.0  # relative permeability beside the magnetization, 1 in the published law
+    air: float = 0.0  # flux density over the field, of a path beside the material [T m/A]
+    gap: float = 0.0  # field over the flux density, of a gap in the material [A/(m T)]
 
     @property
     def variants(self) -> str:
@@ -134,19 +122,14 @@ _SEEN = 1e-3  # of the range, from which a line beside the law is a term of its 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Material:
-    """A fitted material in SI units.
+    """A fitted material in SI units."""
 
-    Attributes:
-        h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T],
-            shape (2, POINTS).
-        law: Jiles-Atherton; None for other models.
-        lacking: terms that the published static law lacks, such as pinning that falls.
-    """
-
+    # h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T], shape (2,
+    # POINTS)
     h: np.ndarray
     b: np.ndarray
-    law: Law | None
-    lacking: str = ""
+    law: Law | None  # Jiles-Atherton; None for other models
+    lacking: str = ""  # terms that the published static law lacks, such as pinning that falls
 
     @classmethod
     def of(cls, result: FitResult) -> Material:

@@ -33,21 +33,13 @@ _INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or t
 
 @dataclasses.dataclass(frozen=True)
 class Refined:
-    """A fit refined with a noise model.
+    """A fit refined with a noise model."""
 
-    Attributes:
-        x: the model's free parameters, physical, shape (p,).
-        problem: with the noise model and its fitted values.
-        values: those values, shape (q,).
-        root: square root R of the information matrix R'R of x, shape (p, p).
-        converged: both optimizations met their tolerances.
-    """
-
-    x: np.ndarray
-    problem: Problem
-    values: np.ndarray
-    root: np.ndarray
-    converged: bool
+    x: np.ndarray  # the model's free parameters, physical, shape (p,)
+    problem: Problem  # with the noise model and its fitted values
+    values: np.ndarray  # those values, shape (q,)
+    root: np.ndarray  # square root R of the information matrix R'R of x, shape (p, p)
+    converged: bool  # both optimizations met their tolerances
 
     @property
     def noise(self) -> AbstractNoise:

@@ -37,20 +37,14 @@ Derivatives = Callable[[], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """Analysis of the residuals of a fit and of the noise in them.
+    """Analysis of the residuals of a fit and of the noise in them."""
 
-    Attributes:
-        on: the samples that count, shape (R, T), bool.
-        residual: output units times the square root of the weight, shape (n,).
-        made: makes the samples in the form of noise models, which white residuals do not need.
-        derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either.
-        fitted, shapes: `slow`, and the curves tested for, of an analysis beside others that share the samples.
-    """
-
-    on: np.ndarray
-    residual: Float[np.ndarray, " n"]
-    made: Callable[[], Samples]
+    on: np.ndarray  # the samples that count, shape (R, T), bool
+    residual: Float[np.ndarray, " n"]  # output units times the square root of the weight, shape (n,)
+    made: Callable[[], Samples]  # makes the samples in the form of noise models, which white residuals do not need
+    # makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either
     derivatives: Derivatives | None = None
+    # fitted, shapes: `slow`, and the curves tested for, of an analysis beside others that share the samples
     fitted: SlowNoiseFit | None = None
     shapes: Float[np.ndarray, "n k"] | None = None
 

@@ -24,19 +24,13 @@ _STEP = 1e-6  # of a central difference, relative to a parameter's size
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """The free parameters of a problem, split into the weights of its design matrices and the others.
+    """The free parameters of a problem, split into the weights of its design matrices and the others."""
 
-    Attributes:
-        system: equations of all weights, the held ones included.
-        place: position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights.
-        record: number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,).
-        fixed: values of the weights that are not free, NaN for the free ones.
-    """
-
-    system: SmoothSystem
+    system: SmoothSystem  # equations of all weights, the held ones included
+    # position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights
     place: np.ndarray
-    record: np.ndarray
-    fixed: np.ndarray
+    record: np.ndarray  # number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,)
+    fixed: np.ndarray  # values of the weights that are not free, NaN for the free ones
 
     @classmethod
     def of(

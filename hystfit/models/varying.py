@@ -47,23 +47,15 @@ def _declared(slope: Slope) -> tuple[str, ParamInfo]:
 
 
 class Slope(eqx.Module):
-    """Dependence of one parameter on one covariate.
+    """Dependence of one parameter on one covariate."""
 
-    Attributes:
-        value: its slope, of the shape of the parameter.
-        half: half of the range of the covariate in the records.
-        parameter, covariate: their names.
-        leaf: number of the parameter among the leaves of the model.
-        which: number of the covariate.
-        lower, upper, unit, scale, linear: as the parameter declares them.
-    """
-
-    value: Array = param(0.0, declared=_declared)
-    half: Scalar = eqx.field(converter=as_array, default=1.0)
-    parameter: str = eqx.field(static=True, default="")
+    value: Array = param(0.0, declared=_declared)  # its slope, of the shape of the parameter
+    half: Scalar = eqx.field(converter=as_array, default=1.0)  # half of the range of the covariate in the records
+    parameter: str = eqx.field(static=True, default="")  # parameter, covariate: their names
     covariate: str = eqx.field(static=True, default="")
-    leaf: int = eqx.field(static=True, default=0)
-    which: int = eqx.field(static=True, default=0)
+    leaf: int = eqx.field(static=True, default=0)  # number of the parameter among the leaves of the model
+    which: int = eqx.field(static=True, default=0)  # number of the covariate
+    # lower, upper, unit, scale, linear: as the parameter declares them
     lower: float | None = eqx.field(static=True, default=None)
     upper: float | None = eqx.field(static=True, default=None)
     unit: str = eqx.field(static=True, default="1")

@@ -43,17 +43,13 @@ def _parts(unit: str) -> list[tuple[int, str]]:
 
 @dataclasses.dataclass(frozen=True)
 class Scales:
-    """Natural sizes of input, output and time in a set of data, and their units.
+    """Natural sizes of input, output and time in a set of data, and their units."""
 
-    Attributes:
-        u, y, s: sizes (half the range of input and output, median sampling interval times 100 or so for time).
-        u_unit, y_unit, s_unit: units as printed; "" where unknown.
-    """
-
+    # u, y, s: sizes (half the range of input and output, median sampling interval times 100 or so for time)
     u: float = 1.0
     y: float = 1.0
     s: float = 1.0
-    u_unit: str = ""
+    u_unit: str = ""  # u_unit, y_unit, s_unit: units as printed; "" where unknown
     y_unit: str = ""
     s_unit: str = "s"
 

@@ -22,23 +22,15 @@ _LEAST = 0.02  # effective fraction of the draws below which an expected fall is
 
 @dataclasses.dataclass(frozen=True)
 class Beliefs:
-    """Draws of a population, and of the quantities that are to become known.
+    """Draws of a population, and of the quantities that are to become known."""
 
-    Attributes:
-        effects: B, shape (n, q, p).
-        covariance: Sigma, shape (n, p, p).
-        means, precisions: of the devices' likelihoods, shapes (D, p) and (D, p, p).
-        design: covariates of the devices, shape (D, q).
-        quantities: values at the draws, shape (n, m).
-        noise: standard normal numbers, the same for all candidates, shape (estimates, p).
-    """
-
-    effects: Float[np.ndarray, "n q p"]
-    covariance: Float[np.ndarray, "n p p"]
-    means: Float[np.ndarray, "D p"]
+    effects: Float[np.ndarray, "n q p"]  # B, shape (n, q, p)
+    covariance: Float[np.ndarray, "n p p"]  # Sigma, shape (n, p, p)
+    means: Float[np.ndarray, "D p"]  # means, precisions: of the devices' likelihoods, shapes (D, p) and (D, p, p)
     precisions: Float[np.ndarray, "D p p"]
-    design: Float[np.ndarray, "D q"]
-    quantities: Float[np.ndarray, "n m"]
+    design: Float[np.ndarray, "D q"]  # covariates of the devices, shape (D, q)
+    quantities: Float[np.ndarray, "n m"]  # values at the draws, shape (n, m)
+    # standard normal numbers, the same for all candidates, shape (estimates, p)
     noise: Float[np.ndarray, "estimates p"]
 
     @classmethod

@@ -39,14 +39,10 @@ _FAR = -30.0  # below it softplus is the exponential function to all digits
 
 
 class Bend(eqx.Module):
-    """The map between v and the unconstrained coordinates z of `hystfit.params.coordinates`, element by element.
+    """The map between v and the unconstrained coordinates z of `hystfit.params.coordinates`, element by element."""
 
-    Attributes:
-        both: which elements have two bounds.
-        width: of the bend of linear weights with one bound, in their scale; 0 for all other elements, whose v is z.
-    """
-
-    both: Bool[Array, " d"]
+    both: Bool[Array, " d"]  # which elements have two bounds
+    # of the bend of linear weights with one bound, in their scale; 0 for all other elements, whose v is z
     width: Float[Array, " d"]
 
     def unbent(self, v: Float[Array, "... d"]) -> Float[Array, "... d"]:

@@ -43,17 +43,11 @@ _WIDEST = 3.0  # standard deviation in v given at first to a direction without c
 
 @dataclasses.dataclass(frozen=True)
 class Prepared:
-    """A posterior prepared for a sampler.
+    """A posterior prepared for a sampler."""
 
-    Attributes:
-        problem: model and data as they were fitted, with noise model and priors.
-        noise: the choice of the noise model, as users write it.
-        notes: what was chosen, and why.
-    """
-
-    problem: Problem
-    noise: str
-    notes: tuple[Note, ...]
+    problem: Problem  # model and data as they were fitted, with noise model and priors
+    noise: str  # the choice of the noise model, as users write it
+    notes: tuple[Note, ...]  # what was chosen, and why
 
     @property
     def names(self) -> tuple[str, ...]:

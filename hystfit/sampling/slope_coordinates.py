@@ -23,18 +23,13 @@ from hystfit.params.host_arrays import to_device
 
 
 class SlopeCoordinates(eqx.Module):
-    """The map between z and coordinates w that have log(c secant) in the place of log c.
+    """The map between z and coordinates w that have log(c secant) in the place of log c."""
 
-    Attributes:
-        c, mu: places in z of the parameters of each Bouc-Wen part of the model.
-        parts: numbers of these parts among all such parts.
-        swing: half range of the input [u].
-    """
-
+    # c, mu: places in z of the parameters of each Bouc-Wen part of the model
     c: tuple[int, ...] = eqx.field(static=True)
     mu: tuple[int, ...] = eqx.field(static=True)
-    parts: tuple[int, ...] = eqx.field(static=True)
-    swing: Float[Array, ""]
+    parts: tuple[int, ...] = eqx.field(static=True)  # numbers of these parts among all such parts
+    swing: Float[Array, ""]  # half range of the input [u]
 
     @classmethod
     def of(cls, density: Density) -> SlopeCoordinates | None:

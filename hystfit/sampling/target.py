@@ -25,25 +25,18 @@ TOGETHER = 8  # places at once where they are heavy: more do not fit into the ca
 
 
 class Target(eqx.Module):
-    """The log posterior that samplers draw from.
+    """The log posterior that samplers draw from."""
 
-    Attributes:
-        density: over z, the unconstrained parameters of model and noise.
-        bend: between z and the coordinates v of `hystfit.sampling.bend`.
-        center, factor: y = center + factor q.
-        shear: between y and v; None where they are the same.
-        noise: coordinates of white and slow noise; None where the noise model has one part.
-        slopes: coordinates of slopes of which the hysteresis takes a part; None where the model has none.
-        linear: parameters whose coordinates are relative to their distribution given all the others; None for none.
-    """
-
-    density: Density
-    bend: Bend
-    center: Float[Array, " d"]
+    density: Density  # over z, the unconstrained parameters of model and noise
+    bend: Bend  # between z and the coordinates v of `hystfit.sampling.bend`
+    center: Float[Array, " d"]  # center, factor: y = center + factor q
     factor: Float[Array, "d d"]
-    shear: Shear | None = None
+    shear: Shear | None = None  # between y and v; None where they are the same
+    # coordinates of white and slow noise; None where the noise model has one part
     noise: NoiseCoordinates | None = None
+    # coordinates of slopes of which the hysteresis takes a part; None where the model has none
     slopes: SlopeCoordinates | None = None
+    # parameters whose coordinates are relative to their distribution given all the others; None for none
     linear: LinearPart | None = None
 
     @classmethod

@@ -33,35 +33,21 @@ class WeightEquations(eqx.Module):
     Given noise number k of variance s and a strength of the penalty, w has the density exp(-q_k(w) / 2s - strength w'R w / 2 - w'D w / 2
     + d'w) on w >= 0 where `bounded`, with q_k(w) the squares of the residuals, whitened by that noise. Among w are also the other
     parameters, as unconstrained coordinates, in which the residuals are not linear: `exact` then corrects the density.
-
-    Attributes:
-        estimate: about which the equations are expanded, shape (p,).
-        squares: q_k(estimate), shape (m,).
-        slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p).
-        log_dets: log determinants of the noises' covariances over their variance, shape (m,).
-        log_priors: of the noises, up to a constant, shape (m,).
-        roughness: R, shape (p, p).
-        penalized: rank of R.
-        precision: diagonal of D: priors of the weights without a penalty, shape (p,).
-        pull: d, shape (p,).
-        bounded: which weights are >= 0, shape (p,).
-        count: number of samples.
-        exact: the density without linearization; None where the residuals are linear in all of w.
     """
 
-    estimate: Float[Array, " p"]
-    squares: Float[Array, " m"]
-    slopes: Float[Array, "m p"]
+    estimate: Float[Array, " p"]  # about which the equations are expanded, shape (p,)
+    squares: Float[Array, " m"]  # q_k(estimate), shape (m,)
+    slopes: Float[Array, "m p"]  # slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p)
     grams: Float[Array, "m p p"]
-    log_dets: Float[Array, " m"]
-    log_priors: Float[Array, " m"]
-    roughness: Float[Array, "p p"]
-    penalized: Float[Array, ""]
-    precision: Float[Array, " p"]
-    pull: Float[Array, " p"]
-    bounded: Bool[Array, " p"]
-    count: Float[Array, ""]
-    exact: Exact | None = None
+    log_dets: Float[Array, " m"]  # log determinants of the noises' covariances over their variance, shape (m,)
+    log_priors: Float[Array, " m"]  # of the noises, up to a constant, shape (m,)
+    roughness: Float[Array, "p p"]  # R, shape (p, p)
+    penalized: Float[Array, ""]  # rank of R
+    precision: Float[Array, " p"]  # diagonal of D: priors of the weights without a penalty, shape (p,)
+    pull: Float[Array, " p"]  # d, shape (p,)
+    bounded: Bool[Array, " p"]  # which weights are >= 0, shape (p,)
+    count: Float[Array, ""]  # number of samples
+    exact: Exact | None = None  # the density without linearization; None where the residuals are linear in all of w
 
     def conditional(self, number: Any, variance: Any, strength: Any) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
         """s and P of the weights' density exp(-w'P w / 2 + s'w) for number and variance of the noise, and a strength of the penalty."""

@@ -34,14 +34,11 @@ def weights_of(model: AbstractHysteresis) -> int:
 
 @dataclasses.dataclass
 class Known:
-    """What the search for the size of one model tells of another with the same elements, whose bounds alone differ.
+    """What the search for the size of one model tells of another with the same elements, whose bounds alone differ."""
 
-    Attributes:
-        equations: of choices whose free parameters all are weights, by settings and spacing, until another model takes them.
-        beaten: choices with lower bounds of their errors, which hold for weights of either sign.
-    """
-
+    # of choices whose free parameters all are weights, by settings and spacing, until another model takes them
     equations: dict[str, tuple[Problem, Split]] = dataclasses.field(default_factory=dict)
+    # choices with lower bounds of their errors, which hold for weights of either sign
     beaten: list[tuple[AbstractHysteresis, LeftOutErrors]] = dataclasses.field(default_factory=list)
 
     def take(self, key: str, problem: Problem) -> Split | None:

@@ -68,36 +68,21 @@ _PART = 0.25  # smallest component in the description of a direction, relative t
 
 @dataclasses.dataclass(frozen=True)
 class Uncertainty:
-    """Covariance and standard errors of a fit.
+    """Covariance and standard errors of a fit."""
 
-    Attributes:
-        covariance: of the free parameters in physical units, shape (p, p); NaN where it is undefined.
-        joint: the same including undetermined parameters, whose variances are large; 0 for parameters fixed at a bound, NaN for inactive
-            ones.
-        determined: whether the data determine each parameter, shape (p,), bool.
-        inactive: parameters without any influence on these data, shape (p,), bool.
-        directions: parameters that the data cannot separate, a text for each such direction.
-        reaching: parameters whose 95 % interval reaches a bound.
-        rank: number of directions determined.
-        condition: largest over smallest singular value in relative coordinates; None where it is infinite.
-        correlation_time: integrated autocorrelation time of the residuals, samples; 1 for white ones.
-        ratio: standard errors over those for i.i.d. residuals (geometric mean over the parameters).
-        sigma: standard deviation of the residuals, output units.
-        residuals: their analysis.
-    """
-
-    covariance: np.ndarray
+    covariance: np.ndarray  # of the free parameters in physical units, shape (p, p); NaN where it is undefined
+    # the same including undetermined parameters, whose variances are large; 0 for parameters fixed at a bound, NaN for inactive ones
     joint: np.ndarray
-    determined: np.ndarray
-    inactive: np.ndarray
-    directions: tuple[str, ...]
-    reaching: tuple[str, ...]
-    rank: int
-    condition: float | None
-    correlation_time: float
-    ratio: float
-    sigma: float
-    residuals: ResidualAnalysis
+    determined: np.ndarray  # whether the data determine each parameter, shape (p,), bool
+    inactive: np.ndarray  # parameters without any influence on these data, shape (p,), bool
+    directions: tuple[str, ...]  # parameters that the data cannot separate, a text for each such direction
+    reaching: tuple[str, ...]  # parameters whose 95 % interval reaches a bound
+    rank: int  # number of directions determined
+    condition: float | None  # largest over smallest singular value in relative coordinates; None where it is infinite
+    correlation_time: float  # integrated autocorrelation time of the residuals, samples; 1 for white ones
+    ratio: float  # standard errors over those for i.i.d. residuals (geometric mean over the parameters)
+    sigma: float  # standard deviation of the residuals, output units
+    residuals: ResidualAnalysis  # their analysis
 
     @classmethod
     def unknown(cls, problem: Problem, estimate: Estimate) -> Uncertainty:

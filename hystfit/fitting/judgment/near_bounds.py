@@ -21,17 +21,11 @@ _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 
 
 class Information(NamedTuple):
-    """Information about the parameters: R'R / variance, and that of a regularization.
+    """Information about the parameters: R'R / variance, and that of a regularization."""
 
-    Attributes:
-        root: R, shape (n, p) or (N, n, p).
-        variance: of its rows, or one for each estimate, shape (N,).
-        ridge: added to R'R, diagonal, shape (p,) or (N, p).
-    """
-
-    root: np.ndarray
-    variance: Any
-    ridge: np.ndarray
+    root: np.ndarray  # R, shape (n, p) or (N, n, p)
+    variance: Any  # of its rows, or one for each estimate, shape (N,)
+    ridge: np.ndarray  # added to R'R, diagonal, shape (p,) or (N, p)
 
 
 class NearBounds(NamedTuple):
@@ -41,28 +35,18 @@ class NearBounds(NamedTuple):
     would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
     evidence, one for each array of weights: number of determined weights over their power (MacKay 1992, Bayesian
     interpolation, eq. 21), at most 1. The rest of the ridge is a known error of the estimate.
-
-    Attributes:
-        x: estimates, shape (N, k).
-        normal: information of independent noise, which decides where the unconstrained optimum is, shape (k, k).
-        ridge: added to it, diagonal, shape (N, k).
-        slope: of the cost without the ridge, shape (N, k).
-        known: information about the parameters, shape (N, k, k).
-        prior: what the ridge adds to it, diagonal, shape (N, k).
-        room: distances to the bounds, infinite without one, shape (N, k).
-        sides: 1 for a lower bound, -1 for an upper bound, shape (k,).
-        back: takes these parameters to physical ones, shape (k, k).
     """
 
-    x: np.ndarray
+    x: np.ndarray  # estimates, shape (N, k)
+    # information of independent noise, which decides where the unconstrained optimum is, shape (k, k)
     normal: np.ndarray
-    ridge: np.ndarray
-    slope: np.ndarray
-    known: np.ndarray
-    prior: np.ndarray
-    room: np.ndarray
-    sides: np.ndarray
-    back: np.ndarray
+    ridge: np.ndarray  # added to it, diagonal, shape (N, k)
+    slope: np.ndarray  # of the cost without the ridge, shape (N, k)
+    known: np.ndarray  # information about the parameters, shape (N, k, k)
+    prior: np.ndarray  # what the ridge adds to it, diagonal, shape (N, k)
+    room: np.ndarray  # distances to the bounds, infinite without one, shape (N, k)
+    sides: np.ndarray  # 1 for a lower bound, -1 for an upper bound, shape (k,)
+    back: np.ndarray  # takes these parameters to physical ones, shape (k, k)
 
     @classmethod
     def of(

@@ -94,26 +94,18 @@ class Stack(eqx.Module):
 
 
 class Ends(NamedTuple):
-    """Where lanes ended, arrays of leading length L.
+    """Where lanes ended, arrays of leading length L."""
 
-    Attributes:
-        normal: normal equations there.
-        converged: whether the predicted decrease of the cost fell below the tolerance.
-        steps: number of linearizations.
-        cost: half the sum of squared misfits, shape (L,); for a lane that was given up, the prediction of its linear model, which is above
-            the cost of the best converged lane of its record.
-        beaten: which lanes were given up because another lane of their record has a lower cost than they can reach.
-        damping: damping of the next step, shape (L,).
-        promised: decrease of the cost to the minimum, as predicted by the linear model, shape (L,).
-    """
-
-    normal: Normal
-    converged: np.ndarray
-    steps: np.ndarray
+    normal: Normal  # normal equations there
+    converged: np.ndarray  # whether the predicted decrease of the cost fell below the tolerance
+    steps: np.ndarray  # number of linearizations
+    # half the sum of squared misfits, shape (L,); for a lane that was given up, the prediction of its linear model, which is above the cost
+    # of the best converged lane of its record
     cost: np.ndarray
+    # which lanes were given up because another lane of their record has a lower cost than they can reach
     beaten: np.ndarray
-    damping: np.ndarray
-    promised: np.ndarray
+    damping: np.ndarray  # damping of the next step, shape (L,)
+    promised: np.ndarray  # decrease of the cost to the minimum, as predicted by the linear model, shape (L,)
 
 
 def descend_lanes(

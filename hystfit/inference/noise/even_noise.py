@@ -26,21 +26,13 @@ BESIDE = 2**20
 
 @dataclasses.dataclass(frozen=True)
 class EvenRows:
-    """Columns of one evenly sampled record with one weight, by frequency; or those of several records with the same samples.
+    """Columns of one evenly sampled record with one weight, by frequency; or those of several records with the same samples."""
 
-    Attributes:
-        rows: their cosine transforms, shape (..., k, n).
-        ends: those of its first and last sample, shape (2, n).
-        curvature: eigenvalues of the second difference, shape (n,).
-        gap: step, in typical sampling intervals.
-        weight: of every sample.
-    """
-
-    rows: Float[np.ndarray, "*N k n"]
-    ends: Float[np.ndarray, "2 n"]
-    curvature: Float[np.ndarray, " n"]
-    gap: float
-    weight: float
+    rows: Float[np.ndarray, "*N k n"]  # their cosine transforms, shape (..., k, n)
+    ends: Float[np.ndarray, "2 n"]  # those of its first and last sample, shape (2, n)
+    curvature: Float[np.ndarray, " n"]  # eigenvalues of the second difference, shape (n,)
+    gap: float  # step, in typical sampling intervals
+    weight: float  # of every sample
 
     @classmethod
     def of(cls, columns: Sequence[np.ndarray], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:

@@ -75,24 +75,16 @@ def by_record(values: np.ndarray, on: np.ndarray) -> list[np.ndarray]:
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoise:
-    """Ornstein-Uhlenbeck and white noise of one set of records, and perhaps random curves on top.
+    """Ornstein-Uhlenbeck and white noise of one set of records, and perhaps random curves on top."""
 
-    Attributes:
-        samples: where.
-        white, slow: standard deviations, in the unit of the residuals.
-        time: correlation time of the slow part, typical sampling intervals.
-        shapes: columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0.
-        loop: see `shapes`.
-        length: length scale of the shapes in the input, relative to its range.
-    """
-
-    samples: Samples
-    white: float
+    samples: Samples  # where
+    white: float  # white, slow: standard deviations, in the unit of the residuals
     slow: float
-    time: float
+    time: float  # correlation time of the slow part, typical sampling intervals
+    # columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0
     shapes: Float[np.ndarray, "n k"]
-    loop: float = 0.0
-    length: float = 1.0
+    loop: float = 0.0  # see `shapes`
+    length: float = 1.0  # length scale of the shapes in the input, relative to its range
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -149,23 +141,17 @@ class Contrasts:
     """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971), which allows for the fitted parameters.
 
     It is that of one fit, or of N fits on the same samples, whose residuals and bases then have a leading axis.
-
-    Attributes:
-        samples: the samples.
-        residual: of the fit, shape (..., n).
-        basis: orthonormal columns that span its derivatives, shape (..., n, p): contrasts to them alone are used.
-        shapes: see `SlowNoise`.
-        power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
-            the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
-        length: length scale of the shapes.
     """
 
-    samples: Samples
-    residual: Float[np.ndarray, "*N n"]
+    samples: Samples  # the samples
+    residual: Float[np.ndarray, "*N n"]  # of the fit, shape (..., n)
+    # orthonormal columns that span its derivatives, shape (..., n, p): contrasts to them alone are used
     basis: Float[np.ndarray, "*N n p"]
-    shapes: Float[np.ndarray, "n k"]
+    shapes: Float[np.ndarray, "n k"]  # see `SlowNoise`
+    # mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about the value that
+    # gives this on average, because shapes too smooth for the residuals would otherwise grow without limit
     power: float = 0.0
-    length: float = 1.0
+    length: float = 1.0  # length scale of the shapes
 
     @functools.cached_property
     def _even(self) -> EvenRows | None:

@@ -26,19 +26,13 @@ _SPARSE = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Where the columns of design matrices stand in one matrix for all records, block after block.
+    """Where the columns of design matrices stand in one matrix for all records, block after block."""
 
-    Attributes:
-        blocks: of the design matrix of the first record, those that are used.
-        kept: their numbers among all its blocks.
-        own: whether each record has weights of its own for a block; those of all records then stand in turn.
-        starts: position of each block's first weight, and the number of all weights.
-    """
-
-    blocks: tuple[Block, ...]
-    kept: tuple[int, ...]
+    blocks: tuple[Block, ...]  # of the design matrix of the first record, those that are used
+    kept: tuple[int, ...]  # their numbers among all its blocks
+    # whether each record has weights of its own for a block; those of all records then stand in turn
     own: tuple[bool, ...]
-    starts: tuple[int, ...]
+    starts: tuple[int, ...]  # position of each block's first weight, and the number of all weights
 
     @classmethod
     def of(cls, design: DesignMatrix, records: int, offsets: Offsets = "each") -> Layout:
@@ -81,35 +75,25 @@ class Layout:
 
 @dataclasses.dataclass(frozen=True)
 class SmoothSystem:
-    """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`.
+    """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`."""
 
-    Attributes:
-        layout: of all p weights.
-        origin: offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size
-            of an output far from zero.
-        grams: one matrix for each held-out group of samples, and a last one for those that stay in every fit, shape
-            (groups + 1, p + 1, p + 1); the output, less the response to `origin`, comes last.
-        counts: sum of weights of each group of samples, shape (groups + 1,).
-        roughness: matrix of the smoothness penalty, shape (p, p).
-        bounded: which weights are >= 0, shape (p,).
-        offsets: which weights are offsets of single records, shape (p,), bool.
-        visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
-            that count, record after record; shapes (any, p).
-        size: of the output, by which it was divided.
-        scattered: whether the groups are samples scattered over the records.
-        solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
-    """
-
-    layout: Layout
+    layout: Layout  # of all p weights
+    # offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size of an output
+    # far from zero
     origin: np.ndarray
+    # one matrix for each held-out group of samples, and a last one for those that stay in every fit, shape (groups + 1, p + 1, p + 1); the
+    # output, less the response to `origin`, comes last
     grams: np.ndarray
-    counts: np.ndarray
-    roughness: np.ndarray
-    bounded: np.ndarray
-    offsets: np.ndarray
+    counts: np.ndarray  # sum of weights of each group of samples, shape (groups + 1,)
+    roughness: np.ndarray  # matrix of the smoothness penalty, shape (p, p)
+    bounded: np.ndarray  # which weights are >= 0, shape (p,)
+    offsets: np.ndarray  # which weights are offsets of single records, shape (p,), bool
+    # of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples that count,
+    # record after record; shapes (any, p)
     visited: Mapping[int, Sequence[Columns]]
-    size: float
-    scattered: bool = False
+    size: float  # of the output, by which it was divided
+    scattered: bool = False  # whether the groups are samples scattered over the records
+    # solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod

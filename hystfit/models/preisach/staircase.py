@@ -28,23 +28,14 @@ _FEW = 64  # reversals left to the stack
 
 @dataclasses.dataclass(frozen=True)
 class Staircase:
-    """The tree of states that an input visits.
+    """The tree of states that an input visits."""
 
-    Attributes:
-        node_value: input at each dominant extremum, shape (K,), those that remember least first.
-        node_parent: the extremum before it, shape (K,); -1 where it is the first after the rest state.
-        state_value: input of each distinct state, shape (S,), sorted by parent.
-        state_parent: the last dominant extremum before it, shape (S,), -1 as above.
-        index: state of every sample, shape (T,).
-        depth: most extrema that any state remembers.
-    """
-
-    node_value: np.ndarray
-    node_parent: np.ndarray
-    state_value: np.ndarray
-    state_parent: np.ndarray
-    index: np.ndarray
-    depth: int
+    node_value: np.ndarray  # input at each dominant extremum, shape (K,), those that remember least first
+    node_parent: np.ndarray  # the extremum before it, shape (K,); -1 where it is the first after the rest state
+    state_value: np.ndarray  # input of each distinct state, shape (S,), sorted by parent
+    state_parent: np.ndarray  # the last dominant extremum before it, shape (S,), -1 as above
+    index: np.ndarray  # state of every sample, shape (T,)
+    depth: int  # most extrema that any state remembers
 
     def layers(self) -> list[slice]:
         """The nodes that remember 1, 2, ... extrema (themselves included): each layer's parents are in the layer before."""
@@ -109,22 +100,14 @@ def turning_points(v: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Tree:
-    """Extrema, those that remember least first.
+    """Extrema, those that remember least first."""
 
-    Attributes:
-        value: shape (K,).
-        parent: the extremum before it, shape (K,); -1 where there is none.
-        low, high: interval of the inputs that leave it in the memory, open, shapes (K,).
-        of_turn: extremum at every turning point, shape (m,).
-        depth: most extrema on a way to the root.
-    """
-
-    value: np.ndarray
-    parent: np.ndarray
-    low: np.ndarray
+    value: np.ndarray  # shape (K,)
+    parent: np.ndarray  # the extremum before it, shape (K,); -1 where there is none
+    low: np.ndarray  # low, high: interval of the inputs that leave it in the memory, open, shapes (K,)
     high: np.ndarray
-    of_turn: np.ndarray
-    depth: int
+    of_turn: np.ndarray  # extremum at every turning point, shape (m,)
+    depth: int  # most extrema on a way to the root
 
 
 def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:

@@ -26,20 +26,15 @@ class CPart:
 
     `init` sets the state in equilibrium at the input u0; `step` returns the output at u1, dt after u0, and writes the new state to `next`
     unless that is 0; `next` may be `s`. `legendre(c, n, x)`, a Legendre series, is at hand.
-
-    Attributes:
-        template: C99 text.
-        states: number of doubles of state.
-        numbers: macros @M@_NAME by NAME; a text is written as it is.
-        arrays: static arrays @f@_name by name, of doubles or of whole numbers.
-        parts: of a composition, whose prefixes are @f@0, @f@1, ...
     """
 
-    template: str
-    states: int
+    template: str  # C99 text
+    states: int  # number of doubles of state
+    # macros @M@_NAME by NAME; a text is written as it is
     numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # static arrays @f@_name by name, of doubles or of whole numbers
     arrays: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    parts: tuple[CPart, ...] = ()
+    parts: tuple[CPart, ...] = ()  # of a composition, whose prefixes are @f@0, @f@1, ...
 
     @classmethod
     def of(cls, model: Any, name: str, states: int | None = None, **values: Any) -> CPart:

@@ -22,17 +22,12 @@ FAR = 100.0  # level of an output, over its range, from which normal equations n
 
 @dataclasses.dataclass(frozen=True)
 class Penalty:
-    """Smoothness of weights that belong to cells of a plane, or to intervals of an axis.
+    """Smoothness of weights that belong to cells of a plane, or to intervals of an axis."""
 
-    Attributes:
-        matrix: of the quadratic penalty, shape (p, p).
-        cells: number of cells that share each weight, shape (p,); None where coverage by the data is not reported.
-        label: plural name of a cell.
-    """
-
-    matrix: np.ndarray
+    matrix: np.ndarray  # of the quadratic penalty, shape (p, p)
+    # number of cells that share each weight, shape (p,); None where coverage by the data is not reported
     cells: np.ndarray | None = None
-    label: str = ""
+    label: str = ""  # plural name of a cell
 
 
 @runtime_checkable

@@ -22,27 +22,19 @@ _APART, _VISIBLE = 2.0, 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """The definition of a quantity.
+    """The definition of a quantity."""
 
-    Attributes:
-        label: its name in a report.
-        named: kinds of loops that have a name of their own for it, and this name.
-        doc: what it is.
-        unit: with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop.
-        of_loops: its value for each loop; None for the creep, which follows from a step.
-        kinds: of loops for which it is defined; None for all.
-        leads: kinds in whose reports it comes first, in the order of the registry.
-        at_middle: whether it is read at the middle of the loop, where instruments read it at zero.
-    """
-
-    label: str
-    doc: str
+    label: str  # its name in a report
+    doc: str  # what it is
+    # with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop
     unit: str
+    # its value for each loop; None for the creep, which follows from a step
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
-    kinds: frozenset[LoopKind] | None = None
-    leads: frozenset[LoopKind] = frozenset()
+    kinds: frozenset[LoopKind] | None = None  # of loops for which it is defined; None for all
+    leads: frozenset[LoopKind] = frozenset()  # kinds in whose reports it comes first, in the order of the registry
+    # kinds of loops that have a name of their own for it, and this name
     named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
-    at_middle: bool = False
+    at_middle: bool = False  # whether it is read at the middle of the loop, where instruments read it at zero
 
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
