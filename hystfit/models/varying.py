@@ -82,22 +82,15 @@ class Varying(AbstractComposition):
 
     The reference is the mean of the covariates of the records, so that p0 and the slopes are estimated independently. A parameter stays
     within its bounds. `at` holds the covariates where the model is used: a fit sets them for each record.
-
-    Attributes:
-        parts: the model, with its parameters at the reference.
-        slopes: dependences.
-        at: covariates, shape (K,).
-        reference: where the parameters of `model` hold, shape (K,).
-        edges: smallest and largest covariate of the records, shape (2, K).
-        names: of the covariates.
     """
 
-    parts: tuple[AbstractHysteresis, ...]
-    slopes: tuple[Slope, ...]
-    at: Float[Array, " K"] = eqx.field(converter=as_array)
-    reference: Float[Array, " K"] = eqx.field(converter=as_array)
+    parts: tuple[AbstractHysteresis, ...]  # the model, with its parameters at the reference
+    slopes: tuple[Slope, ...]  # dependences
+    at: Float[Array, " K"] = eqx.field(converter=as_array)  # covariates, shape (K,)
+    reference: Float[Array, " K"] = eqx.field(converter=as_array)  # where the parameters of `model` hold, shape (K,)
+    # smallest and largest covariate of the records, shape (2, K)
     edges: Float[Array, "2 K"] = eqx.field(converter=as_array)
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)  # of the covariates
 
     @classmethod
     def of(cls, model: AbstractHysteresis, pairs: Sequence[tuple[str, str]], records: Sequence[Record]) -> Varying:

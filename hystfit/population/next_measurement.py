@@ -33,21 +33,15 @@ COLUMNS = (
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """A candidate, and what the population is expected to become known to by it.
+    """A candidate, and what the population is expected to become known to by it."""
 
-    Attributes:
-        device: that is measured again; None for a new one.
-        name: of the input.
-        u: input, shape (T,).
-        fall: expected fall of the posterior variances of the aim, as a fraction, in the mean; None where it is not known.
-        errors: expected posterior standard deviations by quantity: of the logarithm of "sd of k", of "correlation of k, c", and of
-            "mean of k" in unconstrained coordinates; None where they are not known.
-    """
-
-    device: str | None
-    name: str
-    u: np.ndarray
+    device: str | None  # that is measured again; None for a new one
+    name: str  # of the input
+    u: np.ndarray  # input, shape (T,)
+    # expected fall of the posterior variances of the aim, as a fraction, in the mean; None where it is not known
     fall: float | None
+    # expected posterior standard deviations by quantity: of the logarithm of "sd of k", of "correlation of k, c", and of "mean of k" in
+    # unconstrained coordinates; None where they are not known
     errors: dict[str, float | None]
 
     @property

@@ -50,41 +50,30 @@ def handicap(status: Status, inverts: bool, paced: bool = False) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One model in a comparison.
+    """One model in a comparison."""
 
-    Attributes:
-        name: expression that recreates the model, with the chosen size and terms.
-        asked: the name as requested: the same, a name without settings, or a search.
-        score_percent: error on left-out data, in percent of the output's range; None where it is not known.
-        in_sample_percent, max_error_percent: on the samples fitted.
-        parameters: number of free ones.
-        family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
-        leaves_noise: whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`.
-        paced: whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike.
-        hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
-        effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
-        seconds: what fit and validation took.
-        status: of the fit, or "failed".
-        note: why it was left out or stopped early.
-        bic: Bayesian information criterion, see `hystfit.fitting.comparison.left_out.bic`; None where it is not known.
-        obstacles: why the model cannot be inverted or exported, by purpose; None where it is not known.
-    """
-
-    name: str
-    asked: str
+    name: str  # expression that recreates the model, with the chosen size and terms
+    asked: str  # the name as requested: the same, a name without settings, or a search
+    # error on left-out data, in percent of the output's range; None where it is not known
     score_percent: float | None = None
-    in_sample_percent: float | None = None
+    in_sample_percent: float | None = None  # in_sample_percent, max_error_percent: on the samples fitted
     max_error_percent: float | None = None
-    parameters: int | None = None
-    seconds: float = 0.0
-    status: Status = Status.UNTESTED
-    note: str = ""
+    parameters: int | None = None  # number of free ones
+    seconds: float = 0.0  # what fit and validation took
+    status: Status = Status.UNTESTED  # of the fit, or "failed"
+    note: str = ""  # why it was left out or stopped early
+    # Bayesian information criterion, see `hystfit.fitting.comparison.left_out.bic`; None where it is not known
     bic: float | None = None
+    # why the model cannot be inverted or exported, by purpose; None where it is not known
     obstacles: Mapping[str, str] | None = None
-    family_inverts: bool = True
+    family_inverts: bool = True  # whether the models of its family have an inverse, unless their parameters exclude one
+    # how many of them the data determine, where a penalty or bounds reduce them; None where it is not known
     effective: float | None = None
+    # whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data
     hysteretic: bool = True
+    # whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`
     leaves_noise: bool = False
+    # whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike
     paced: bool = False
 
     @property

@@ -11,17 +11,11 @@ _STRAIGHT = 1e-3  # tau swing below which tanh(x) / x is 1 - x^2 / 3 to 1e-12
 
 
 class AbstractSecant(eqx.Module):
-    """y = c v - h, where h takes the part mu of the slope at a reversal and saturates at the rate tau.
+    """y = c v - h, where h takes the part mu of the slope at a reversal and saturates at the rate tau."""
 
-    Attributes:
-        c: slope of the loop without hysteresis [y/u].
-        mu: part of it that the hysteresis takes.
-        tau: rate at which h saturates [1/u].
-    """
-
-    c: eqx.AbstractVar[Scalar]
-    mu: eqx.AbstractVar[Scalar]
-    tau: eqx.AbstractVar[Scalar]
+    c: eqx.AbstractVar[Scalar]  # slope of the loop without hysteresis [y/u]
+    mu: eqx.AbstractVar[Scalar]  # part of it that the hysteresis takes
+    tau: eqx.AbstractVar[Scalar]  # rate at which h saturates [1/u]
 
     def log_secant(self, swing: Scalar) -> Scalar:
         """log of the slope between the tips of a symmetric loop of half range `swing` [u], over c: 1 - mu tanh(tau swing) / (tau swing)."""

@@ -46,22 +46,14 @@ _LAWS = {
 
 @dataclasses.dataclass(frozen=True)
 class Saturation:
-    """Js and the high-field susceptibility.
+    """Js and the high-field susceptibility."""
 
-    Attributes:
-        value: Js by J = Js - a/H + chi H, median over windows and half-branches.
-        stderr: half the range over these.
-        spread: half the range over the laws; chi H, a/H and a/H2 alone are the others.
-        slope, slope_stderr: chi in output over input, and half its range over windows and half-branches.
-        settled: whether the field reaches the approach to saturation.
-    """
-
-    value: float
-    stderr: float
-    spread: float
-    slope: float
+    value: float  # Js by J = Js - a/H + chi H, median over windows and half-branches
+    stderr: float  # half the range over these
+    spread: float  # half the range over the laws; chi H, a/H and a/H2 alone are the others
+    slope: float  # slope, slope_stderr: chi in output over input, and half its range over windows and half-branches
     slope_stderr: float
-    settled: bool
+    settled: bool  # whether the field reaches the approach to saturation
 
 
 def saturation(branches: list[Branch]) -> Saturation | None:
@@ -108,21 +100,14 @@ _POLARIZATION = re.compile(r"(?:mu_?0|µ0|μ0)?\s*[JIM](?:\b|_| )|.*polari[sz]at
 
 @dataclasses.dataclass(frozen=True)
 class Correction:
-    """One correction of a magnetic loop.
+    """One correction of a magnetic loop."""
 
-    Attributes:
-        name: "volume", "image", "drift", "demagnetization", "offset" or "slope".
-        text: what it is.
-        value, stderr, unit: its size; None where unknown.
-        applied: whether the quantities are those after it.
-    """
-
-    name: str
-    text: str
-    value: float | None
+    name: str  # "volume", "image", "drift", "demagnetization", "offset" or "slope"
+    text: str  # what it is
+    value: float | None  # value, stderr, unit: its size; None where unknown
     stderr: float | None
     unit: str
-    applied: bool
+    applied: bool  # whether the quantities are those after it
 
     def __str__(self) -> str:
         error = "" if self.stderr is None else f" +- {self.stderr:.2g}"
@@ -132,29 +117,17 @@ class Correction:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MagneticLoop:
-    """A loop in SI units.
+    """A loop in SI units."""
 
-    Attributes:
-        h: field [A/m], shape (T,).
-        j: polarization [T]; where the volume is unknown, the output as in the file.
-        noise: standard deviation of the noise of j; NaN where unknown.
-        absolute: whether j is in T.
-        branches: between turning points over nearly the whole range of the field.
-        corrections: in order.
-        saturation: by the law of approach; None where there are too few samples.
-        units: of field and output in the file.
-        per_field: size of that of the field [A/m].
-    """
-
-    h: np.ndarray
-    j: np.ndarray
-    noise: float
-    absolute: bool
-    branches: tuple[Branch, ...]
-    corrections: tuple[Correction, ...]
-    saturation: Saturation | None
-    units: tuple[str, str]
-    per_field: float
+    h: np.ndarray  # field [A/m], shape (T,)
+    j: np.ndarray  # polarization [T]; where the volume is unknown, the output as in the file
+    noise: float  # standard deviation of the noise of j; NaN where unknown
+    absolute: bool  # whether j is in T
+    branches: tuple[Branch, ...]  # between turning points over nearly the whole range of the field
+    corrections: tuple[Correction, ...]  # in order
+    saturation: Saturation | None  # by the law of approach; None where there are too few samples
+    units: tuple[str, str]  # of field and output in the file
+    per_field: float  # size of that of the field [A/m]
 
     @classmethod
     def of(
