@@ -27,8 +27,8 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.pool import computed
 from hystfit.sampling.ensemble import start, walk
+from hystfit.sampling.nuts import Tuning, advance
 from hystfit.sampling.target import Target
-from hystfit.sampling.transitions import Tuning, advance
 
 Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file
