@@ -1,4 +1,4 @@
-"""`hystfit run`: the steps of a run file, each in a folder of its own, and a table of how each ended."""
+"""`hystfit run`: the steps of a run file, checked before the first, each in a folder of its own, and a table of how each ended."""
 
 from __future__ import annotations
 
