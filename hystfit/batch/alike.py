@@ -111,11 +111,7 @@ class Loops:
     def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
         """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
 
-        One row of dt and weight where all groups have the same.
-
-        Args:
-            kept: numbers of the samples of each group; None for all.
-            length: to which they are padded.
+        One row of dt and weight where all groups have the same. `kept` are numbers of the samples of each group; None for all.
         """
         first = self.groups[0].record
         same = kept is None and all(same_columns(group.record, first, "t", "weight", "used") for group in self.groups)

@@ -100,10 +100,8 @@ def fit_plain(
 ) -> PlainFits | None:
     """Fit loops in groups of one input each; None where they cannot be solved together.
 
-    Args:
-        groups: records with the same labels, and lengths of one bucket; outputs with NaN where one is missing.
-        options: of each fit, without a robust loss or a noise model of its own.
-        held: parameters in `fix` without a value keep that of the model.
+    The records of a group have the same labels, lengths of one bucket, and NaN where an output is missing; no fit has a robust loss or a
+    noise model of its own. With `held`, parameters in `fix` without a value keep that of the model.
     """
     every = Loops(tuple(groups))
     faultless = soundness(every)

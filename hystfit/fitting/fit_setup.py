@@ -52,13 +52,11 @@ def set_up_fit(
     notes: tuple[Note, ...] = (),
     started: tuple[AbstractHysteresis, ...] = (),
 ) -> FitSetup:
-    """Set up a fit: the problem, its estimator and starting points.
+    """Set up a fit: the problem, its estimator and starting points; `notes` are those on earlier choices.
 
-    Args:
-        options: options of the fit. Isolated outliers of the output are fitted only with a noise model or a robust loss.
-        held: whether parameters in `fix` without a value keep that of the model, instead of one estimated from the data.
-        notes: notes on earlier choices.
-        started: models with starting values from the data, the best first, where they are known.
+    Isolated outliers of the output are fitted only with a noise model or a robust loss. With `held`, parameters in `fix` without a value
+    keep that of the model, instead of one estimated from the data. Models with starting values, the best first, are `started` where they
+    are known.
     """
     check_fittable(model, data)
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")

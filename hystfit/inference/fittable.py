@@ -12,13 +12,7 @@ from hystfit.params.space import ParameterSpace
 
 
 def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
-    """Refuse data to which no fit is possible.
-
-    Raises:
-        DataError: no samples count, a constant input or output.
-        ModelError: the model depends on time and a record has none.
-        ParameterError: the model holds several devices.
-    """
+    """Refuse data to which no fit is possible: nothing counts or moves, a record lacks its time, or the model holds several devices."""
     check_one_device(model)
     for record in data:
         if not record.used.any():

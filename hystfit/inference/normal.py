@@ -106,14 +106,9 @@ def _depends(function: Callable[[Array], Any], value: Array) -> bool:
 def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1, block: int | None = None) -> Normal:
     """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
 
-    Under `jax.vmap` over thousands of lanes it is the faster form, and its memory does not grow with the number of samples. Each number
-    of the carry is a leaf of its own, so that lanes lie side by side.
-
-    Args:
-        objective: of one record, see `suits_one_scan`.
-        z: unconstrained.
-        unroll: samples in one turn of the loop.
-        block: samples of all lanes that are laid side by side at a time, so that they stay in the cache; None for all.
+    The objective is of one record, see `suits_one_scan`. Under `jax.vmap` over thousands of lanes this is the faster form, and its memory
+    does not grow with the number of samples. Each number of the carry is a leaf of its own, so that lanes lie side by side. One turn of the
+    loop takes `unroll` samples; a block of samples of all lanes is laid side by side at a time, so that it stays in the cache.
     """
     coordinates, p = objective.coordinates, z.shape[0]
     u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))

@@ -155,11 +155,8 @@ def linearized(
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
     """`Objective.linearize` on the host, by one compiled program for all uses; derivatives too large to be squared are set to 0.
 
-    On long records, derivatives are computed in groups that fit into a block, by one program.
-
-    Args:
-        x: physical parameters, shape (p,).
-        at: numbers of the parameters to differentiate by, in rising order, shape (k,); default: all.
+    `at` are numbers of the parameters to differentiate by, in rising order; None for all. On long records, derivatives are computed in
+    groups that fit into a block, by one program.
     """
     x = np.asarray(x, float)
     if objective.apart:

@@ -173,9 +173,7 @@ def zero_crossing(kappa: Array, q: Array, m: Array) -> Array:
 def exact_step(q: Array, x: Array, m: Array, up: Array, down: Array, phis: tuple[Array, Array]) -> Array:
     """Closed form for n = 1: relax towards m / up above zero; below, rise with rate `down` until zero is crossed.
 
-    Args:
-        q, x, m, up, down: see the module.
-        phis: `phi(up, x)` and `phi(down, x)`, which depend on no state: a simulation computes them for all steps at once.
+    `phis` are `phi(up, x)` and `phi(down, x)`, which depend on no state: a simulation computes them for all steps at once.
     """
     below = q < 0
     moved = q + (m - jnp.where(below, down, up) * q) * jnp.where(below, phis[1], phis[0])

@@ -66,10 +66,7 @@ def _rises(u: np.ndarray, high: np.ndarray, changes: np.ndarray) -> bool:
     """Whether an output of two levels rises with the input, so that it is high, and jumps up, at larger inputs.
 
     Both tell: a comparator jumps both ways at one input, and the inputs of a thermostat have one mean while it heats and while it cools.
-
-    Args:
-        high: whether the output is, shape (n,).
-        changes: numbers of the samples before its jumps.
+    `high` tells whether the output is, shape (n,), and `changes` are numbers of the samples before its jumps.
     """
     middle, up = 0.5 * (u[changes] + u[changes + 1]), high[changes + 1]
     apart = u[high].mean() - u[~high].mean()

@@ -98,13 +98,10 @@ class Coordinates(eqx.Module):
         return self._mapped(_physical_traced if xp is jnp else _physical, z, xp)
 
     def unconstrained(self, x: Any, inside: float = 1e-9, xp: Any = jnp) -> Any:
-        """z from x; values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
+        """z from physical x, shape (p,); values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
 
-        Args:
-            x: physical values, shape (p,).
-            inside: distance from the bound to which they are moved, as a fraction of the scale or of the interval. An estimate
-                stays at its bound with a small one; a start can leave it with a large one.
-            xp: module of the arrays: jax.numpy, also inside traced code, or numpy.
+        They are moved by a fraction `inside` of the scale or of the interval: an estimate stays at its bound with a small one; a start can
+        leave it with a large one. `xp` is jax.numpy, also inside traced code, or numpy.
         """
         lower, upper, scale, kind = (xp.asarray(v) for v in (self.lower, self.upper, self.scale, self.kinds))
         low = xp.where(xp.isfinite(lower), lower, 0.0)

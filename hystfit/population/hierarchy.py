@@ -73,13 +73,9 @@ def draw_hierarchy(
 ) -> Hierarchy:
     """Draw mean, covariance and devices.
 
-    Args:
-        means: maxima of the devices' likelihoods.
-        precisions: curvatures there; a direction without information has none.
-        design: covariates of the devices, the first column of ones.
-        pools: draws of the devices, by number, whose likelihood is not normal.
-        chains, draws: of the sampler; a quarter as many come before.
-        thin: steps for each draw.
+    Given are the maxima of the devices' likelihoods and the curvatures there (a direction without information has none), their covariates,
+    the first column of ones, and draws of the devices, by number, whose likelihood is not normal. A quarter as many draws come before those
+    of each chain, and `thin` steps before each.
     """
     chain = _Chains(means, precisions, design, pools or {}, [np.random.default_rng([seed, k]) for k in range(chains)])
     return Hierarchy(*chain.run(draws, thin))

@@ -230,11 +230,8 @@ class Nuts(AbstractSampler):
     ) -> dict[str, np.ndarray]:
         """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks.
 
-        Where transitions still diverge at the end, covariance and step size are adapted again for a higher acceptance.
-
-        Args:
-            target: in the coordinates of the fit.
-            before: the end of another warm-up, from which this one continues: its first quarter is left out.
+        The target is in the coordinates of the fit. Where transitions still diverge at the end, covariance and step size are adapted again
+        for a higher acceptance. A warm-up that continues `before`, the end of another, leaves out the first quarter.
         """
         adaptation = _Adaptation(self, key, self.target_accept if goal is None else goal)
         if before is None:

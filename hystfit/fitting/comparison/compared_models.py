@@ -246,13 +246,8 @@ def ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: 
     """Models from best to worst, by their errors on held-out samples.
 
     A few large errors decide such an error. Where errors do not differ by more than it is known, what else speaks for a model decides, see
-    `_plainest_first`. A fit that has not converged is not first beside one that can be used.
-
-    Args:
-        rows: of the models.
-        purpose: of the choice.
-        floor: error up to which they do not differ [percent of range], that of rounding, which recurs where the cycles repeat.
-        equal: ratio to the smallest error up to which they do not differ.
+    `_plainest_first`: up to `equal` times the smallest error, and up to `floor`, that of rounding, which recurs where the cycles repeat
+    [percent of range]. A fit that has not converged is not first beside one that can be used.
     """
     by_error = sorted(rows, key=lambda row: _rank(row, purpose))
     if not by_error or by_error[0].score_percent is None:

@@ -62,13 +62,9 @@ class NearBounds(NamedTuple):
     ) -> NearBounds | None:
         """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
 
-        Args:
-            x: estimates, shape (N, p).
-            on_bound: which parameters have reached a bound, shape (N, p), bool.
-            rows: the Jacobian of what was minimized, or its triangular factor, shape (n, p).
-            slope: of the minimized cost, shape (N, p), computed when it is needed.
-            ridge: of that cost, added to its normal matrix, diagonal, shape (N, p).
-            acts: which parameters have an influence, shape (p,), bool.
+        At N estimates x, shape (N, p), some parameters are `on_bound`. `rows` are the Jacobian of what was minimized, or its triangular
+        factor, shape (n, p); `slope` makes the slope of this cost, shape (N, p), and `ridge` is added to its normal matrix, diagonal, shape
+        (N, p); `acts` tells which parameters have an influence, shape (p,).
         """
         below, above = distances_to_bounds(space, x)
         room = np.where(space.linear, np.minimum(below, above), np.inf)
@@ -133,14 +129,10 @@ class NearBounds(NamedTuple):
 
 
 def centered(J: np.ndarray, offsets: np.ndarray, ridge: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Columns without what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
+    """Columns of J, (n, p), without what the offsets of records explain, and the matrix from errors of the new parameters to the old ones.
 
-    Columns of offsets stay, as do columns that the offsets explain altogether.
-
-    Args:
-        J: derivatives, shape (n, p).
-        offsets: which columns are offsets, shape (p,), bool.
-        ridge: squares of the only entries of further rows of J, one for each column, zero for the offsets, shape (p,).
+    Columns that are offsets, shape (p,), stay, as do columns that these explain altogether. `ridge` are squares of the only entries of
+    further rows of J, one for each column, zero for the offsets, shape (p,).
     """
     back = np.eye(J.shape[1])
     if not offsets.any():

@@ -99,12 +99,7 @@ def search_nonlinear(
 ) -> tuple[np.ndarray, int, bool, str]:
     """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
 
-    Args:
-        cost: of physical parameters, shape (p,).
-        z: unconstrained start, shape (p,).
-
-    Returns:
-        Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.
+    From unconstrained z, to the lowest cost of physical parameters: these, the number of evaluations, whether it converged, and a message.
     """
 
     def at(inner: np.ndarray) -> np.ndarray:

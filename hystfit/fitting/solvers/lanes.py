@@ -121,14 +121,10 @@ def descend_lanes(
 ) -> Ends:
     """Minimize half the sum of squared misfits from every lane.
 
-    Args:
-        records: number of the record of each lane, shape (L,); lanes of one record are adjacent.
-        z: starts, unconstrained.
-        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
-        steps: most linearizations per lane.
-        damping: damping of the first steps, to continue earlier descents.
-        device: device of JAX; by default a GPU for many lanes if there is one, else the CPU.
-        beside: number of lanes of an earlier call, whose program can be reused.
+    Lanes start at unconstrained z; `records` are the numbers of their records, shape (L,), and lanes of one record are adjacent. A lane has
+    converged below `gain`, a relative decrease of the cost predicted by the linear model, and takes so many steps at most. The damping of
+    the first steps continues earlier descents. The device is by default a GPU for many lanes if there is one, else the CPU; `beside` is the
+    number of lanes of an earlier call, whose program can be reused.
     """
     device = device_for(len(z)) if device is None else device
     lane, numbers = Lane.at(np.array(z, float), damping), np.asarray(records)

@@ -110,15 +110,8 @@ def solve_normal(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free, for K problems.
 
-    Args:
-        A: shape (K, p, p), or shared, (p, p).
-        b: shape (K, p).
-        free: unknowns without a lower bound, shape (p,), bool.
-        ridges: added to the diagonals, shape (K, p).
-        start: which unknowns are not zero at neighboring solutions, shape (K, p), bool.
-
-    Returns:
-        Solutions, and which unknowns are not held at zero, to start similar problems from, shapes (K, p).
+    A has shape (K, p, p), or (p, p) where all share it, b and the ridges of the diagonals (K, p). With the solutions it returns which
+    unknowns are not held at zero, shapes (K, p); `start` is this of neighboring solutions.
     """
     found, positive = np.empty_like(b), np.empty(b.shape, bool)
     A = np.broadcast_to(A, (len(b), *A.shape[-2:]))

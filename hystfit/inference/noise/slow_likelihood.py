@@ -273,15 +273,11 @@ def _minima(
     low: np.ndarray,
     high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minima of functions of two variables by Newton steps, their values, and the axes of exp(-value / 2) about each.
+    """Minima of so many functions of two variables by Newton steps, their values, and the axes of exp(-value / 2) about each.
 
-    Derivatives are differences on a stencil whose points, like all others, are computed together: that takes little longer than one.
-
-    Args:
-        value: of some of the functions, by their numbers, at points (a, m, 2) of each, shape (a, m).
-        tried: where each search begins, at the best of them.
-        count: of the functions.
-        low, high: within which the centers stay.
+    `value` is that of some of the functions, by their numbers, at points (a, m, 2) of each, shape (a, m). Each search begins at the best of
+    the points `tried`, and its center stays between `low` and `high`. Derivatives are differences on a stencil whose points, like all
+    others, are computed together: that takes little longer than one.
     """
     going, axes = np.arange(count), np.zeros((count, 2, 2))
     center, least = _best(

@@ -23,17 +23,11 @@ def choose_levels(
     symmetric: bool,
     margin: bool,
 ) -> tuple[np.ndarray, float]:
-    """Levels over the range of measured inputs, as many as are given.
+    """Levels over the range of measured inputs, as many as are given, strictly rising, and the center.
 
-    Args:
-        levels: the present ones; "given" returns them.
-        center: of the demagnetized state; None takes the middle of the range.
-        spacing: "quantile", equal shares of the samples; "square", distances from the center that grow as squares; or "uniform".
-        symmetric: spread the levels evenly about the center, by quantiles of the distance from it.
-        margin: keep the outermost levels half a spacing inside the range (relays), not on its edge (cells).
-
-    Returns:
-        Levels, strictly rising, and the center.
+    A spacing of "quantile" gives equal shares of the samples, "square" distances from the center that grow as squares, "uniform" equal
+    ones, and "given" the present levels. With `symmetric`, they are even about the center (None: the middle of the range), by quantiles of
+    the distance from it. With a margin, the outermost levels are half a spacing inside the range (relays), not on its edge (cells).
     """
     u = np.concatenate(list(inputs))
     low, high = float(u.min()), float(u.max())

@@ -58,14 +58,9 @@ def scan_in_time(
 ) -> tuple[Any, Any]:
     """`jax.lax.scan` of a body whose third argument depends on the time step alone.
 
-    Args:
-        body: (carry, row of samples, factors) -> (carry, output).
-        carry: before the first sample.
-        samples: arrays of leading length T.
-        factors: of a time step.
-        dt: time since the sample before, shape (T,) [s].
-        unroll: samples of even steps in one pass of the loop. Two pass a third faster where the carry is two numbers, and their derivatives
-            no slower; four make a Jacobian half as fast, and arrays in the carry gain nothing.
+    The body takes (carry, row of samples, factors) to (carry, output); `factors` makes them from a time step; dt has shape (T,) [s]. One
+    pass of the loop takes `unroll` samples of even steps. Two pass a third faster where the carry is two numbers, and their derivatives no
+    slower; four make a Jacobian half as fast, and arrays in the carry gain nothing.
     """
     even, longest = even_step(jax.lax.stop_gradient(dt))
 

@@ -18,16 +18,9 @@ _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
 def solve_nonnegative(
     A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimize w'Aw / 2 - b'w with w >= 0 where `bounded`.
+    """Minimize w'Aw / 2 - b'w with w >= 0 where `bounded`; A is positive definite, shape (p, p).
 
-    Args:
-        A: positive definite, shape (p, p).
-        b: shape (p,).
-        bounded: which unknowns are >= 0, shape (p,), bool.
-        start: which unknowns are positive at a neighboring solution, shape (p,), bool; None for none.
-
-    Returns:
-        w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
+    With w it returns which unknowns are not held at zero, shape (p,), to `start` a similar problem from; None for none.
     """
     try:
         if b.size and not bounded.any():
