@@ -16,6 +16,7 @@ from hystfit.data.batch import bucket
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
+    AbstractSecant,
     Scheme,
     bound,
     exact_step,
@@ -26,7 +27,6 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
-from hystfit.models.shared.secant import AbstractSecant
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.slopes import Slopes

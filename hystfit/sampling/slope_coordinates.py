@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.inference.density import Density
-from hystfit.models.shared.secant import AbstractSecant
+from hystfit.models.bouc_wen_steps import AbstractSecant
 from hystfit.params.coordinates import BOTH, LOWER, Coordinates
 from hystfit.params.host_arrays import to_device
 
