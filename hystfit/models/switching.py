@@ -235,9 +235,7 @@ class _Places(NamedTuple):
     def range_of(self, jumps: np.ndarray, *, up: float | None = None, down: float | None = None) -> _Range:
         """The range of the best values of one threshold beside the other, which is given.
 
-        Args:
-            jumps: inputs before and after each, shape (N, 2); the range is looked for between the outermost of them and the other
-                threshold.
+        It is looked for between the outermost of the jumps, inputs before and after each, shape (N, 2), and the other threshold.
         """
         last, other = self.edges.size - 2, down if up is None else up
         reached = [jumps.min(), jumps.max(), other] if len(jumps) else self.edges[[1, -2]]

@@ -40,10 +40,8 @@ class CPart:
     def of(cls, model: Any, name: str, states: int | None = None, **values: Any) -> CPart:
         """The part of a model whose template names its fields: @M@_TAU is the number `tau`, @f@_w the array `w`, @M@_W_SIZE its length.
 
-        Args:
-            name: of the file of the template, without ".c".
-            states: number of doubles of state; by default that of the model.
-            **values: numbers and arrays that are no fields, or stand for some; only those that the template names are written.
+        `name` is that of the template's file, without ".c". Values that are no fields, or stand for some, are written if the template names
+        them.
         """
         text = template(f"{name}.c")
         fields = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)} | values
