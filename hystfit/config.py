@@ -55,11 +55,7 @@ _runs: contextvars.ContextVar[Literal["many", "few", "few long"]] = contextvars.
 
 @contextlib.contextmanager
 def expect_few_runs(*, long: bool = False) -> Iterator[None]:
-    """Context in which each program runs a few hundred times at most: fewer programs are compiled, and small ones quickly unless `long`.
-
-    Args:
-        long: whether most of the time is that of runs.
-    """
+    """Context in which each program runs a few hundred times at most: fewer are compiled, and small ones quickly unless runs are `long`."""
     token = _runs.set("few long" if long else "few")
     try:
         yield

@@ -33,12 +33,9 @@ class MissingExtraError(HystfitError):
 
 
 def optional(package: str, extra: str, purpose: str) -> Any:
-    """An optional package, imported now, without its warnings: ArviZ announces changes once a day.
+    """An optional package or a module of one, imported now, without its warnings: ArviZ announces changes once a day.
 
-    Args:
-        package: its name, or that of a module in it.
-        extra: of hystfit that installs it.
-        purpose: what needs it, as the subject of a message.
+    `extra` is that of hystfit which installs it, and `purpose` what needs it, as the subject of a message.
     """
     try:
         with warnings.catch_warnings():

@@ -9,11 +9,7 @@ import lazy_loader
 
 
 def public_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package by its `__init__.pyi`, also inside a zip archive.
-
-    Args:
-        package: name of the package, which is being imported.
-    """
+    """`__getattr__`, `__dir__` and `__all__` of a package that is being imported, by its `__init__.pyi`, also inside a zip archive."""
     submodules, names = set[str](), dict[str, list[str]]()
     for node in ast.parse(pkgutil.get_data(package, "__init__.pyi") or b"").body:
         if isinstance(node, ast.ImportFrom) and node.module:

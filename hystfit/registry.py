@@ -79,11 +79,7 @@ class Registry(Mapping[str, Callable[..., T]], Generic[T]):
         return named[0] if named else f"{file_of(kind)}:{kind.__name__}"
 
     def make(self, choice: Any) -> T:
-        """A part with its default settings; a part that is made already is returned as it is.
-
-        Raises:
-            ParameterError: see `find`.
-        """
+        """A part with its default settings; a part that is made already is returned as it is."""
         if isinstance(choice, self.base):
             return choice
         maker = self.find(choice)
@@ -184,11 +180,7 @@ def file_digest(file: Path) -> str | None:
 
 
 def refuse_unfinished(kind: type, error: type[HystfitError] = ParameterError) -> None:
-    """Refuse a class that lacks methods that its base class requires.
-
-    Raises:
-        HystfitError: it lacks some; the message names the class, its file and the methods.
-    """
+    """Refuse a class that lacks methods that its base class requires; the message names the class, its file and the methods."""
     missing = sorted(getattr(kind, "__abstractmethods__", ()))
     if missing:
         listed = " and ".join([", ".join(missing[:-1]), missing[-1]] if len(missing) > 1 else missing)

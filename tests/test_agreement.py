@@ -6,7 +6,7 @@ import pytest
 import hystfit as hf
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
-from hystfit.results.agreement import SIMILAR
+from hystfit.results.estimates import SIMILAR
 from hystfit.uncertainty.input_design import design
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)

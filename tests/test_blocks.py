@@ -11,8 +11,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.fitting.fit_setup import solve
-from hystfit.fitting.judgment.covariance import _spectrum, _wide_axes, uncertainty
-from hystfit.fitting.judgment.error_ratios import RANK
+from hystfit.fitting.judgment.covariance import RANK, _spectrum, _wide_axes, uncertainty
 from hystfit.fitting.judgment.near_bounds import Information, centered, centered_lengths
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge
 from hystfit.inference import blocks, objective

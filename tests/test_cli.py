@@ -18,9 +18,8 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import app, run
-from hystfit.cli.help_text import EXAMPLES
 from hystfit.cli.options import Reading, bounds_of, named_values
-from hystfit.cli.verbs import VERBS, as_options
+from hystfit.cli.verbs import EXAMPLES, VERBS, as_options
 from hystfit.cli.write import show
 from hystfit.errors import HystfitError, optional
 from hystfit.outcome import Status

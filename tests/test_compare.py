@@ -21,11 +21,10 @@ from hystfit.errors import ModelError
 from hystfit.fitting.comparison import sizes
 from hystfit.fitting.comparison.candidate_fits import CandidateFits
 from hystfit.fitting.comparison.candidates import candidates
-from hystfit.fitting.comparison.compared_models import Comparison, Purpose, Row
+from hystfit.fitting.comparison.compared_models import Comparison, Purpose, Row, ranked
 from hystfit.fitting.comparison.comparison_run import ComparisonRun
 from hystfit.fitting.comparison.contender import Candidate, First, leader
 from hystfit.fitting.comparison.model_search import NO_LOOP
-from hystfit.fitting.comparison.ranking import ranked
 from hystfit.fitting.comparison.sizes import SizeSearch
 from hystfit.fitting.fit_model import solve_model
 from hystfit.fitting.fit_options import FitOptions

@@ -16,9 +16,9 @@ import hystfit as hf
 from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.fitting.comparison.left_out import left_out_error
 from hystfit.fitting.fit_options import FitOptions
+from hystfit.fitting.solvers.bounded import TrustRegion
 from hystfit.fitting.solvers.multistart import spread_starts
 from hystfit.fitting.solvers.registry import ESTIMATORS
-from hystfit.fitting.solvers.trust_region import TrustRegion
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code

@@ -19,7 +19,7 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.control import export_c
 from hystfit.errors import ModelError
-from hystfit.models.shared.band_limited import upsample
+from hystfit.models.oscillator_start import upsample
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hystfit.population.hierarchy import Hierarchy
-from hystfit.population.preposterior import Beliefs
+from hystfit.population.next_measurement import Beliefs
 
 MEANS = np.array([0.9, -0.4, 0.35, -0.8, 0.15, 0.6, -1.0, 0.5])
 ERRORS = np.array([1.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2])

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hystfit.cli import run
-from hystfit.cli.study import Study
+from hystfit.cli.run_file import Study
 
 from .test_docs import blocks
 

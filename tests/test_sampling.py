@@ -31,7 +31,7 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.sampling import independence, proposals
 from hystfit.sampling.base import AbstractSampler, Raw
-from hystfit.sampling.bend import Bend, straight
+from hystfit.sampling.bend import Bend, Shear, straight
 from hystfit.sampling.diagnostics import Convergence, bulk_ess, effective_size, rhat, tail_ess
 from hystfit.sampling.ensemble import Ensemble, longest_time
 from hystfit.sampling.files import load_posterior
@@ -40,7 +40,6 @@ from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
 from hystfit.sampling.setup import checked, prepare
-from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 from hystfit.sampling.target import Target
 

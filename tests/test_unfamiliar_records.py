@@ -13,7 +13,7 @@ import hystfit as hf
 from hystfit.batch.sources import sources_of
 from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
-from hystfit.fitting.judgment.error_ratios import mean_error_ratio
+from hystfit.fitting.judgment.covariance import mean_error_ratio
 from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code, Note, Status

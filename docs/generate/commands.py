@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 
 from hystfit.cli import app
-from hystfit.cli.help_text import EXAMPLES
-from hystfit.cli.verbs import VERBS
+from hystfit.cli.verbs import EXAMPLES, VERBS
 
 
 def command_page() -> str:

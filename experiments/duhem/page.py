@@ -14,7 +14,7 @@ from estimators import gradient_correction, output_error
 import hystfit as hf
 from hystfit.identify import GradientCorrection, Rls, identify
 from hystfit.models.shared.simulation import simulate
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import Metrics
 
 INK = {"truth": "0.25", "RLS": "#c0392b", "gradient correction": "#e08e0b", "output error": "#1f6fb4"}
 SHOWN = ("paper.png", "loops.png", "histories.png", "rates.png")

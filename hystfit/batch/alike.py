@@ -111,11 +111,7 @@ class Loops:
     def columns(self, kept: Sequence[np.ndarray] | None, length: int) -> tuple[np.ndarray, ...]:
         """u, dt and weight of each group, shape (G, 1, length), and y of each loop, shape (N, 1, length), padded as in `Batch`.
 
-        One row of dt and weight where all groups have the same.
-
-        Args:
-            kept: numbers of the samples of each group; None for all.
-            length: to which they are padded.
+        One row of dt and weight where all groups have the same. `kept` are numbers of the samples of each group; None for all.
         """
         first = self.groups[0].record
         same = kept is None and all(same_columns(group.record, first, "t", "weight", "used") for group in self.groups)
@@ -136,21 +132,13 @@ class Loops:
 
 
 class Common(NamedTuple):
-    """What the loops have in common.
+    """What the loops have in common."""
 
-    Attributes:
-        setup: the fit of one of them.
-        starts: shape (S, p), relative to the sizes of each loop; none for weights, which need none.
-        levels: middle of the output over its half range, of the loop that each start is from, shape (S,).
-        powers: of the sizes of input, output and time in the scale of each parameter, shape (3, p).
-        read: how many of the starts, the first ones, are read off loops; the others surround them.
-    """
-
-    setup: FitSetup
-    starts: np.ndarray
-    levels: np.ndarray
-    powers: np.ndarray
-    read: int = 0
+    setup: FitSetup  # the fit of one of them
+    starts: np.ndarray  # shape (S, p), relative to the sizes of each loop; none for weights, which need none
+    levels: np.ndarray  # middle of the output over its half range, of the loop that each start is from, shape (S,)
+    powers: np.ndarray  # of the sizes of input, output and time in the scale of each parameter, shape (3, p)
+    read: int = 0  # how many of the starts, the first ones, are read off loops; the others surround them
 
     @property
     def of_weights(self) -> bool:
@@ -189,12 +177,7 @@ class Common(NamedTuple):
 
 
 def common_of(model: AbstractHysteresis, loops: Loops, options: FitOptions, *, held: bool) -> Common | None:
-    """What loops have in common; None where their fits differ in more than numbers.
-
-    Args:
-        loops: outputs without faults.
-        held: parameters in `fix` without a value keep that of the model.
-    """
+    """What loops with faultless outputs have in common; None where their fits differ in more than numbers. `held`: see `set_up_fit`."""
     chosen = _different(loops)
     setups = [set_up_fit(model, Dataset.of(record), options, held=held) for record in chosen]
     first = setups[0]
@@ -261,11 +244,7 @@ def _starts(setups: list[FitSetup], options: FitOptions) -> tuple[np.ndarray, np
 
 
 def solve_alike(common: Common, loops: Loops) -> tuple[Ends, Stack]:
-    """Where the best start that is read off a loop ended, for each of them, and their problems.
-
-    Args:
-        loops: outputs without faults, finite.
-    """
+    """Where the best start that is read off a loop ended, for each of them (finite, without faults), and their problems."""
     full, short = common.stack(loops), None
     if common.setup.problem.model.allows_thinning:
         found = kept_samples([group.record for group in loops.groups], loops.length, LEAST)

@@ -42,10 +42,7 @@ class Task(NamedTuple):
 
 
 def solve_together(tasks: Sequence[Task]) -> list[Estimate | None]:
-    """Estimates of tasks of one key.
-
-    None where a fit did not converge, is not finite or ends on a bound: those need the estimators of `hystfit.fitting`.
-    """
+    """Estimates of tasks of one key; None where a fit did not converge, is not finite or ends on a bound: those need other estimators."""
     full = Stack.of([task.problem.objective for task in tasks])
     short = None if tasks[0].short is None else Stack.of([task.short for task in tasks if task.short is not None])
     starts = np.stack([task.starts for task in tasks])
@@ -59,10 +56,8 @@ def solve_stack(
 ) -> tuple[Ends, np.ndarray, np.ndarray]:
     """Where the best start of each record ended, the costs of all, shape (N, S), and the linearizations for each record.
 
-    Args:
-        short: on fewer samples; None where starts are compared on all.
-        starts: unconstrained, shape (N, S, p).
-        steps: of every start; after as many as `hystfit.fit` takes, the best and the first continue as they do there.
+    The starts are unconstrained, shape (N, S, p), and compared on the fewer samples of `short` where there are any. After so many steps of
+    every start as `hystfit.fit` takes, the best and the first continue as they do there.
     """
     count, several, p = starts.shape
     records, some = np.arange(count), full if short is None else short

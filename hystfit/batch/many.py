@@ -113,14 +113,7 @@ Finished = tuple[str, Sequence[Row]]
 
 
 class Journal:
-    """One line for each file or record: its key and its rows. A line that an interruption cut short is ignored.
-
-    Args:
-        file: made when the first rows are added.
-
-    Raises:
-        DataError: the file cannot be read.
-    """
+    """One line for each file or record: its key and its rows; made with the first. A line that an interruption cut short is ignored."""
 
     def __init__(self, file: Path):
         self.file = file

@@ -17,14 +17,7 @@ _OUTER = (0.05, 0.5, 0.95)
 
 
 class ManyFits(WithStatus, abc.ABC):
-    """Fits of one model to many loops: their counts, the summary of the usable ones, and what `result.json` has of both.
-
-    Attributes:
-        schema: of `to_dict`.
-        model: name of the model.
-        units: of the numbers.
-        work: what was done with every loop.
-    """
+    """Fits of one model to many loops: their counts, the summary of the usable ones, and what `result.json` has of both."""
 
     schema: ClassVar[str]
     model: Any

@@ -19,12 +19,7 @@ _FEWEST, _MOST = 5, 30  # bars
 
 
 def overview(fits: Fits, reports: Mapping[str, str] | None = None, translate: Callable[[str], str] = str) -> str:
-    """One self-contained HTML page.
-
-    Args:
-        reports: address of the report of a loop, by the name of the loop; for some of the loops.
-        translate: from settings as in Python to the options of the reader.
-    """
+    """One self-contained HTML page, with links to some `reports` by the name of the loop; `translate` gives the options of the reader."""
     reports = reports or {}
     listed = [row for k, row in enumerate(fits.worst(len(fits))) if k < 50 or row.name in reports]
     pictures = [_picture(fits, name) for name in (*fits.names, *fits.quantities) if fits.values(name).size]
@@ -67,11 +62,7 @@ def _table(rows: Sequence[Row], reports: Mapping[str, str], translate: Callable[
 
 
 def histogram(values: np.ndarray, heading: str) -> str:
-    """An SVG picture with a bar for each bin, the median as a line, and the ends of the range below.
-
-    Args:
-        values: shape (n,), finite, not empty.
-    """
+    """An SVG picture with a bar for each bin of finite values, shape (n,), the median as a line, and the ends of the range below."""
     bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
     center, size = float(values[0]), float(np.abs(values).max())
     alike = np.ptp(values) <= ROUNDING * size  # bins of such a range would be narrower than numbers can be

@@ -38,27 +38,17 @@ _SAME = 1e-3  # relative difference of two standard errors that is none
 
 
 class PlainFits(NamedTuple):
-    """Results of N loops, group by group, of which some are plain.
+    """Results of N loops, group by group, of which some are plain."""
 
-    Attributes:
-        names: of the free parameters.
-        judged: numbers of each loop.
-        quantities: of the fitted loops by name, shape (N,), NaN where unknown.
-        notes: on plain loops.
-        example: the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain.
-        common: what the loops have in common.
-        starts: of each loop, unconstrained, shape (N, S, p); none for weights.
-        estimate: the estimate of a loop, from its number.
-    """
-
-    names: tuple[str, ...]
-    judged: Judged
-    quantities: dict[str, np.ndarray]
-    notes: RowNotes
+    names: tuple[str, ...]  # of the free parameters
+    judged: Judged  # numbers of each loop
+    quantities: dict[str, np.ndarray]  # of the fitted loops by name, shape (N,), NaN where unknown
+    notes: RowNotes  # on plain loops
+    # the row of a plain loop that was judged alone, which has the units of all; None where no loop is plain
     example: Row | None
-    common: Common
-    starts: np.ndarray
-    estimate: Callable[[int], Estimate]
+    common: Common  # what the loops have in common
+    starts: np.ndarray  # of each loop, unconstrained, shape (N, S, p); none for weights
+    estimate: Callable[[int], Estimate]  # the estimate of a loop, from its number
 
     def posed(self, k: int, record: Record, options: FitOptions) -> tuple[FitSetup, Task | None, Estimate | None]:
         """The fit of a close loop that is not plain, and its estimate, or what it takes to solve it beside others from every start."""
@@ -110,10 +100,8 @@ def fit_plain(
 ) -> PlainFits | None:
     """Fit loops in groups of one input each; None where they cannot be solved together.
 
-    Args:
-        groups: records with the same labels, and lengths of one bucket; outputs with NaN where one is missing.
-        options: of each fit, without a robust loss or a noise model of its own.
-        held: parameters in `fix` without a value keep that of the model.
+    The records of a group have the same labels, lengths of one bucket, and NaN where an output is missing; no fit has a robust loss or a
+    noise model of its own. With `held`, parameters in `fix` without a value keep that of the model.
     """
     every = Loops(tuple(groups))
     faultless = soundness(every)
@@ -138,13 +126,9 @@ def fit_plain(
 
 
 class _Solved(NamedTuple):
-    """Solved loops.
+    """Solved loops: their numbers, notes on the errors of plain ones, estimates by number, and outputs over the input of their groups.
 
-    Attributes:
-        judged: their numbers.
-        on_errors: notes on the errors of each plain loop.
-        estimate: makes the estimate of a loop from its number.
-        outputs: of each loop's model over the input of its group, one record a group, shape (N, T), padded with outputs that mean nothing.
+    `outputs` takes one record a group, and gives shape (N, T), padded with outputs that mean nothing.
     """
 
     judged: Judged

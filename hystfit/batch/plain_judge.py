@@ -11,22 +11,107 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from hystfit.batch.alike import Common, Group, Loops
 from hystfit.batch.row_accuracy import MARGIN, accuracy
-from hystfit.batch.slow_rows import slow_information
+from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.judgment.assessment import notes_of_model, notes_on_time
-from hystfit.fitting.solvers.lanes import Ends, Stack
+from hystfit.fitting.solvers.lanes import Ends, Stack, room
+from hystfit.inference.noise.even_noise import BESIDE
+from hystfit.inference.noise.setting import Setting
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noises, least_squares_root
+from hystfit.inference.objective import flat
+from hystfit.inference.residuals import ResidualAnalysis, curves
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.coordinates import BOTH
+from hystfit.params.host_arrays import NUMBERS, compiled
 from hystfit.params.relative_size import OPEN, relative_size
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import largest_step
 from hystfit.results.accuracy import VISIBLE
+
+
+def slow_information(
+    loops: Loops, stack: Stack, z: Float[np.ndarray, "N p"]
+) -> tuple[Float[np.ndarray, "N p p"], np.ndarray]:
+    """Information about the parameters at z, under slow and independent noise; and of which loops: not where error recurs every loop."""
+    residual, jacobian = _linearized(stack, z)
+    return loops.each(_of_group, residual, jacobian)
+
+
+def _of_group(
+    group: Group, residual: Float[np.ndarray, "N T"], jacobian: Float[np.ndarray, "N T p"]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The matrices of loops over one input, and which are known."""
+    samples, p = Samples.of(Setting.on_host(Batch.of(Dataset.of(group.record)))), jacobian.shape[2]
+    on = np.flatnonzero(samples.on[0])
+    information, known = np.full((len(residual), p, p), np.nan), np.zeros(len(residual), bool)
+    size = max(1, BESIDE // ((p + 1) * (p + 2) // 2 * on.size))
+    shapes = curves(samples)
+    for begin in range(0, len(residual), size):
+        at = slice(begin, begin + size)
+        information[at], known[at] = _informations(samples, shapes, residual[at][:, on], jacobian[at][:, on])
+    return information, known
+
+
+def _informations(
+    samples: Samples,
+    shapes: Float[np.ndarray, "n k"],
+    residual: Float[np.ndarray, "N n"],
+    jacobian: Float[np.ndarray, "N n p"],
+) -> tuple[Float[np.ndarray, "N p p"], np.ndarray]:
+    """The matrices of loops on the same samples, and which are known."""
+    jacobian = flat(jacobian)
+    size = np.linalg.norm(jacobian, axis=1, keepdims=True)
+    sound = np.isfinite(size).all(axis=(1, 2)) & (size > 0).all(axis=(1, 2))
+    columns = jacobian / np.where(sound[:, None, None], size, 1.0)
+    information = np.full((len(residual), columns.shape[2], columns.shape[2]), np.nan)
+    fits = np.flatnonzero(sound)
+    if not fits.size:
+        return information, sound
+    basis = np.linalg.qr(columns[fits])[0]
+    noises = fit_slow_noises(Contrasts(samples, residual[fits], basis, np.zeros((residual.shape[1], 0))))
+    for k, noise in zip(fits, noises, strict=True):
+        analysis = ResidualAnalysis(
+            samples.on, residual[k], lambda: samples, lambda k=k: columns[k], fitted=noise, shapes=shapes
+        )
+        sound[k] = analysis.of_errors is not None and not (analysis.repeating is not None and analysis.repeating.shown)
+        if sound[k]:
+            root = least_squares_root(noise, jacobian[k])
+            information[k] = root.T @ root
+    return information, sound
+
+
+def _linearized(
+    stack: Stack, z: Float[np.ndarray, "N p"]
+) -> tuple[Float[np.ndarray, "N T"], Float[np.ndarray, "N T p"]]:
+    """Residuals and their derivatives with respect to the physical parameters."""
+    width = stack.samples * (z.shape[1] + 1)
+    size, pieces = min(room(len(z)), 1 << (max(NUMBERS // width, 1).bit_length() - 1)), []
+    for begin in range(0, len(z), size):
+        at = np.minimum(np.arange(begin, begin + size), len(z) - 1)
+        part = stack.take(at)
+        rows = _linearize_rows(part, z[at])
+        pieces.append([np.asarray(values)[: len(z) - begin] for values in rows])
+    residual, jacobian = (np.concatenate(column) for column in zip(*pieces, strict=True))
+    return residual, jacobian
+
+
+@compiled
+def _linearize_rows(stack: Stack, z: Array) -> tuple[Array, Array]:
+    def one(k: Array) -> tuple[Array, Array]:
+        single = stack.at(k)
+        residual, jacobian = single.linearize(single.coordinates.physical(z[k]))
+        return residual[0], jacobian[0]
+
+    return jax.lax.map(one, jnp.arange(len(z)))
+
 
 _REACH, _FAR = 2.05, 8.0  # standard errors to the next bound; of a linear parameter
 _AT_BOUND = 2e-4  # relative distance to a bound
@@ -34,21 +119,15 @@ _SINGULAR = 1e-15  # least eigenvalue of information with a diagonal of ones, be
 
 
 class Judged(NamedTuple):
-    """Results of N loops; those of loops that are not plain mean nothing.
+    """Results of N loops; those of loops that are not plain mean nothing."""
 
-    Attributes:
-        plain: which loops are beyond doubt.
-        slow: of these, those with autocorrelated residuals.
-        close: which are described as well as a usable fit is, without a parameter at its bound: another start would not end lower.
-        x, stderr: estimates and standard errors, shape (N, p).
-        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
-    """
-
-    plain: np.ndarray
-    slow: np.ndarray
+    plain: np.ndarray  # which loops are beyond doubt
+    slow: np.ndarray  # of these, those with autocorrelated residuals
+    # which are described as well as a usable fit is, without a parameter at its bound: another start would not end lower
     close: np.ndarray
-    x: Float[np.ndarray, "N p"]
+    x: Float[np.ndarray, "N p"]  # x, stderr: estimates and standard errors, shape (N, p)
     stderr: Float[np.ndarray, "N p"]
+    # rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error
     rmse: Float[np.ndarray, " N"]
     percent: Float[np.ndarray, " N"]
     largest_percent: Float[np.ndarray, " N"]
@@ -120,17 +199,11 @@ def _errors(
 
 @dataclasses.dataclass(frozen=True)
 class RowNotes:
-    """Notes on N loops besides their accuracy: most loops share their codes, and a text is made when it is asked for.
+    """Notes on N loops besides their accuracy: most loops share their codes, and a text is made when it is asked for."""
 
-    Attributes:
-        sets: the different sets of codes, each with that of the accuracy.
-        of: which of them each loop has, shape (N,); -1 for loops that are not plain.
-        make: the notes on a plain loop, by its number.
-    """
-
-    sets: tuple[tuple[str, ...], ...]
-    of: np.ndarray
-    make: Callable[[int], Sequence[Note]]
+    sets: tuple[tuple[str, ...], ...]  # the different sets of codes, each with that of the accuracy
+    of: np.ndarray  # which of them each loop has, shape (N,); -1 for loops that are not plain
+    make: Callable[[int], Sequence[Note]]  # the notes on a plain loop, by its number
 
     def codes(self, k: int) -> tuple[str, ...]:
         """The codes of the notes on a plain loop."""

@@ -19,43 +19,29 @@ Number = float | None
 
 @dataclasses.dataclass(frozen=True)
 class Row(WithStatus):
-    """The fit of one loop; what is unknown is None.
+    """The fit of one loop; what is unknown is None."""
 
-    Attributes:
-        name: of the loop: its file (with the name of the curve where the file has several), or the record's name.
-        file: that it was read from; "" for a record.
-        sha256: checksum of the file, or of the numbers of a record.
-        status: of the fit; `Status.FAILED` where there is none.
-        reason: why there is no fit, or the notes that are warnings or errors; "" where there are none.
-        codes: of all notes.
-        model: readable name.
-        samples: that were fitted.
-        values, stderr: of the free parameters; the standard error is None where it is undefined.
-        rmse: root mean square error [y].
-        error_percent, max_error_percent: rms and largest error, percent of the output's range.
-        quantities: of the steady loop of the fitted model over the fitted input range (loss per cycle, coercivity, remanence, ...), and
-            those that the model derives from its parameters.
-        units: of parameters and quantities.
-    """
-
-    name: str
-    file: str
-    sha256: str | None
-    status: Status
-    reason: str = ""
-    codes: tuple[str, ...] = ()
-    model: str | None = None
-    samples: int | None = None
+    name: str  # of the loop: its file (with the name of the curve where the file has several), or the record's name
+    file: str  # that it was read from; "" for a record
+    sha256: str | None  # checksum of the file, or of the numbers of a record
+    status: Status  # of the fit; `Status.FAILED` where there is none
+    reason: str = ""  # why there is no fit, or the notes that are warnings or errors; "" where there are none
+    codes: tuple[str, ...] = ()  # of all notes
+    model: str | None = None  # readable name
+    samples: int | None = None  # that were fitted
+    # values, stderr: of the free parameters; the standard error is None where it is undefined
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
     stderr: Mapping[str, Number] = dataclasses.field(default_factory=dict)
-    rmse: Number = None
+    rmse: Number = None  # root mean square error [y]
+    # error_percent, max_error_percent: rms and largest error, percent of the output's range
     error_percent: Number = None
     max_error_percent: Number = None
+    # of the steady loop of the fitted model over the fitted input range (loss per cycle, coercivity, remanence, ...), and those that the
+    # model derives from its parameters
     quantities: Mapping[str, Number] = dataclasses.field(default_factory=dict)
-    units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    units: Mapping[str, str] = dataclasses.field(default_factory=dict)  # of parameters and quantities
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         content |= {name: dict(content[name]) for name in ("values", "stderr", "quantities", "units")}
         return content | {"status": str(self.status), "codes": list(self.codes)}
@@ -69,11 +55,7 @@ class Row(WithStatus):
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Row:
-        """From what `to_dict` gave.
-
-        Raises:
-            KeyError, ValueError, TypeError: it is not such a description.
-        """
+        """From what `to_dict` gave; a KeyError, ValueError or TypeError where it is no such description."""
         known = {field.name: content[field.name] for field in dataclasses.fields(cls)}
         return cls(**known | {"status": Status(content["status"]), "codes": tuple(content["codes"])})
 

@@ -38,12 +38,7 @@ _SPIKE, _OF_RANGE = 9.0, 0.028  # times the noise, and of the range, that an out
 
 
 def row_noise(steps: Float[Any, "N T"], largest: Float[Any, " N"], xp: Any = np) -> Float[Any, " N"]:
-    """RMS of white noise in each row, from differences of order 2 to 6; NaN where it is uncertain or a rounding error.
-
-    Args:
-        steps: between the samples.
-        largest: size of a sample of each row.
-    """
+    """RMS of white noise in each row, from differences of order 2 to 6 of the steps between samples; NaN where uncertain, or rounding."""
     change, sizes, difference = xp.abs(steps), [], steps
     least_step = xp.min(xp.where(change > 0, change, xp.inf), axis=1)
     for order in range(2, 7):
@@ -59,11 +54,7 @@ def row_noise(steps: Float[Any, "N T"], largest: Float[Any, " N"], xp: Any = np)
 
 
 def sound_rows(y: Float[Any, "N T"], low: Any, high: Any, xp: Any = np) -> tuple[Any, Float[Any, " N"]]:
-    """Which rows have known noise and no sample that may be clipped or an outlier, shape (N,), bool; and their noise.
-
-    Args:
-        low, high: least and largest value of each row.
-    """
+    """Which rows, between `low` and `high`, have known noise and no sample that may be clipped or an outlier, bool; and their noise."""
     stays = xp.maximum(*(xp.count_nonzero(y == end[:, None], axis=1) for end in (low, high))) > _LIMIT
     steps = y[:, 1:] - y[:, :-1]
     noise, back = row_noise(steps, xp.maximum(-low, high), xp), -steps
@@ -106,14 +97,7 @@ class Soundness(NamedTuple):
 
 
 class Accuracy(NamedTuple):
-    """Of N solved loops.
-
-    Attributes:
-        described: which are described beyond doubt.
-        white: of these, those with white residuals.
-        close: which are described as well as a usable fit is.
-        rmse, percent, largest_percent: rms error [y]; and in percent of the range, beside the largest error.
-    """
+    """Of N solved loops: which are described beyond doubt, of these those with white residuals, and the rest as in `Judged`."""
 
     described: Any
     white: Any
@@ -124,13 +108,7 @@ class Accuracy(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """What loops over one input share.
-
-    Attributes:
-        at: numbers of the m samples that count.
-        basis: polynomials over their inputs.
-        first, last: how many of them are before the first turning point, and before the last.
-    """
+    """What loops over one input share: samples that count, polynomials over them, how many come before the first and last turning point."""
 
     at: np.ndarray
     basis: np.ndarray
@@ -139,7 +117,6 @@ class _Frame(NamedTuple):
 
     @classmethod
     def of(cls, group: Group) -> _Frame:
-        """The frame of a group."""
         record = group.record
         at, turns = np.flatnonzero(record.used), clear_reversals(record.u)
         first, last = np.searchsorted(at, [turns[0] + 1, turns[-1]]) if turns.size else (np.int64(0), np.int64(at.size))

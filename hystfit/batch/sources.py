@@ -18,13 +18,7 @@ from hystfit.reading.several import files_of, pair_of
 
 
 class Source(NamedTuple):
-    """A file or a record.
-
-    Attributes:
-        name: path of the file, or name of the record.
-        key: identifies the data: a checksum with the name.
-        record: None for a file, which is read where it is fitted.
-    """
+    """A file (its path in `name`, read where it is fitted) or a record; `key`, a checksum with the name, identifies the data."""
 
     name: str
     key: str
@@ -36,14 +30,7 @@ class Source(NamedTuple):
         return self.name if self.record is None else ""
 
     def loops(self, reading: Mapping[str, Any], unread: dict[str, str] | None = None) -> list[tuple[str, Record]]:
-        """Name and record of each loop: a file may hold several curves.
-
-        Args:
-            unread: takes the reasons of curves that cannot be read, by the names of their loops.
-
-        Raises:
-            HystfitError, OSError: the file cannot be read.
-        """
+        """Name and record of each loop of a file or record; `unread` takes the reasons of curves that cannot be read, by loop."""
         if self.record is not None:
             return [(self.name, self.record)]
         failed: dict[str, str] = {}

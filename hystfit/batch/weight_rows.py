@@ -40,27 +40,17 @@ from hystfit.results.accuracy import VISIBLE
 
 
 class Weights(NamedTuple):
-    """Solved weights of N loops over one input.
+    """Solved weights of N loops over one input."""
 
-    Attributes:
-        common: what the loops have in common.
-        columns: of the weights on the n samples that count, shape (n, p), times the roots of the samples' weights.
-        targets: what they have to explain, shape (N, n).
-        x: solutions, shape (N, p).
-        penalty: diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p).
-        left_out: rms errors of samples left out, by which the penalties were chosen, shape (N,).
-        chosen: which loops begin in the state that `common` assumes, shape (N,), bool.
-        estimate: makes the estimate of a loop from its number.
-    """
-
-    common: Common
+    common: Common  # what the loops have in common
+    # of the weights on the n samples that count, shape (n, p), times the roots of the samples' weights
     columns: np.ndarray
-    targets: np.ndarray
-    x: np.ndarray
-    penalty: np.ndarray
-    left_out: np.ndarray
-    chosen: np.ndarray
-    estimate: Callable[[int], Estimate]
+    targets: np.ndarray  # what they have to explain, shape (N, n)
+    x: np.ndarray  # solutions, shape (N, p)
+    penalty: np.ndarray  # diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p)
+    left_out: np.ndarray  # rms errors of samples left out, by which the penalties were chosen, shape (N,)
+    chosen: np.ndarray  # which loops begin in the state that `common` assumes, shape (N,), bool
+    estimate: Callable[[int], Estimate]  # makes the estimate of a loop from its number
 
     def outputs(self, record: Record) -> Float[np.ndarray, "N T"]:
         """Outputs of all models over the input of a record."""
@@ -151,12 +141,7 @@ def judge_weights(
 def _errors(
     weights: Weights, record: Record, at: np.ndarray, white: np.ndarray, scale: Float[np.ndarray, "m p"]
 ) -> tuple[np.ndarray, Float[np.ndarray, "m p"], list[tuple[Note, ...]]]:
-    """Of some loops: which are beyond doubt, their standard errors, and notes on these.
-
-    Args:
-        white: which of them have white residuals, shape (m,), bool.
-        scale: natural scales of their parameters.
-    """
+    """Of some loops: which are beyond doubt, their standard errors, and notes on these; `white` tells which have white residuals."""
     space, columns, x, ridge = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
     residual, rows = x @ columns.T - weights.targets[at], np.linalg.qr(columns, mode="r")
     relative, on_bound = relative_size(space, x, scale), np.logical_or(*space.reached(x, scale=scale))
@@ -202,11 +187,7 @@ def _analyses(
     live: np.ndarray,
     relative: Float[np.ndarray, "m p"],
 ) -> list[ResidualAnalysis]:
-    """Analyses of autocorrelated residuals: the slow noise of loops with as many live weights is sought side by side.
-
-    Args:
-        live: which weights act and are off their bounds, shape (m, p), bool.
-    """
+    """Analyses of autocorrelated residuals, side by side for loops with as many `live` weights, which act and are off their bounds."""
     if not len(residual):
         return []
     samples, none = Samples.of(Setting.on_host(Batch.of(Dataset.of(record)))), np.zeros((len(columns), 0))

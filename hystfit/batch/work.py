@@ -42,14 +42,7 @@ SAMPLES = 2**20  # in memory at once: of files read before they are fitted, and 
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """The task for every loop, as other processes receive it.
-
-    Attributes:
-        model: a model or its name.
-        options: of each fit.
-        reading: of `hystfit.read`, for loops that are files.
-        units: to which loops are converted.
-    """
+    """The task for every loop, as other processes receive it: how files are read, the units of all loops, and the options of each fit."""
 
     model: AbstractHysteresis | str
     options: FitOptions
@@ -307,20 +300,12 @@ def _judge(work: Work, loop: _Loop) -> None:
 
 
 def record_of(work: Work, source: Source, row: Row) -> Record:
-    """The record of a row, in the units of the batch.
-
-    Raises:
-        HystfitError: it cannot be read.
-    """
+    """The record of a row, in the units of the batch."""
     return dict(source.loops(work.reading))[row.name].in_units(**work.units)
 
 
 def fit_alone(work: Work, source: Source, row: Row) -> FitResult:
-    """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before.
-
-    Raises:
-        HystfitError: the loop cannot be read or fitted.
-    """
+    """The fit of one loop with the result in full, as `hystfit.fit` makes it; of the model chosen before."""
     record = record_of(work, source, row)
     model = row.model if work.searches and row.model else work.model
     return fit(model, record, **work.options.of_fit())

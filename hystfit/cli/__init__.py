@@ -21,9 +21,8 @@ from pathlib import Path
 import platformdirs
 from cyclopts import App, CycloptsError, Parameter, UnknownOptionError, UnusedCliTokensError
 
-from hystfit.cli.help_text import WrappedHelp, examples
 from hystfit.cli.interrupts import INTERRUPTED, interruptible
-from hystfit.cli.verbs import VERBS, as_options, place, verb_options
+from hystfit.cli.verbs import VERBS, WrappedHelp, as_options, examples, place, verb_options
 from hystfit.config import PROGRAM_FOLDER, keep_freed_memory, set_compiler_flags
 from hystfit.errors import HystfitError
 from hystfit.version import __version__

@@ -310,11 +310,7 @@ def input_limits(text: str | None) -> tuple[float, float] | None:
 
 
 def named_values(pairs: list[str], needed_by: str = "") -> dict[str, float | None]:
-    """Parameters and their values from NAME=VALUE; a NAME alone has the value None.
-
-    Args:
-        needed_by: option that needs a value with each name; "" where a name alone has a meaning.
-    """
+    """Parameters and their values from NAME=VALUE; a NAME alone has the value None, unless the option `needed_by` needs one."""
     values: dict[str, float | None] = {}
     for pair in pairs:
         name, mark, value = (part.strip() for part in pair.partition("="))

@@ -22,16 +22,7 @@ if TYPE_CHECKING:
 def open_fit(
     folder: Path, output: Output, trust: bool, own: str = "", covariates: Sequence[str] | None = None
 ) -> FitResult:
-    """The saved fit of a folder, or that behind the draws of a folder, after a check that the result can be written.
-
-    Args:
-        trust: see `hystfit.load_fit`.
-        own: see `Output.check`.
-        covariates: NAME=VALUE, for `FitResult.at`.
-
-    Raises:
-        HystfitError: no fit, or see `Output.check`.
-    """
+    """The saved fit of a folder, or that behind its draws, once the result can be written (`Output.check`); `covariates` are NAME=VALUE."""
     from hystfit.results.saved import load_fit
 
     result = load_fit(fit_folder(folder), trust=trust)

@@ -138,11 +138,7 @@ def named(name: str, unit: str) -> str:
 
 
 def write_input(path: Path, like: Record, u: Sequence[float], step: float | None) -> None:
-    """An input that is proposed, in the columns of a record: at a time step, or without time.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """An input that is proposed, in the columns of a record: at a time step, or without time."""
     time = {} if step is None else {named("t", like.t_unit): [k * step for k in range(len(u))]}
     write_csv(path, time | {named(like.u_name, like.u_unit): u}, ".9g")
 

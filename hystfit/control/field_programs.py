@@ -180,12 +180,8 @@ _ROUNDED = 1e-6  # added to the square of the argument of the Langevin function,
 def winding(law: Law) -> str:
     """Subcircuit for ngspice and LTspice.
 
-    The voltage gives dB/dt, and two capacitors hold He/a and Mirr/Ms, whose rates follow from dB/dt without a search (Sadowski and
-    others 2002); the field gives the current. Only functions that both programs have are used, and no powers, which they write
-    differently.
-
-    Args:
-        law: the material.
+    The voltage gives dB/dt, and two capacitors hold He/a and Mirr/Ms, whose rates follow from dB/dt without a search (Sadowski and others
+    2002); the field gives the current. Only functions that both programs have are used, and no powers, which they write differently.
     """
     number = lambda value: f"{value:.9g}"
     curves = [("", law.p, 1.0)] if law.p == 1.0 else [("1", law.p, 1.0), ("2", 1.0 - law.p, law.r)]

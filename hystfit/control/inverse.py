@@ -118,10 +118,7 @@ def invert(
 class Task(NamedTuple):
     """An inversion made ready, on arrays only: tasks of one model with other parameters stack, for `jax.vmap`.
 
-    Attributes:
-        inverse: sample by sample; None where a resonance is led instead.
-        start: where the model is before the first sample; None where a resonance is led instead.
-        wanted, steps: reference and times between its samples, shape (T,).
+    `inverse` and `start` are None where a resonance is led instead of an inverse sample by sample.
     """
 
     inverse: InverseStep | None
@@ -140,14 +137,7 @@ def prepare(
     rest: float | None = None,
     limits: Limits | None = None,
 ) -> Task:
-    """The inversion that `invert` runs.
-
-    Args:
-        model, reference, dt, resume, rest, limits: see `invert`.
-
-    Raises:
-        ModelError, DataError, ParameterError, PrecisionError: see `invert`.
-    """
+    """The inversion that `invert` runs; arguments and errors are those of `invert`."""
     if rest is not None and resume is not None:
         raise ParameterError("resume= continues from a state, rest= starts in equilibrium: give one of them")
     if rest is not None and not np.isfinite(rest):

@@ -24,37 +24,24 @@ class Loop(eqx.Module):
 
     In sample k the controller uses r - y of sample k - 1, so that every loop has one sample of dead time, and the input is linear from
     u_(k-1) to u_k; the `delay` of the sensor is added to that.
-
-    Attributes:
-        plant: any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs.
-        controller: of the feedback; None for none.
-        inverse: computes the feed-forward sample by sample; None where it is given as an array.
-        low, high: limits of every input.
-        resolution: of the sensor, 0 for none, shape () or (k,).
-        dt: time between samples [s].
-        delay: of the sensor, in samples.
-        applied: the memory of the inverse follows the applied input, feedback included; else the one that it computed.
-        finer: integration steps of the plant per sample.
     """
 
+    # any model: hysteresis, creep or relaxation and resonance in a `Series`; or a stage of several inputs and outputs
     plant: Any
-    controller: AbstractController | None
+    controller: AbstractController | None  # of the feedback; None for none
+    # computes the feed-forward sample by sample; None where it is given as an array
     inverse: AbstractRunningInverse | None
-    low: Scalar
+    low: Scalar  # low, high: limits of every input
     high: Scalar
-    resolution: Float[Array, "..."]
-    dt: Scalar
-    delay: int = eqx.field(static=True, default=0)
+    resolution: Float[Array, "..."]  # of the sensor, 0 for none, shape () or (k,)
+    dt: Scalar  # time between samples [s]
+    delay: int = eqx.field(static=True, default=0)  # of the sensor, in samples
+    # the memory of the inverse follows the applied input, feedback included; else the one that it computed
     applied: bool = eqx.field(static=True, default=False)
-    finer: int = eqx.field(static=True, default=1)
+    finer: int = eqx.field(static=True, default=1)  # integration steps of the plant per sample
 
     def move(self, state: Array, u0: Array, u1: Array) -> tuple[Array, Array]:
-        """State and output of the plant after the input went from u0 to u1 in `finer` equal steps.
-
-        Args:
-            state: of the plant before the sample.
-            u0, u1: input at the previous and at this sample.
-        """
+        """State and output of the plant after the input went from u0 to u1 in `finer` equal steps."""
         if self.finer == 1:
             return self.plant.step(state, u0, u1, self.dt)
         part, dt = (u1 - u0) / self.finer, self.dt / self.finer

@@ -26,36 +26,24 @@ class Law:
     """B' = mu0 (mu H' + M),  H = H' + eddy dB'/dt + excess dB'/dt / ((dB'/dt)^2 + e^2)^(1/4) + gap B',  B = B' + air H.
 
     H' and M are those of `JilesAtherton`: the field inside the material, and what it magnetizes.
-
-    Attributes:
-        Ms, a, k: [A/m].
-        alpha, c: of the mean field, and reversible part.
-        q: fall of the pinning with the magnetization.
-        p, r: weight of the first of two anhysteretic curves, and ratio of their shapes; p = 1 for one curve.
-        tanh: whether that is the curve, instead of the Langevin function.
-        eddy: [A s/(m T)].
-        excess: [A s^0.5/(m T^0.5)].
-        e: [T/s].
-        mu: relative permeability beside the magnetization, 1 in the published law.
-        air: flux density over the field, of a path beside the material [T m/A].
-        gap: field over the flux density, of a gap in the material [A/(m T)].
     """
 
-    Ms: float
+    Ms: float  # Ms, a, k: [A/m]
     a: float
     k: float
-    alpha: float
+    alpha: float  # alpha, c: of the mean field, and reversible part
     c: float
-    q: float = 0.0
+    q: float = 0.0  # fall of the pinning with the magnetization
+    # p, r: weight of the first of two anhysteretic curves, and ratio of their shapes; p = 1 for one curve
     p: float = 1.0
     r: float = 1.0
-    tanh: bool = False
-    eddy: float = 0.0
-    excess: float = 0.0
-    e: float = 1e-6
-    mu: float = 1.0
-    air: float = 0.0
-    gap: float = 0.0
+    tanh: bool = False  # whether that is the curve, instead of the Langevin function
+    eddy: float = 0.0  # [A s/(m T)]
+    excess: float = 0.0  # [A s^0.5/(m T^0.5)]
+    e: float = 1e-6  # [T/s]
+    mu: float = 1.0  # relative permeability beside the magnetization, 1 in the published law
+    air: float = 0.0  # flux density over the field, of a path beside the material [T m/A]
+    gap: float = 0.0  # field over the flux density, of a gap in the material [A/(m T)]
 
     @property
     def variants(self) -> str:
@@ -70,14 +58,7 @@ class Law:
 
 @dataclasses.dataclass(frozen=True)
 class Parts:
-    """A Jiles-Atherton model taken apart.
-
-    Attributes:
-        static: the static law, with the field as input.
-        dynamic: `eddy`, `excess` and `e` of the dynamic fields, in the units of the model; without those that it does not have.
-        line: slope of a straight line beside the law, output over input of the model.
-        by_flux: whether the input of the model is the flux density.
-    """
+    """A Jiles-Atherton model taken apart: its static law by the field, those dynamic fields that it has, and a straight line beside."""
 
     static: JilesAtherton
     dynamic: dict[str, float]
@@ -91,13 +72,7 @@ class Parts:
         return dataclasses.replace(self.static, slope=self.static.slope + line)
 
     def law(self, per_field: float, per_output: float, *, vacuum: bool = False) -> Law:
-        """The parameters in SI units.
-
-        Args:
-            per_field: size of the unit of the field [A/m].
-            per_output: size of the unit of the flux density, polarization or magnetization [T].
-            vacuum: whether the field itself adds to the flux density, beside what the model gives.
-        """
+        """The parameters in SI units, from the units of the model; in `vacuum` the field itself adds to the flux density."""
         static, one = self.static, lambda values, other: float(values[0]) if values.size else other
         saturation = per_output / MU0 * float(static.Ms)
         units = {"eddy": per_field / per_output, "excess": per_field / per_output**0.5, "e": per_output}
@@ -147,19 +122,14 @@ _SEEN = 1e-3  # of the range, from which a line beside the law is a term of its 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Material:
-    """A fitted material in SI units.
+    """A fitted material in SI units."""
 
-    Attributes:
-        h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T],
-            shape (2, POINTS).
-        law: Jiles-Atherton; None for other models.
-        lacking: terms that the published static law lacks, such as pinning that falls.
-    """
-
+    # h, b: branches of the steady loop over the fitted range, rising then falling, fields [A/m] rising and flux densities [T], shape (2,
+    # POINTS)
     h: np.ndarray
     b: np.ndarray
-    law: Law | None
-    lacking: str = ""
+    law: Law | None  # Jiles-Atherton; None for other models
+    lacking: str = ""  # terms that the published static law lacks, such as pinning that falls
 
     @classmethod
     def of(cls, result: FitResult) -> Material:
@@ -211,13 +181,7 @@ def _with_gap(h: np.ndarray, flux: np.ndarray, gap: float) -> tuple[np.ndarray, 
 
 
 class _Sizes(NamedTuple):
-    """Units of a fit.
-
-    Attributes:
-        field: size of the unit of the field [A/m].
-        output: size of the unit of the flux density, polarization or magnetization [T].
-        vacuum: whether that is a magnetization, to which the field adds for the flux density.
-    """
+    """Units of a fit: of the field [A/m], and of the flux density, polarization or magnetization [T]; a magnetization adds the field."""
 
     field: float
     output: float
@@ -225,11 +189,7 @@ class _Sizes(NamedTuple):
 
     @classmethod
     def of(cls, result: FitResult, *, by_flux: bool) -> _Sizes:
-        """Those of a fit.
-
-        Args:
-            by_flux: the input is not the field, but what it magnetizes.
-        """
+        """Those of a fit; `by_flux` where the input is not the field, but what it magnetizes."""
         first = result.data[0]
         names = (first.y_unit, first.u_unit) if by_flux else (first.u_unit, first.y_unit)
         field, output = (size_in(name, "A/m", "T") for name in names)

@@ -29,17 +29,12 @@ def bucket(length: int) -> int:
 
 
 class Batch(eqx.Module):
-    """Arrays of one or more records; no labels, which would be keys of the compilation cache.
+    """Arrays of one or more records; no labels, which would be keys of the compilation cache."""
 
-    Attributes:
-        u, y, dt: shape (R, T); u is padded with its last value, dt and y with 0, missing y are 0.
-        weight: shape (R, T), 0 where a sample does not count (outside the window, missing, padding).
-    """
-
-    u: Float[Array, "R T"]
+    u: Float[Array, "R T"]  # u, y, dt: shape (R, T); u is padded with its last value, dt and y with 0, missing y are 0
     y: Float[Array, "R T"]
     dt: Float[Array, "R T"]
-    weight: Float[Array, "R T"]
+    weight: Float[Array, "R T"]  # shape (R, T), 0 where a sample does not count (outside the window, missing, padding)
 
     @classmethod
     def of(cls, data: Record | Dataset) -> Batch:

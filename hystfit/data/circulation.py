@@ -16,11 +16,8 @@ _FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lin
 def circulation(u: np.ndarray, y: np.ndarray) -> float:
     """Area inside the path of a record over that of the box around it: positive where it runs counter-clockwise, as an output that lags.
 
-    Where the output falls as the input rises, the path is mirrored first. Several cycles count several times; what a record does before
-    or after it returns to its input does not count where it has a loop.
-
-    Args:
-        u, y: input and output, shape (T,), NaN where missing.
+    Where the output falls as the input rises, the path is mirrored first. Several cycles count several times; what a record does before or
+    after it returns to its input does not count where it has a loop, nor do samples that are NaN.
     """
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
@@ -63,10 +60,6 @@ def of_rate(u: np.ndarray, y: np.ndarray) -> float:
 
     It is near 1 for the current that charges a device and for the voltage that a flux induces, -1 where the sensor has the other sign, and
     near 0 where the output follows the input itself. Outputs count by their size, as noise about zero has any sign.
-
-    Args:
-        u: input, shape (T,).
-        y: output, shape (T,).
     """
     both = np.isfinite(u) & np.isfinite(y)
     if both.sum() < FEWEST:

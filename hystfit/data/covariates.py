@@ -16,9 +16,7 @@ _NUMBER = r"([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)"
 def covariate(record: Record, name: str) -> float:
     """Value of a covariate of a record: from its metadata, else from its name or that of its file ("loop_T25", "25degC").
 
-    Args:
-        record: of one value; columns that are constant are metadata once a file is read.
-        name: of the covariate, such as "T_degC"; a unit behind the last underscore is recognized in names.
+    Columns that are constant are metadata once a file is read. A unit behind the last underscore, as in "T_degC", is recognized in names.
     """
     plain = lambda text: re.sub(r"\W+", "_", text).strip("_").lower()
     stated = [value for key, value in record.metadata.items() if plain(key) == plain(name)]

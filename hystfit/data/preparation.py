@@ -26,23 +26,14 @@ def real_numbers(values: Any) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class CoarseClock:
-    """Time stamps that are written less often than samples are taken.
-
-    Attributes:
-        step: between different stamps [unit of time].
-        samples: that share one stamp (median, the first and last stamp aside).
-    """
+    """Time stamps that are written less often than samples are taken: their step, and the samples that share one (median)."""
 
     step: float
     samples: float
 
     @classmethod
     def of(cls, t: np.ndarray) -> CoarseClock | None:
-        """The coarse clock that these stamps come from; None where at least two of three steps are positive, or steps vary.
-
-        Args:
-            t: non-decreasing time stamps, shape (T,).
-        """
+        """The coarse clock of non-decreasing stamps, shape (T,); None where at least two of three steps are positive, or steps vary."""
         steps = np.diff(t)
         moves = np.flatnonzero(steps > 0)
         if moves.size < 2 or (steps == 0).sum() < steps.size / 3:
@@ -55,12 +46,7 @@ class CoarseClock:
 
 @dataclasses.dataclass(frozen=True)
 class RoundedStamps:
-    """Time stamps of evenly spaced samples, which were written with few digits.
-
-    Attributes:
-        resolution: of the stamps, a power of ten [unit of time].
-        start, interval: of the samples [unit of time].
-    """
+    """Time stamps of evenly spaced samples, which were written with few digits; their resolution is a power of ten."""
 
     resolution: float
     start: float
@@ -68,13 +54,10 @@ class RoundedStamps:
 
     @classmethod
     def of(cls, t: np.ndarray) -> RoundedStamps | None:
-        """The even samples whose stamps these are; None where rounding does not explain their steps, or hardly changes them.
+        """The even samples whose non-decreasing stamps these are; None where rounding does not explain their steps, or hardly changes them.
 
         Steps of rounded stamps differ by their resolution, and no stamp is more than half of it from its sample: a clock that really
         jitters has steps of more than two lengths.
-
-        Args:
-            t: non-decreasing time stamps, shape (T,).
         """
         if t.size < _STAMPS:
             return None
@@ -109,13 +92,9 @@ def interval_of(rate: float | None, dt: float | None) -> float | None:
 
 
 def smooth(values: np.ndarray, length: int) -> np.ndarray:
-    """Zero-phase smoothing: a parabola fitted to each `length` samples (Savitzky-Golay), evaluated in their middle, shape (T,).
+    """Zero-phase smoothing of even, finite samples: a parabola fitted to each `length` (odd, at least 5), evaluated in their middle.
 
     The first and last half length lie on the parabola of the first and last `length` samples.
-
-    Args:
-        values: evenly sampled, shape (T,), finite.
-        length: number of samples, odd and at least 5.
     """
     if length < 5 or length % 2 == 0:
         raise DataError(f"the smoothing length must be an odd number of at least 5 samples, got {length}")
@@ -128,12 +107,7 @@ def smooth(values: np.ndarray, length: int) -> np.ndarray:
 
 
 def integral(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Integral over time by the trapezoidal rule, 0 at the first sample, shape (T,).
-
-    Args:
-        values: shape (T,), finite.
-        t: time of each sample, shape (T,).
-    """
+    """Integral of finite values over the time t by the trapezoidal rule, 0 at the first sample, shape (T,)."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(t))])
 
 
@@ -159,12 +133,7 @@ def column(name: str, values: object) -> np.ndarray:
 
 
 def check_columns(record: str, u: np.ndarray, y: np.ndarray, t: np.ndarray | None, weight: np.ndarray) -> None:
-    """Refuse what no model can be driven through or compared with.
-
-    Args:
-        record: its name.
-        u, y, t, weight: see `Record`, one-dimensional.
-    """
+    """Refuse columns of one dimension, see `Record`, that no model can be driven through or compared with; `record` is its name."""
     columns = {"u": u, "y": y, "weight": weight} | ({} if t is None else {"t": t})
     if len({values.size for values in columns.values()}) != 1:
         listed = ", ".join(f"{name} {values.size}" for name, values in columns.items())

@@ -10,14 +10,7 @@ SLOPE, OFFSET = "Slope correction", "Offset correction"
 
 @dataclasses.dataclass(frozen=True)
 class Stated:
-    """One result as the file states it.
-
-    Attributes:
-        label: its name in the file ("Coercivity", "Vc+").
-        value: its number.
-        unit: as written in the file; "" if unknown.
-        quantity: the quantity of `hystfit.results.measured.quantities` that it corresponds to; "" where it is none of them.
-    """
+    """One result as the file states it, with the label and unit there; `quantity` names one of `QUANTITIES`, "" where it is none."""
 
     label: str
     value: float

@@ -10,12 +10,7 @@ _LEAST = 0.05  # part of the values that each level has at least
 
 
 def has_two_levels(values: np.ndarray, elsewhere: float = 0.0) -> bool:
-    """Whether values are near one of two levels.
-
-    Args:
-        values: shape (T,); those that are not finite are omitted.
-        elsewhere: part of the values that may be between the levels, as those of a switch that takes time.
-    """
+    """Whether finite values are near one of two levels, but for the part `elsewhere`, as those of a switch that takes time."""
     known = values[np.isfinite(values)]
     if known.size < _FEWEST or not np.ptp(known) > 0:
         return False

@@ -15,24 +15,103 @@ from hystfit.config import require_x64
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import HystfitError, ParameterError
-from hystfit.explorer.view import View
 from hystfit.fitting.comparison.candidates import candidates
 from hystfit.fitting.fit import fit
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, make_model
-from hystfit.params.param import leaves_of
-from hystfit.results.metrics import Metrics
+from hystfit.models.shared.starting import scales_of
+from hystfit.params.param import leaves_of, short_names
+from hystfit.params.space import ParameterSpace
+from hystfit.results.accuracy import Metrics
 from hystfit.results.result import FitResult
+
+_MANY = 32  # weights that still have sliders
+_REACH = 10.0  # factor to either side of a logarithmic slider
+
+
+@dataclasses.dataclass(frozen=True)
+class Slider:
+    """A parameter that the user moves from `low` to `high`; other values within its bounds `lower` and `upper` can be typed.
+
+    On a `logarithmic` one equal distances are equal factors; a fit changes those that are `fitted` unless the user says otherwise.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    value: float
+    low: float
+    high: float
+    lower: float | None
+    upper: float | None
+    logarithmic: bool
+    fitted: bool
+    weight: bool
+
+
+class View:
+    """A model as the user chose it, on a record as it is fitted; free parameters without a slider, `hidden`, keep their values."""
+
+    def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
+        """Choose sliders and their ranges."""
+        self.choice, self.record = choice, record
+        names = short_names([leaf.path for leaf in leaves_of(model)])
+        self._space = ParameterSpace.of(model, free=names, scales=scales_of(Dataset.of(record)))
+        self._x = self._space.vector(model)
+        free = set(ParameterSpace.of(model).names)
+        weights = self._space.weights if self._space.weights.sum() <= _MANY else None
+        rows = range(len(self._space)) if weights is not None else np.flatnonzero(~self._space.weights).tolist()
+        scalar = {name for name in self._space.names if "[" not in name}
+        shown = [k for k in rows if self._space.names[k] in free | scalar]
+        self._place = {self._space.names[k]: k for k in shown}
+        self.sliders = tuple(self._slider(k, free) for k in shown)
+        self.hidden = len(free - set(self._place))
+
+    def _slider(self, k: int, free: set[str]) -> Slider:
+        info, value, name = self._space.infos[k], float(self._x[k]), self._space.names[k]
+        scale = float(np.asarray(self._space.coordinates.scale)[k])
+        lower, upper = info.bounds
+        logarithmic = bool(np.isfinite(lower) and np.isinf(upper) and value > lower == 0.0 and not info.linear)
+        if logarithmic:
+            low, high = value / _REACH, value * _REACH
+        elif np.isfinite([lower, upper]).all():
+            low, high = lower, upper
+        else:
+            reach = max(scale, abs(value))
+            low, high = max(lower, value - reach), min(upper, value + reach)
+        return Slider(
+            name, self._space.units[k], info.doc, value, low, high,
+            lower if np.isfinite(lower) else None, upper if np.isfinite(upper) else None,
+            logarithmic, name in free, bool(self._space.weights[k]),
+        )  # fmt: skip
+
+    def model(self, values: Mapping[str, Any]) -> AbstractHysteresis:
+        """The model at values of some sliders by name, the others as in the view; a ParameterError where it cannot have them."""
+        x = self._x.copy()
+        for name, value in self.checked(values).items():
+            x[self._place[name]] = value
+        return self._space.assembled(x)
+
+    def checked(self, values: Mapping[str, Any]) -> dict[str, float]:
+        """Values as numbers within their bounds."""
+        for name, value in values.items():
+            if name not in self._place:
+                raise ParameterError(f"{self.choice} has no slider {name!r}")
+            lower, upper = self._space.infos[self._place[name]].bounds
+            number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+            if not (number and lower <= value <= upper):
+                raise ParameterError(f"{name} is a number in [{lower:g}, {upper:g}], got {value!r}")
+        return {name: float(value) for name, value in values.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the page."""
+        sliders = [dataclasses.asdict(slider) for slider in self.sliders]
+        return {"model": self.choice, "sliders": sliders, "hidden": self.hidden}
 
 
 @dataclasses.dataclass(frozen=True)
 class Source:
-    """How the record is read again, in the words of a shell and of Python; empty where that is unknown.
-
-    Attributes:
-        shell: LOOP and the options for reading it.
-        python: a line that makes `record`.
-    """
+    """How the record is read again, at a shell (LOOP and options) and in Python (a line that makes `record`); empty where unknown."""
 
     shell: str = ""
     python: str = ""
@@ -40,27 +119,14 @@ class Source:
 
 @dataclasses.dataclass(frozen=True)
 class Points:
-    """Curves for a canvas, in single precision from an origin in double.
-
-    Attributes:
-        facts: lengths, start of the time axis and errors, for JSON.
-        numbers: the curves one after another.
-    """
+    """Curves for a canvas, one after another, in single precision from an origin in double; `facts` are for JSON."""
 
     facts: dict[str, Any]
     numbers: Float[np.ndarray, " n"]
 
 
 class Session:
-    """A record, the models that the user has chosen for it, and the fit that runs.
-
-    Attributes:
-        record: the measured loop.
-        choices: models that the page offers.
-        result: the last fit; None before it.
-        model: as it was drawn last.
-        values: of the sliders, as they were drawn last.
-    """
+    """A record, the models that the user has chosen for it, and the fit that runs; `values` are those of the sliders, as last drawn."""
 
     def __init__(
         self,
@@ -71,11 +137,7 @@ class Session:
         source: Source | None = None,
         translate: Callable[[str], str] = str,
     ):
-        """Choose models for a record, and read starting values off it.
-
-        Args:
-            model: the first model; "auto" takes the one with the fewest parameters that suits the loop.
-        """
+        """Choose models for a record, and read starting values off it; "auto" takes that with the fewest parameters that suits the loop."""
         require_x64()
         self._translate = translate
         self.record, self._source, self.result = record, source or Source(), None
@@ -131,11 +193,7 @@ class Session:
     def predict(self, request: Mapping[str, Any]) -> Points:
         """The model's curve between two samples: x, u, y, the same at two other settings, and the residuals.
 
-        Args:
-            request: `view`, `values` by name, `band` (two sets of values that replace some, or nothing), and the part.
-
-        Raises:
-            HystfitError: values that the model cannot have.
+        A request has `view`, `values` by name, `band` (two sets of values that replace some, or nothing), and the part.
         """
         part, starts = self._part(request)
         view, values = self._view(request), request["values"]
@@ -153,11 +211,7 @@ class Session:
         return dataclasses.replace(points, facts=points.facts | {"error": error})
 
     def start_fit(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """Begin a fit from the values of the sliders in the background; `fit_state` follows it.
-
-        Args:
-            request: `view`, `values`, and `fitted`: names of the parameters that the fit may change.
-        """
+        """Begin a fit in the background from `view`, `values` of the sliders and `fitted`, what it may change; `fit_state` follows it."""
         view = self._view(request)
         start, fitted = view.checked(request["values"]), set(request["fitted"])
         options = {
@@ -260,12 +314,9 @@ def chunks(samples: int, columns: int) -> Int[np.ndarray, " chunks"]:
 
 
 def visible(starts: Int[np.ndarray, " chunks"], *signals: Float[np.ndarray, " T"]) -> Int[np.ndarray, " kept"]:
-    """Numbers of the samples to draw: first, last, lowest and highest of every signal in each piece.
+    """Numbers of the samples to draw: first, last, lowest and highest of every signal in each piece; NaN is not drawn.
 
     A polyline through them covers the same pixels as one through all samples, whichever signal it is drawn over.
-
-    Args:
-        *signals: equally long; NaN is not drawn.
     """
     count = signals[0].size
     if starts.size == count:

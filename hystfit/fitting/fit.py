@@ -118,13 +118,7 @@ def fit(
 
 
 def best_model(data: Dataset, options: FitOptions = DEFAULT_OPTIONS, purpose: Purpose = "prediction") -> FitResult:
-    """The fit of the model that wins the comparison, with notes on the choice.
-
-    Args:
-        options: starting points and seed of every fit, and the noise of the winner; others have no effect, see
-            `FitOptions.check_search`.
-        purpose: see `compare`.
-    """
+    """The fit of the model that wins the comparison, with notes on the choice; of the options, starts, seed and noise have an effect."""
     comparison = compare(data, purpose=purpose, seed=options.seed, starts=options.starts)
     failed = [row for row in comparison.rows if row.status is Status.FAILED]
     left_out = [warn(Code.LEFT_OUT, f"{row.name}: {row.note}") for row in failed]

@@ -38,8 +38,8 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import Baselines
+from hystfit.results.accuracy import Metrics
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
-from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
 
@@ -51,12 +51,7 @@ def fit_model(
     options: FitOptions,
     **settings: Any,
 ) -> FitResult:
-    """Fit one model to records; result and errors as for `hystfit.fit`.
-
-    Args:
-        model: a model, its class or its name.
-        **settings: of a sequential identifier.
-    """
+    """Fit one model, its class or its name to records; result and errors as for `hystfit.fit`. The settings are those of an identifier."""
     require_seed(options.seed)
     if is_sequential(options.method):
         watch = Stopwatch()

@@ -51,14 +51,7 @@ class FitOptions:
         return [name for name in names if (getattr(self, name) or None) != (getattr(type(self), name) or None)]
 
     def check_search(self, others: Iterable[str] = ()) -> None:
-        """Refuse options that belong to one model, where the model itself is searched for ("auto").
-
-        Args:
-            others: names of further settings that were given, none of which has a meaning for every model.
-
-        Raises:
-            HystfitError: such an option, or one that `check` refuses.
-        """
+        """Refuse options, and others that were given, that belong to one model where the model itself is searched for ("auto")."""
         self.check()
         if refused := [*(name for name in self.changed() if name not in OF_SEARCH), *others]:
             accepted = ", ".join(f"{name}=" for name in OF_SEARCH)

@@ -30,15 +30,10 @@ _MANY = 4  # non-negative weights from which the convex solve is the default
 
 @dataclasses.dataclass(frozen=True)
 class FitSetup:
-    """A fit that is ready to be solved.
+    """A fit that is ready to be solved by `method`, an estimator or its name, from `points`, the best first.
 
-    Attributes:
-        problem: what is fitted.
-        method: an estimator or its name.
-        points: models to start from, the best first.
-        notes: notes on the choices made.
-        candidates: problems with different initial states, of which `problem` has the smallest cross-validation error; empty without
-            a choice.
+    `candidates` are problems with different initial states, of which `problem` has the smallest cross-validation error; empty without a
+    choice.
     """
 
     problem: Problem
@@ -57,13 +52,11 @@ def set_up_fit(
     notes: tuple[Note, ...] = (),
     started: tuple[AbstractHysteresis, ...] = (),
 ) -> FitSetup:
-    """Set up a fit: the problem, its estimator and starting points.
+    """Set up a fit: the problem, its estimator and starting points; `notes` are those on earlier choices.
 
-    Args:
-        options: options of the fit. Isolated outliers of the output are fitted only with a noise model or a robust loss.
-        held: whether parameters in `fix` without a value keep that of the model, instead of one estimated from the data.
-        notes: notes on earlier choices.
-        started: models with starting values from the data, the best first, where they are known.
+    Isolated outliers of the output are fitted only with a noise model or a robust loss. With `held`, parameters in `fix` without a value
+    keep that of the model, instead of one estimated from the data. Models with starting values, the best first, are `started` where they
+    are known.
     """
     check_fittable(model, data)
     data = without_faults(data, keep_outliers=not options.plain_noise or options.loss != "linear")
@@ -88,12 +81,9 @@ def set_up_fit(
 
 
 def without_faults(data: Dataset, *, keep_outliers: bool = False) -> Dataset:
-    """Records in which the samples of a saturated sensor, and isolated outliers of the output, have no weight.
+    """Records in which samples of a saturated sensor have no weight, nor isolated outliers of the output unless they are kept.
 
     If the weights differ, as for stated standard deviations, they describe the noise, and no sample counts as an outlier.
-
-    Args:
-        keep_outliers: whether outliers keep their weights.
     """
 
     def cleaned(record: Record) -> Record:
@@ -142,9 +132,6 @@ def solve(
     """Run an estimator from `points`, the best first, or from the problem's model and a Latin hypercube about it.
 
     `seed` is that of the hypercube. The fit may stop early if its rms error on held-out samples exceeds `worth` [y].
-
-    Raises:
-        ParameterError: nothing is free.
     """
     estimator = ESTIMATORS.make(method).up_to(worth)
     return estimator.estimate(problem, starting_vectors(problem, starts if estimator.needs_starts else 1, seed, points))

@@ -33,21 +33,13 @@ _INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or t
 
 @dataclasses.dataclass(frozen=True)
 class Refined:
-    """A fit refined with a noise model.
+    """A fit refined with a noise model."""
 
-    Attributes:
-        x: the model's free parameters, physical, shape (p,).
-        problem: with the noise model and its fitted values.
-        values: those values, shape (q,).
-        root: square root R of the information matrix R'R of x, shape (p, p).
-        converged: both optimizations met their tolerances.
-    """
-
-    x: np.ndarray
-    problem: Problem
-    values: np.ndarray
-    root: np.ndarray
-    converged: bool
+    x: np.ndarray  # the model's free parameters, physical, shape (p,)
+    problem: Problem  # with the noise model and its fitted values
+    values: np.ndarray  # those values, shape (q,)
+    root: np.ndarray  # square root R of the information matrix R'R of x, shape (p, p)
+    converged: bool  # both optimizations met their tolerances
 
     @property
     def noise(self) -> AbstractNoise:
@@ -68,11 +60,8 @@ class Refined:
 def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) -> Refined:
     """Refine a fit with a noise model.
 
-    Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a
-    second round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
-
-    Raises:
-        ParameterError: an unknown noise model.
+    Parameters on a bound are moved inside and freed, because the noise may have pushed them there; those that return are fixed in a second
+    round. Linear weights stay on their bound: a solver put them there, and there may be hundreds.
     """
     on_bound = problem.on_bound(x)
     weights = on_bound & problem.space.linear
@@ -90,11 +79,7 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
 
 
 def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise], moving: np.ndarray) -> Refined:
-    """`refine` where only the parameters `moving`, shape (p,), bool, may change.
-
-    Raises:
-        ParameterError: an unknown noise model.
-    """
+    """`refine` where only the parameters `moving`, shape (p,), bool, may change."""
     r, J = problem.linearize(x)
     rows = [row[on] for row, on in zip(r, problem.used, strict=True)]
     time = max(autocorrelation_time(row) for row in rows)

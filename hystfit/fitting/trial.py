@@ -14,8 +14,7 @@ from hystfit.errors import HystfitError
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import POOR, accuracy_note, exceeded_limits, is_noise
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import POOR, Metrics, accuracy_note, exceeded_limits, is_noise
 from hystfit.results.result import FitResult
 
 _OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it
@@ -24,14 +23,7 @@ _WORSE = 3.0  # times the error of the fit, up to which that of cross-validation
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A fit on records that were not fitted.
-
-    Attributes:
-        metrics: error of the prediction.
-        baselines: error of simple descriptions fitted to the same records as the model.
-        status: `OK`, `ROUGH` or `POOR`.
-        notes: reasons, numbers, assumptions, and a warning where the records leave the fitted range.
-    """
+    """A fit on records that were not fitted: errors beside those of simple descriptions, `OK`, `ROUGH` or `POOR`, and reasons."""
 
     metrics: Metrics
     baselines: Baselines
@@ -40,13 +32,7 @@ class Trial:
 
 
 def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: bool = False) -> Trial:
-    """Judge a fit on records that were not fitted.
-
-    With `refit_offset`, each prediction is shifted to the mean of its record.
-
-    Raises:
-        HystfitError: the model cannot predict the records.
-    """
+    """Judge a fit on records that were not fitted; with `refit_offset`, each prediction is shifted to the mean of its record."""
     try:
         records = [result.in_fitted_units(result.problem.prepared(record)) for record in records]
         runs = [result.predict(record, refit_offset=refit_offset) for record in records]
@@ -75,13 +61,7 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
 
 
 def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, refit_offset: bool = False) -> FitResult:
-    """The result judged on records that were not fitted: their error, and a status that includes it.
-
-    With `refit_offset`, each prediction is shifted to the mean of its record.
-
-    Raises:
-        HystfitError: the model cannot predict the records.
-    """
+    """The result judged on records that were not fitted: their error, and a status that includes it; offsets as in `evaluate_on`."""
     trial = evaluate_on(result, list(Dataset.of(test)), refit_offset=refit_offset)
     notes = [Note(Code.OFFSET_REFITTED, "the offset of each test record was refitted")] if refit_offset else []
     status = worse(result.status, trial.status)

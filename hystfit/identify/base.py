@@ -22,8 +22,7 @@ from hystfit.models.shared.starting import scales_of
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
-from hystfit.results.accuracy import POOR
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import POOR, Metrics
 
 
 class Sample(NamedTuple):
@@ -231,9 +230,6 @@ def free_only(model: AbstractHysteresis, names: Sequence[str], data: Dataset) ->
     """The space of a model in which just some parameters are free, also those that the model fixes by default.
 
     A name is that of a leaf ("w"), an element ("w[2]") or a longer path; a record's label ("offset@run1") is ignored.
-
-    Raises:
-        ParameterError: an unknown or ambiguous name.
     """
     names = list(dict.fromkeys(name.partition("@")[0] for name in names))
     every = ParameterSpace.of(model, free=names)

@@ -44,14 +44,7 @@ _LEAST_RATE = 1e-6  # scaled alpha (per half range of the input) below which f =
 
 
 class Rows(NamedTuple):
-    """Regressors and responses of K steps.
-
-    Attributes:
-        phi: shape (K, p), in the units of the regressor's basis.
-        target: shape (K,), likewise.
-        travel: |dv| of each row in units of `step`, shape (K,).
-        at: number of the sample at which each row ends, shape (K,).
-    """
+    """Regressors and responses of K steps, in units of the regressor; `travel` is |dv| of each row, `at` the sample where it ends."""
 
     phi: np.ndarray
     target: np.ndarray
@@ -333,14 +326,7 @@ class LinearIdentifier(AbstractIdentifier):
 def regression_of(
     model: AbstractHysteresis, data: Dataset, basis: str, start: str
 ) -> tuple[DuhemRegressor, Rows, Array]:
-    """The regressor scaled to records, their rows, and starting values of shape (p,).
-
-    Args:
-        start: "zero", the values of the "model", or "data" by `Duhem.start`.
-
-    Raises:
-        ModelError, DataError: see `DuhemRegressor.of`; too few samples.
-    """
+    """The regressor scaled to records, their rows, and starting values of shape (p,): "zero", of the "model", or of the "data"."""
     if start not in STARTS:
         raise ParameterError(f"start must be one of {', '.join(STARTS)}, got {start!r}")
     regressor = DuhemRegressor.of(model, list(data), basis=basis)

@@ -63,12 +63,7 @@ class FluxSequence:
 
 
 class Reach(NamedTuple):
-    """What sequences cover. Beyond it losses may be of either sign: at 150 degC that of a core measured from 25 to 70 degC was.
-
-    Attributes:
-        peak: largest flux density [T].
-        coldest, warmest: lowest and highest temperature [degC].
-    """
+    """What sequences cover [T, degC]. Beyond it losses may have either sign: at 150 degC that of a core measured from 25 to 70 degC had."""
 
     peak: float
     coldest: float
@@ -273,12 +268,7 @@ def _solved(columns: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _jackknife(each: np.ndarray, ridge: float) -> np.ndarray:
-    """Covariance of coefficients by leaving out sequences in turn (Efron 1982).
-
-    Args:
-        each: normal equations of every sequence, the right side last, shape (sequences, m, m + 1).
-        ridge: penalty of the coefficients.
-    """
+    """Covariance of coefficients by leaving out sequences in turn (Efron 1982), from [A, b] of each, shape (sequences, m, m + 1)."""
     count, penalty = len(each), ridge * np.eye(each.shape[1])
     if count < 2:
         return np.full(penalty.shape, np.nan)

@@ -33,18 +33,12 @@ def unsettled(names: Sequence[str], change: np.ndarray) -> Note | None:
 
 
 def excess(rmse: float, noise: float, span: float) -> float:
-    """Simulation error beyond the noise, as a fraction of the output's range.
-
-    `rmse` is that of the simulation, `noise` the standard deviation of the measurement, `span` the output's range [y].
-    """
+    """Simulation error beyond the noise, as a fraction of the output's range; all rms, in the same unit."""
     return math.sqrt(max(0.0, rmse**2 - noise**2)) / span
 
 
 def undetermined(shape: Sequence[str], data: Dataset, *, follows: bool) -> Note | None:
-    """A note where the input has too few amplitudes to separate the parameters of the hysteresis.
-
-    `shape` names these parameters; `follows` says whether the simulation follows the records.
-    """
+    """A note where the input has too few amplitudes to separate the parameters `shape`; `follows` if the simulation does the records."""
     count = loop_count(data)
     if len(shape) < 2 or count > 2:
         return None

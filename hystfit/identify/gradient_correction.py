@@ -32,13 +32,7 @@ _EXCESS = 0.02  # fraction of the response's RMS by which the equation error may
 
 
 class GradientState(NamedTuple):
-    """State of the recursion.
-
-    Attributes:
-        theta: shape (p,), in the units of the basis.
-        last: (u, y) of the previous sample; NaN before the first.
-        count: rows used so far (the index of time-varying weights).
-    """
+    """State of the recursion: theta in units of the basis, (u, y) of the sample before (NaN at first), and how many rows were used."""
 
     theta: Float[Array, " p"]
     last: Float[Array, "2"]
@@ -110,7 +104,6 @@ class GradientCorrection(LinearIdentifier):
         return cls(regressor, theta0, jnp.asarray(lambdas, dtype=theta0.dtype), mu, floor, step)  # type: ignore[arg-type]
 
     def init(self) -> GradientState:
-        """The start."""
         return GradientState(self.theta0, jnp.full(2, jnp.nan, self.theta0.dtype), jnp.zeros((), int))
 
     def correct(self, state: GradientState, phi: Array, error: Array) -> GradientState:

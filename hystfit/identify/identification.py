@@ -23,9 +23,8 @@ from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import warn
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import accuracy_note, exceeded_limits
+from hystfit.results.accuracy import Metrics, accuracy_note, exceeded_limits
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates
-from hystfit.results.metrics import Metrics
 from hystfit.results.provenance import Stopwatch, provenance
 from hystfit.results.result import FitResult
 

@@ -46,10 +46,7 @@ class BlockVerdict(NamedTuple):
 
 
 def judge_block(ukf: Ukf, before: UkfState, after: UkfState, block: Sample, record: Record) -> BlockVerdict:
-    """The verdict on a block that the filter has just used.
-
-    The output's range is that of the record from which the samples come.
-    """
+    """The verdict on a block that the filter has just used, of a record whose range counts."""
     s, measured = ukf.states, np.asarray(block.y)
     old, new = (np.asarray(state.mean[s:]) for state in (before, after))
     x = ukf.physical(np.stack([old, new]))

@@ -56,13 +56,7 @@ def decimate(record: Record, increment: float) -> Record:
 
 @dataclasses.dataclass(frozen=True)
 class Refinement:
-    """The result of a remedy.
-
-    Attributes:
-        model: the identified model.
-        converged: whether the iteration converged.
-        notes: why the iteration stopped where it did not converge.
-    """
+    """The result of a remedy, with notes on why the iteration stopped where it did not converge."""
 
     model: Duhem
     converged: bool

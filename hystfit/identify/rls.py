@@ -25,13 +25,7 @@ _WINDUP = 1e3  # growth of the mean variance over the prior at which forgetting 
 
 
 class RlsState(NamedTuple):
-    """State of the recursion.
-
-    Attributes:
-        theta: shape (p,), in the units of the basis.
-        root: S with P = S S^T, shape (p, p).
-        last: (u, y) of the previous sample; NaN before the first.
-    """
+    """State of the recursion: theta in units of the basis, root S with P = S S^T, and (u, y) of the sample before (NaN at first)."""
 
     theta: Float[Array, " p"]
     root: Float[Array, "p p"]

@@ -96,10 +96,7 @@ class Unscented:
         return (self.weights(self.central_weight, right) * right) @ left
 
     def root(self, deviations: Float[Array, "m n"], noise: Float[Array, "k n"]) -> Float[Array, "n n"]:
-        """Lower-triangular L with L L^T = weighted deviations^T deviations + noise^T noise.
-
-        With a negative central weight the sum itself is factorized, which gives NaN where it is not positive definite.
-        """
+        """Lower-triangular L with L L^T = weighted deviations^T deviations + noise^T noise; NaN where that is not positive definite."""
         weights = self.weights(self.central_weight, deviations)[:, None]
         if self.safe:
             return triangular(jnp.concatenate([jnp.sqrt(weights) * deviations, noise]))

@@ -73,12 +73,7 @@ def initial_error(space: ParameterSpace, data: Dataset) -> float:
 def parameter_root(
     space: ParameterSpace, prior: float | Mapping[str, float] | np.ndarray | None, *, near: bool = False
 ) -> np.ndarray:
-    """Root of the prior covariance of z, shape (p, p).
-
-    Args:
-        prior: one standard deviation, standard deviations by name, a covariance of shape (p, p), or None for the default.
-        near: whether the start is close, which makes the default smaller.
-    """
+    """Root of the prior covariance of z, shape (p, p), from standard deviations, a covariance, or None; smaller for a start `near`."""
     # With wider priors of many parameters the outer sigma points are too far away for a useful mean.
     unbounded, bounded = (0.02, 0.2) if near else (0.1, 0.5)
     deviations = np.where(space.kinds == REAL, unbounded, bounded)
@@ -120,10 +115,7 @@ def _root_of(covariance: np.ndarray, size: int) -> np.ndarray:
 
 
 def fixed_at_rest(space: ParameterSpace, hold: str) -> np.ndarray:
-    """Which free parameters are fixed while the input rests, shape (p,).
-
-    `hold` is "auto" (those of rate-independent models in the tree), "all" or "none".
-    """
+    """Which free parameters are fixed while the input rests, (p,): those of rate-independent models ("auto"), "all" or "none"."""
     if hold != "auto":
         return np.full(len(space), hold == "all")
     paths = jax.tree_util.tree_flatten_with_path(space.template)[0]

@@ -28,19 +28,14 @@ _STATE_PRIOR, _STATE_WALK = 0.1, 2e-5  # parts of a state's range over the recor
 
 
 class UkfState(NamedTuple):
-    """State of the filter between two samples.
+    """State of the filter between two samples."""
 
-    Attributes:
-        mean: states of the model, then parameters z: shape (n,).
-        root: lower triangular; root root^T is the covariance before the next step (process noise included).
-        u: last input.
-        tally: number of the record (-1 before the first); numbers of samples used, missing and rejected; sum of the normalized
-            innovations squared (NIS), and their moving average.
-    """
-
-    mean: Float[Array, " n"]
+    mean: Float[Array, " n"]  # states of the model, then parameters z: shape (n,)
+    # lower triangular; root root^T is the covariance before the next step (process noise included)
     root: Float[Array, "n n"]
-    u: Scalar
+    u: Scalar  # last input
+    # number of the record (-1 before the first); numbers of samples used, missing and rejected; sum of the normalized innovations squared
+    # (NIS), and their moving average
     tally: Float[Array, "6"]
 
 

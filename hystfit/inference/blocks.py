@@ -33,10 +33,7 @@ def chosen(rows: np.ndarray, on: np.ndarray) -> np.ndarray:
 def qr(
     rows: Float[np.ndarray, "n p"], *, overwrite: bool = False
 ) -> tuple[Float[np.ndarray, "n m"], Float[np.ndarray, "m p"]]:
-    """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p).
-
-    With `overwrite`, Q may take the place of the rows.
-    """
+    """`np.linalg.qr` by blocks of rows (Demmel et al. 2012), m = min(n, p); with `overwrite`, Q may take the place of the rows."""
     n, p = rows.shape
     blocks = _tall(n, p)
     if len(blocks) == 1:

@@ -30,13 +30,7 @@ _STEPS, _TRIAL = 30, 8  # of a descent, and of those from several starts of whic
 
 @dataclasses.dataclass(frozen=True)
 class Point:
-    """End point of a descent.
-
-    Attributes:
-        v: coordinates, shape (p,).
-        value: half the squared whitened residual.
-        gradient, matrix: of the value with respect to v, shapes (p,) and (p, p).
-    """
+    """End point of a descent: coordinates v, half the squared whitened residual there, its gradient and its matrix."""
 
     v: np.ndarray
     value: float
@@ -46,13 +40,7 @@ class Point:
 
 @dataclasses.dataclass(frozen=True)
 class BoundedNewton:
-    """Whitened least squares of a problem within the bounds of its parameters.
-
-    Attributes:
-        problem: model and data.
-        whitened: the noise.
-        origin: physical parameters about which a problem that is linear in all of them is expanded, shape (p,).
-    """
+    """Whitened least squares of a problem within the bounds of its parameters; a linear one is expanded about physical `origin`."""
 
     problem: Problem
     whitened: Whitened
@@ -129,14 +117,7 @@ class BoundedNewton:
         return Point(v, value, gradient * slope, matrix * np.outer(slope, slope))
 
     def descend(self, v: np.ndarray, moving: np.ndarray, steps: int = _STEPS, tolerance: float = 1e-5) -> Point:
-        """The least-squares estimate from one start.
-
-        Args:
-            v: start, shape (p,).
-            moving: which parameters may change, shape (p,), bool.
-            steps: at most.
-            tolerance: predicted decrease of the value at which it stops.
-        """
+        """The least-squares estimate from v, (p,), in at most so many steps; `tolerance` is the predicted decrease at which it stops."""
         low, high = self.limits
         point, damping = self.at(np.clip(v, low, high)), _DAMPING[0]
         for _ in range(steps):
@@ -156,14 +137,7 @@ class BoundedNewton:
         return point
 
     def best(self, starts: Sequence[np.ndarray], moving: np.ndarray, held: int = -1, steps: int = _TRIAL) -> Point:
-        """The lowest of the descents from several starts, and from inside the bounds on which they lie.
-
-        Args:
-            starts: coordinates, each of shape (p,).
-            moving: which parameters may change, shape (p,), bool.
-            held: position of a parameter that stays where it is.
-            steps: of each, before the best is continued.
-        """
+        """The lowest of the descents from several starts, and from inside the bounds on which they lie; the parameter `held` stays."""
         inner = [v for start in starts if (v := self.inside(start, held)) is not None]
         several = [*starts, *inner]
         if len(several) == 1:

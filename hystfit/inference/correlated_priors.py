@@ -82,13 +82,7 @@ class CorrelatedPriors(Mapping[str, AbstractPrior]):
 
 
 class Dependence(eqx.Module):
-    """What correlation adds to the log density of independent priors.
-
-    Attributes:
-        at: positions of the parameters.
-        excess: inverse of the correlation matrix of their normal scores, less the unit matrix, shape (k, k).
-        half_log_det: half the log determinant of the correlation matrix.
-    """
+    """What correlation of parameters `at` positions adds to the log density of independent priors; `excess`: inverse correlation less I."""
 
     at: tuple[int, ...] = eqx.field(static=True)
     excess: Float[Array, "k k"]

@@ -22,15 +22,7 @@ from hystfit.params.coordinates import Coordinates
 
 
 class Density(eqx.Module):
-    """Log likelihood, prior and posterior at z, the unconstrained parameters of the model, then of the noise, shape (d,).
-
-    Attributes:
-        objective: data and model.
-        noise: coordinates of the noise model.
-        setting: the data in the form that the noise needs.
-        priors: of the parameters, over physical values.
-        dependence: of the priors on each other; None where they are independent.
-    """
+    """Log likelihood, prior and posterior at z, the unconstrained parameters of the model, then of the noise, shape (d,)."""
 
     objective: Objective
     noise: Coordinates
@@ -101,10 +93,7 @@ class Density(eqx.Module):
         return plain, whole.at[right, left].set(products)
 
     def log_density(self, z: Float[Array, " d"], lean: bool = False) -> Scalar:
-        """Log posterior over z, up to a constant; minus infinity where it is not finite.
-
-        With `lean`, the likelihood is that of `log_likelihood_lean`.
-        """
+        """Log posterior over z, up to a constant, minus infinity where it is not finite; `lean` by `log_likelihood_lean`."""
         total = self.log_prior(z) + (self.log_likelihood_lean(z) if lean else self.log_likelihood(z))
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 

@@ -12,13 +12,7 @@ from hystfit.params.space import ParameterSpace
 
 
 def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
-    """Refuse data to which no fit is possible.
-
-    Raises:
-        DataError: no samples count, a constant input or output.
-        ModelError: the model depends on time and a record has none.
-        ParameterError: the model holds several devices.
-    """
+    """Refuse data to which no fit is possible: nothing counts or moves, a record lacks its time, or the model holds several devices."""
     check_one_device(model)
     for record in data:
         if not record.used.any():
@@ -35,15 +29,7 @@ def check_fittable(model: AbstractHysteresis, data: Dataset) -> None:
 
 
 def check_smooth(space: ParameterSpace, method: str) -> None:
-    """Refuse methods that need derivatives by all free parameters, where the output is piecewise constant in one.
-
-    Args:
-        space: of the fit.
-        method: in words, at the start of a sentence.
-
-    Raises:
-        ModelError: there is such a parameter.
-    """
+    """Refuse a method (in words, for the message) that needs derivatives, where the output is piecewise constant in a free parameter."""
     if names := space.stepwise_names:
         listed = ", ".join(names)
         raise ModelError(

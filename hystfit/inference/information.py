@@ -41,20 +41,14 @@ class AbstractInformation(eqx.Module):
 
 
 class LeastSquaresInformation(AbstractInformation):
-    """A least-squares estimate under independent and slow noise, perhaps with curves over the input that recur in every loop.
+    """A least-squares estimate under independent and slow noise, perhaps with curves over the input that recur in every loop."""
 
-    Attributes:
-        plain: variance of the residuals [y^2], by which the prior is weighed against the data.
-        white: variance of the independent part at weight one [y^2].
-        slow, time: variances [y^2] and correlation times [samples] of exponential covariances that add up, shapes (m,).
-        loop, length: variance of the curves and their length scale in the input; variance 0 without them.
-    """
-
-    plain: Scalar
-    white: Scalar
+    plain: Scalar  # variance of the residuals [y^2], by which the prior is weighed against the data
+    white: Scalar  # variance of the independent part at weight one [y^2]
+    # slow, time: variances [y^2] and correlation times [samples] of exponential covariances that add up, shapes (m,)
     slow: Float[Array, " m"]
     time: Float[Array, " m"]
-    loop: Scalar
+    loop: Scalar  # loop, length: variance of the curves and their length scale in the input; variance 0 without them
     length: Scalar
     curved: bool = eqx.field(static=True)
 
@@ -118,11 +112,7 @@ class LeastSquaresInformation(AbstractInformation):
 
 
 class LikelihoodInformation(AbstractInformation):
-    """The maximum of a Gaussian likelihood, whose shapes (the same in every record) are integrated out.
-
-    Attributes:
-        noise: with values.
-    """
+    """The maximum of a Gaussian likelihood under a noise model, whose shapes (the same in every record) are integrated out."""
 
     noise: AbstractNoise
 

@@ -14,23 +14,16 @@ from hystfit.inference.blocks import beside, chosen, gram_root, parts, triangle
 
 @dataclasses.dataclass(frozen=True)
 class Linearization:
-    """A misfit at one point of parameter space and its derivatives with respect to p parameters.
+    """A misfit at one point of parameter space and its derivatives with respect to p parameters."""
 
-    Attributes:
-        misfit: of all samples of a batch, shape (n,).
-        used: which of them count, shape (n,), bool.
-        size: p.
-        blocks: begins a pass over the derivatives of the samples that count: arrays of p columns whose rows follow one another.
-        joint: R of [derivatives, misfit] = Q R, where it is known already; None elsewhere.
-        gram: normal matrix of [derivatives, misfit], the same way.
-    """
-
-    misfit: Float[np.ndarray, " n"]
-    used: Bool[np.ndarray, " n"]
-    size: int
+    misfit: Float[np.ndarray, " n"]  # of all samples of a batch, shape (n,)
+    used: Bool[np.ndarray, " n"]  # which of them count, shape (n,), bool
+    size: int  # p
+    # begins a pass over the derivatives of the samples that count: arrays of p columns whose rows follow one another
     blocks: Callable[[], Iterator[np.ndarray]]
+    # R of [derivatives, misfit] = Q R, where it is known already; None elsewhere
     joint: Float[np.ndarray, "p1 p1"] | None = None
-    gram: Float[np.ndarray, "p1 p1"] | None = None
+    gram: Float[np.ndarray, "p1 p1"] | None = None  # normal matrix of [derivatives, misfit], the same way
 
     @classmethod
     def of(

@@ -20,14 +20,7 @@ FEW = 12  # parameters up to which one scan sums the normal matrix: it carries a
 
 
 class Normal(NamedTuple):
-    """Normal equations in unconstrained coordinates.
-
-    Attributes:
-        z: the point, shape (p,).
-        cost: half the sum of squared misfits there; infinite where something is not finite.
-        gradient: J'r, shape (p,).
-        matrix: J'J, shape (p, p).
-    """
+    """Normal equations at unconstrained z: half the sum of squared misfits, infinite where one is not finite, J'r and J'J."""
 
     z: Float[Array, " p"]
     cost: Scalar
@@ -113,14 +106,9 @@ def _depends(function: Callable[[Array], Any], value: Array) -> bool:
 def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1, block: int | None = None) -> Normal:
     """By one scan whose carry holds the state, its derivatives, the cost, J'r and J'J; nothing is kept of a sample.
 
-    Under `jax.vmap` over thousands of lanes it is the faster form, and its memory does not grow with the number of samples. Each number
-    of the carry is a leaf of its own, so that lanes lie side by side.
-
-    Args:
-        objective: of one record, see `suits_one_scan`.
-        z: unconstrained.
-        unroll: samples in one turn of the loop.
-        block: samples of all lanes that are laid side by side at a time, so that they stay in the cache; None for all.
+    The objective is of one record, see `suits_one_scan`. Under `jax.vmap` over thousands of lanes this is the faster form, and its memory
+    does not grow with the number of samples. Each number of the carry is a leaf of its own, so that lanes lie side by side. One turn of the
+    loop takes `unroll` samples; a block of samples of all lanes is laid side by side at a time, so that it stays in the cache.
     """
     coordinates, p = objective.coordinates, z.shape[0]
     u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))

@@ -24,14 +24,9 @@ BROKEN = 1e3  # value of residuals that are not finite, in half ranges of the ou
 
 
 class Objective(eqx.Module):
-    """Arrays and structure of a `Problem`, without labels.
+    """Arrays and structure of a `Problem`, without labels; misfits are divided by `size`, half the range of the output.
 
-    Attributes:
-        coordinates: maps from z to the model.
-        batch: the data.
-        size: half range of the output, by which the misfit is divided.
-        bend: misfit above which a robust loss reduces the influence of a residual.
-        loss: loss function of the residuals; "linear" is plain least squares.
+    `bend` is the misfit above which a robust loss reduces the influence of a residual; "linear" is plain least squares.
     """
 
     coordinates: Coordinates
@@ -160,11 +155,8 @@ def linearized(
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T k"]]:
     """`Objective.linearize` on the host, by one compiled program for all uses; derivatives too large to be squared are set to 0.
 
-    On long records, derivatives are computed in groups that fit into a block, by one program.
-
-    Args:
-        x: physical parameters, shape (p,).
-        at: numbers of the parameters to differentiate by, in rising order, shape (k,); default: all.
+    `at` are numbers of the parameters to differentiate by, in rising order; None for all. On long records, derivatives are computed in
+    groups that fit into a block, by one program.
     """
     x = np.asarray(x, float)
     if objective.apart:
@@ -231,12 +223,7 @@ def misfit_of(objective: Objective, residual: np.ndarray, jacobian: np.ndarray |
 def misfit_slope(
     objective: Objective, residual: Float[np.ndarray, "R T"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """`Objective.misfit` on the host, and its derivative with respect to each residual.
-
-    Args:
-        objective: gives weights, size and loss.
-        residual: output units.
-    """
+    """`Objective.misfit` on the host of residuals in output units, and its derivative with respect to each."""
     root = np.sqrt(np.asarray(objective.batch.weight)) / float(objective.size)
     misfit, slope = (root * residual).reshape(-1), root.reshape(-1)
     if objective.loss == "linear":

@@ -37,20 +37,14 @@ Derivatives = Callable[[], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class ResidualAnalysis:
-    """Analysis of the residuals of a fit and of the noise in them.
+    """Analysis of the residuals of a fit and of the noise in them."""
 
-    Attributes:
-        on: the samples that count, shape (R, T), bool.
-        residual: output units times the square root of the weight, shape (n,).
-        made: makes the samples in the form of noise models, which white residuals do not need.
-        derivatives: makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either.
-        fitted, shapes: `slow`, and the curves tested for, of an analysis beside others that share the samples.
-    """
-
-    on: np.ndarray
-    residual: Float[np.ndarray, " n"]
-    made: Callable[[], Samples]
+    on: np.ndarray  # the samples that count, shape (R, T), bool
+    residual: Float[np.ndarray, " n"]  # output units times the square root of the weight, shape (n,)
+    made: Callable[[], Samples]  # makes the samples in the form of noise models, which white residuals do not need
+    # makes the weighted derivatives with respect to the parameters, shape (n, p), which these do not need either
     derivatives: Derivatives | None = None
+    # fitted, shapes: `slow`, and the curves tested for, of an analysis beside others that share the samples
     fitted: SlowNoiseFit | None = None
     shapes: Float[np.ndarray, "n k"] | None = None
 
@@ -58,10 +52,7 @@ class ResidualAnalysis:
     def of(
         cls, setting: Setting, residual: Float[np.ndarray, " m"], derivatives: Derivatives | None = None
     ) -> ResidualAnalysis:
-        """From residuals and derivatives of all samples of a batch, record after record.
-
-        `residual` is weighted [y], shape (R T,).
-        """
+        """From weighted residuals [y] and derivatives of all samples of a batch, record after record."""
         on = np.asarray(setting.weight) > 0
         return cls(on, residual[on.reshape(-1)], lambda: Samples.of(setting), derivatives)
 
@@ -172,12 +163,7 @@ def analyze(problem: Problem, x: np.ndarray) -> ResidualAnalysis:
 
 @dataclasses.dataclass(frozen=True)
 class Repeating:
-    """A smooth curve over (input, direction) in residuals.
-
-    Attributes:
-        share: its fraction of the residual variance.
-        chance: p-value under slow noise alone.
-    """
+    """A smooth curve over (input, direction) in residuals: its share of their variance, and its p-value under slow noise alone."""
 
     share: float
     chance: float
@@ -190,12 +176,7 @@ class Repeating:
 
 @dataclasses.dataclass(frozen=True)
 class Diagnosis:
-    """Which noise the residuals show.
-
-    Attributes:
-        recommended: name of a noise model.
-        findings: deviations from white Gaussian noise, each a note; none for white residuals.
-    """
+    """Which noise model the residuals recommend, and their deviations from white Gaussian noise as notes; none for white ones."""
 
     recommended: str
     findings: tuple[Note, ...]
@@ -206,11 +187,7 @@ class Diagnosis:
 
 
 def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
-    """Look for autocorrelation, heavy tails and repeating error in residuals.
-
-    Args:
-        noise: name of the noise model in use, which is not recommended again.
-    """
+    """Look for autocorrelation, heavy tails and repeating error; the noise model in use, by name, is not recommended again."""
     correlated, repeating, kurtosis = analysis.correlated, analysis.repeating, excess_kurtosis(analysis.rows)
     findings: list[Note] = []
     recommended = "ou" if correlated else "iid"

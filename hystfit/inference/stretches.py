@@ -23,14 +23,7 @@ _FEWEST = 2**10  # samples of one
 
 
 class Stretch(NamedTuple):
-    """Successive samples of one record.
-
-    Attributes:
-        record: its number.
-        at: the samples.
-        residual: shape (m,).
-        jacobian: derivatives with respect to all parameters, shape (m, p).
-    """
+    """Successive samples of one record, with residuals and derivatives with respect to all parameters."""
 
     record: int
     at: slice
@@ -49,11 +42,8 @@ def in_stretches(objective: Objective) -> bool:
 def stretches(objective: Objective, x: Float[np.ndarray, " p"], *, misfit: bool = False) -> Iterator[Stretch]:
     """Residuals and their derivatives with respect to physical x, without the samples behind the last one that counts.
 
-    All derivatives share one simulation, and all stretches of records of any length one program.
-
-    Args:
-        x: physical parameters.
-        misfit: residuals and derivatives as they count in the misfit, not in output units.
+    All derivatives share one simulation, and all stretches of records of any length one program. With `misfit`, both are as they count in
+    the misfit, not in output units.
     """
     own, used = objective.coordinates.own, np.asarray(objective.batch.weight) > 0
     length = _length(own.shape[1])
@@ -133,14 +123,8 @@ def _advance(
 ) -> tuple[Array, Array, Array, Array]:
     """Residuals, their derivatives along k directions, and the state behind the samples of a part with its own derivatives.
 
-    Args:
-        part: one record, some samples.
-        x: physical parameters.
-        record: number of the record in the whole objective.
-        directions: shape (k, p).
-        first: whether the record begins here.
-        state: before the samples; `along` are its derivatives, shape (k, states).
-        before: the input before them.
+    The part has some samples of the record of that number, which begins here if it is `first`; `directions` has shape (k, p). Before it are
+    the state, its derivatives `along` the directions, shape (k, states), and the input `before`.
     """
     batch = part.batch
     u, dt = batch.u[0], batch.dt[0]

@@ -24,19 +24,13 @@ _STEP = 1e-6  # of a central difference, relative to a parameter's size
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """The free parameters of a problem, split into the weights of its design matrices and the others.
+    """The free parameters of a problem, split into the weights of its design matrices and the others."""
 
-    Attributes:
-        system: equations of all weights, the held ones included.
-        place: position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights.
-        record: number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,).
-        fixed: values of the weights that are not free, NaN for the free ones.
-    """
-
-    system: SmoothSystem
+    system: SmoothSystem  # equations of all weights, the held ones included
+    # position of each free parameter among the weights, shape (p,); -1 for parameters that are not weights
     place: np.ndarray
-    record: np.ndarray
-    fixed: np.ndarray
+    record: np.ndarray  # number of the record that a per-record parameter belongs to, -1 for shared ones, shape (p,)
+    fixed: np.ndarray  # values of the weights that are not free, NaN for the free ones
 
     @classmethod
     def of(
@@ -65,12 +59,7 @@ class Split:
         return cls(system, place, record, fixed)
 
     def beside(self, own: ParameterSpace, space: ParameterSpace, records: int) -> Split | None:
-        """The same equations for weights with other bounds, such as masses of either sign; None where the columns may differ.
-
-        Args:
-            own: parameters of these equations.
-            space: of the other model.
-        """
+        """The same equations for weights of a space with other bounds, as masses of either sign; None where the columns may differ."""
         mine, others = (jax.tree_util.tree_leaves(one.template) for one in (own, space))
         weights = {block.leaf for block in self.system.layout.blocks}
         pairs = enumerate(zip(mine, others, strict=False))
@@ -80,12 +69,7 @@ class Split:
         return self._split(space, self.system.bounded_by({leaf.index: leaf.info for leaf in space.leaves}), records)
 
     def gram(self, x: np.ndarray, unit: float) -> Float[np.ndarray, "p1 p1"]:
-        """Normal matrix of [derivatives of the misfit, misfit], where all free parameters are weights: no pass over the samples is needed.
-
-        Args:
-            x: free parameters, shape (p,).
-            unit: of the misfit, output units.
-        """
+        """Normal matrix of [derivatives of the misfit, misfit] at x, where all free parameters are weights: no pass over the samples."""
         system, weights = self.system, self.fixed.copy()
         weights[self.place] = x
         total = system.grams.sum(axis=0)
@@ -124,15 +108,7 @@ def _placed(space: ParameterSpace, layout: Layout, records: int) -> tuple[np.nda
 def weighted_columns(
     space: ParameterSpace, records: Sequence[Record], x: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Columns of some weights and what they have to explain, on the samples that count, both times the roots of the samples' weights.
-
-    Args:
-        x: values of all other parameters, shape (p,).
-        at: positions in x of the weights that are solved for, shape (k,).
-
-    Returns:
-        Shapes (n, k) and (n,): the measured output less the response with these weights zero.
-    """
+    """Columns of the weights `at` positions, (n, k), and the output less the response without them, (n,), times roots of the weights."""
     designs = _designs(space, records, x)
     layout = Layout.of(first := next(designs), len(records))
     place, _ = _placed(space, layout, len(records))
@@ -171,14 +147,10 @@ def _fixed(space: ParameterSpace, layout: Layout, x: np.ndarray | None = None) -
 def responses(
     space: ParameterSpace, records: Sequence[Record], predict: Callable[[np.ndarray], list[np.ndarray]], x: np.ndarray
 ) -> Iterator[tuple[int, slice, Float[np.ndarray, "T p"]]]:
-    """Derivatives with respect to every free parameter of a model with design matrices, block after block of samples.
+    """Number of the record, samples, and their derivatives by every free parameter of a model with design matrices, block after block.
 
-    Exact columns for the weights, central differences of look-ups for the few others: no scan needs to be compiled.
-
-    `predict` gives the output of every record at physical parameters.
-
-    Yields:
-        Number of the record, which of its samples, and their derivatives.
+    Exact columns for the weights, central differences of look-ups for the few others: no scan needs to be compiled. `predict` gives the
+    output of every record at physical parameters.
     """
     designs = _designs(space, records, x)
     layout = Layout.of(first := next(designs), len(records))
@@ -209,12 +181,7 @@ def _difference(
 def free_columns(
     space: ParameterSpace, design: DesignMatrix, number: int, records: int
 ) -> tuple[Float[np.ndarray, "S p"], Float[np.ndarray, " S"]]:
-    """Columns of all free parameters of a model that is linear in them, on distinct states, and the output where these are zero.
-
-    Args:
-        design: of an input.
-        number: of the record whose own parameters act.
-    """
+    """Columns of all free parameters of a linear model on distinct states, in a record, and the output where these are zero."""
     layout = Layout.of(design, records)
     place, owner = _placed(space, layout, records)
     fixed = _fixed(space, layout)

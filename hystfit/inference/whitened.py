@@ -14,13 +14,7 @@ from hystfit.models.shared.shapes import Scalar
 
 
 class Whitened(eqx.Module):
-    """Least squares in the coordinates in which a Gaussian noise model is white; shapes of the noise are integrated out.
-
-    Attributes:
-        objective: data and model.
-        noise: with values.
-        setting: the data in the form that the noise needs.
-    """
+    """Least squares in the coordinates in which a Gaussian noise model is white; shapes of the noise are integrated out."""
 
     objective: Objective
     noise: AbstractNoise

@@ -16,6 +16,7 @@ from hystfit.data.batch import bucket
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
+    AbstractSecant,
     Scheme,
     bound,
     exact_step,
@@ -26,7 +27,6 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
-from hystfit.models.shared.secant import AbstractSecant
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.slopes import Slopes
@@ -146,7 +146,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         return BoucWenStep(self)
 
     def c_part(self) -> CPart:
-        """Both schemes are in one template."""
         return CPart.of(self, "bouc_wen", h0=equilibrium(self, np.zeros(()))[0], exact=self.scheme == "exact")
 
 
@@ -215,12 +214,9 @@ def coarse(ratio: Any) -> tuple[str, ...]:
 
 
 def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float], np.ndarray]:
-    """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and Legendre coefficients 2, 3, ... of the backbone there.
+    """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and `degree` Legendre coefficients, from 2 on, of the backbone there.
 
     The output is linear in all but tau and rho.
-
-    Args:
-        degree: number of the backbone's coefficients.
     """
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))

@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen import coarse, grid_start, step_ratio
 from hystfit.models.bouc_wen_steps import (
+    AbstractSecant,
     Scheme,
     bound,
     initial_hysteresis,
@@ -26,7 +27,6 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.polynomial import legendre_series
-from hystfit.models.shared.secant import AbstractSecant
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.starting import input_range
@@ -86,7 +86,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         return initial_hysteresis(self.h0, -falling, rising)[None] + 0.0 * u0
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample."""
         h = self._moved(state[0], u1 - u0, self._bounds())
         return h[None], self.offset + self.c * u1 + self._backbone(u1) - h
 
@@ -141,6 +140,5 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         return center - 1.25 * half, center + 1.25 * half
 
     def c_part(self) -> CPart:
-        """Both schemes are in one template."""
         b, exact = np.append([0.0, 0.0], self.b), self.scheme == "exact"
         return CPart.of(self, "bouc_wen_asymmetric", h0=equilibrium(self, np.zeros(()))[0], b=b, exact=exact)

@@ -100,7 +100,6 @@ class BoucWenBaberNoori(AbstractHysteresis):
         return jnp.zeros(2, u0.dtype) + 0.0 * u0
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample, in substeps."""
         s = jnp.where(u1 < u0, -1.0, 1.0)
         x = jnp.abs(u1 - u0) / (self.zy * self.substeps)
         once = lambda _, now: self._moved(*now, x)
@@ -174,7 +173,6 @@ class BoucWenBaberNoori(AbstractHysteresis):
         return UniaxialMaterial("BWBN", (*first, *slip, tolerance, steps), lost, notes)
 
     def start(self, records: Sequence[Record]) -> BoucWenBaberNoori:
-        """The first of `starting_points`."""
         return self.starting_points(records)[0]
 
     def starting_points(self, records: Sequence[Record]) -> tuple[BoucWenBaberNoori, ...]:

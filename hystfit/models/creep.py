@@ -99,7 +99,6 @@ class LogCreep(AbstractHysteresis):
         return state, (1 - gamma * self.base) * u1 + jnp.sum(state)
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """The relaxations alone are in the scan."""
         gamma = self._rate(u)
         state, total = relaxed(state, self.tau, self.weights, 1.0, gamma * u, dt)
         return state, (1 - gamma * self.base) * u + total
@@ -187,7 +186,6 @@ class LinearCreep(AbstractHysteresis):
         return state, jnp.sum(self.a * state)
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """The relaxations alone are in the scan."""
         x = (u - self.low) / (self.high - self.low)
         return relaxed(state, self.tau, 1.0, self.a, x, dt)
 

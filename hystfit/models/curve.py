@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractHysteresis, check_same_length
+from hystfit.models.base import AbstractMemoryless, check_same_length
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.design import DesignMatrix
 from hystfit.models.shared.shapes import Scalar, State
@@ -25,7 +25,7 @@ _KNOTS = 20  # as many as the search for terms has plays
 _MEANS = 4  # of the samples, for each interval between knots, along which these are placed
 
 
-class Curve(AbstractHysteresis):
+class Curve(AbstractMemoryless):
     """A smooth curve without memory:  y = offset + rise x + sum of bend_j H_j(x),   x = (u - low) / (high - low).
 
     H_j'' is the hat function of knot j, and H_j is zero at both ends: the weights are the curvature at the knots, and a ridge on them
@@ -36,8 +36,6 @@ class Curve(AbstractHysteresis):
         ModelError: fewer than two knots, or not as many weights as knots.
     """
 
-    rate_independent: ClassVar[bool] = True
-    hysteretic: ClassVar[bool] = False
     one_scan: ClassVar[bool] = False
     counts: ClassVar[dict[str, str]] = {"knots": "knots"}
     estimator: ClassVar[str] = "convex"
@@ -64,19 +62,10 @@ class Curve(AbstractHysteresis):
 
     @classmethod
     def of(cls, knots: int = _KNOTS) -> Curve:
-        """A curve with this many knots.
-
-        Raises:
-            ModelError: fewer than two.
-        """
+        """A curve with this many knots, at least two."""
         return cls(bend=np.zeros(knots), knots=np.linspace(0.0, 1.0, knots))
 
-    def init(self, u0: Scalar) -> State:
-        """No state."""
-        return jnp.zeros((0,), dtype=jnp.result_type(float))
-
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The curve."""
         return state, self.sweep(state, u0, u1[None], dt)[1][0]
 
     def sweep(self, state: State, u0: Scalar, u: Any, dt: Any) -> tuple[State, Any]:

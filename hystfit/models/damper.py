@@ -203,7 +203,6 @@ class Damper(AbstractHysteresis):
         return float(gram[-1, -1] - 2 * b @ w + w @ A @ w)
 
     def c_part(self) -> CPart:
-        """The same step in C."""
         return CPart.of(self, "damper", strokes=_STROKES, lags=_LAGS, bends=_BENDS)
 
 

@@ -112,7 +112,6 @@ class Lag(AbstractHysteresis):
         return jnp.broadcast_to(u0 if self.rest == "first" else self.level + 0.0 * u0, (self.order,))
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample through the lags."""
         new = _lagged(tuple(state), u1, self._factors(dt))
         return jnp.stack(new), new[-1]
 
@@ -154,7 +153,6 @@ class Lag(AbstractHysteresis):
         return LinearStep(self)
 
     def c_part(self) -> CPart:
-        """A recursion for each lag."""
         return CPart.of(self, "lag", first=self.rest == "first")
 
 

@@ -20,23 +20,16 @@ def _word(value: int | bool | str) -> int | str:
 
 @dataclasses.dataclass(frozen=True)
 class Entry:
-    """A model that users choose by name.
+    """A model that users choose by name."""
 
-    Attributes:
-        maker: "module:Class" or "module:Class.constructor" within `hystfit.models`, imported when it is used.
-        place: "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output).
-        doc: what it is for, one line.
-        variant: whether a model of this class is this variant; the last entry that fits gives its name.
-        tried: the expressions with it that a comparison tries by default on every record that can drive them.
-        preset: settings of this name.
-    """
-
-    maker: str
-    place: str
-    doc: str
+    maker: str  # "module:Class" or "module:Class.constructor" within `hystfit.models`, imported when it is used
+    place: str  # "core" (a hysteresis), "before" or "after" (filters in series), "beside" (added to the output)
+    doc: str  # what it is for, one line
+    # whether a model of this class is this variant; the last entry that fits gives its name
     variant: Callable[[Any], bool] = lambda model: True
+    # the expressions with it that a comparison tries by default on every record that can drive them
     tried: tuple[str, ...] = ()
-    preset: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    preset: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # settings of this name
 
     @property
     def make(self) -> Callable[..., AbstractHysteresis]:

@@ -115,7 +115,6 @@ class JilesAtherton(AbstractHysteresis):
         return cls(curve=curve, q=[0.0] if pinning else (), p=second[0], r=second[1])
 
     def settings(self) -> dict[str, int | bool | str]:
-        """As of `of`."""
         return {"curve": self.curve, "pinning": self.q.size > 0, "double": self.p.size > 0}
 
     def anhysteretic(self, x: Scalar) -> Scalar:
@@ -224,7 +223,6 @@ class JilesAtherton(AbstractHysteresis):
         return JilesAthertonStep(self)
 
     def c_part(self) -> CPart:
-        """The same search in C."""
         return search_in_c(self, self, (1.0, -self.mean_field), (self.slope, 0.0, self.Ms))
 
 
@@ -252,10 +250,8 @@ def search_in_c(
 ) -> CPart:
     """C code that searches for the effective field at each input.
 
-    Args:
-        to_input: factors of the effective field and of M / Ms in the input; the first is positive.
-        to_output: factors of the input, the effective field and M / Ms in the output.
-        dynamic: `eddy`, `excess` and `e` of a `JilesAthertonDynamic`.
+    `to_input` are factors of the effective field and of M / Ms in the input, the first one positive; `to_output` those of the input, the
+    effective field and M / Ms in the output; `dynamic` has `eddy`, `excess` and `e` of a `JilesAthertonDynamic`.
     """
     second = law.p.size > 0
     values = {"tanh": law.curve == "tanh", "q": law.q[0] if law.q.size else 0.0, "double": second}

@@ -123,7 +123,6 @@ class JilesAthertonDynamic(JilesAtherton):
         return JilesAthertonDynamicStep(self)
 
     def c_part(self) -> CPart:
-        """The same search in C."""
         to_output = (0.0, self.slope, self.Ms - self.slope * self.mean_field)
         dynamic = {"eddy": self.eddy, "excess": self.excess, "e": self.e}
         return search_in_c(self, self, (1.0, -self.mean_field), to_output, dynamic)

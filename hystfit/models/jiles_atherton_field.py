@@ -63,7 +63,6 @@ class JilesAthertonField(AbstractHysteresis):
         return cls(curve=curve, q=[0.0] if pinning else ())
 
     def settings(self) -> dict[str, int | bool | str]:
-        """As of `of`."""
         return {"curve": self.curve, "pinning": self.q.size > 0}
 
     @property
@@ -109,7 +108,6 @@ class JilesAthertonField(AbstractHysteresis):
         return dataclasses.replace(self, **{name: getattr(found, name) for name in _SHARED})
 
     def c_part(self) -> CPart:
-        """The same search in C."""
         law = self.magnet
         rest = self.Ms - self.slope * law.mean_field
         return search_in_c(self, law, (self.slope, rest), (0.0, 1.0, -law.mean_field))

@@ -9,41 +9,31 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractMemoryless
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.step_inverse import AbstractStepInverse
 
 
-class Negate(AbstractHysteresis):
+class Negate(AbstractMemoryless):
     """The input with the opposite sign:  x = -u.  Before a hysteresis, for outputs that fall as the input rises."""
 
-    rate_independent: ClassVar[bool] = True
-    hysteretic: ClassVar[bool] = False
     c_template: ClassVar[str] = "negate"
     linear_in_input: ClassVar[bool] = True
 
-    def init(self, u0: Scalar) -> State:
-        """No state."""
-        return jnp.zeros((0,), dtype=jnp.result_type(float))
-
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The opposite of the input."""
         return state, -u1
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
-        """Without a scan."""
         return state, -u
 
     def start(self, records: Sequence[Record]) -> Negate:
-        """It has no parameters."""
         return self
 
     def inputs_between(self, low: float, high: float) -> tuple[float, float]:
         return -high, -low
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """The opposite of the target."""
         return NegateStep(self)
 
 

@@ -5,31 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-import jax.numpy as jnp
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis
+from hystfit.models.base import AbstractMemoryless
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.slopes import Slopes
 from hystfit.params.param import param
 
 
-class Offset(AbstractHysteresis):
+class Offset(AbstractMemoryless):
     """A separate constant for each record:  y = value."""
 
-    rate_independent: ClassVar[bool] = True
-    hysteretic: ClassVar[bool] = False
     c_template: ClassVar[str] = "offset"
 
     value: Scalar = param(0.0, unit="y", per_record=True, linear=True, doc="constant added to the output")
 
-    def init(self, u0: Scalar) -> State:
-        """No state."""
-        return jnp.zeros((0,), dtype=jnp.result_type(float))
-
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """The constant."""
         return state, self.value + 0.0 * u1
 
     def start(self, records: Sequence[Record]) -> Offset:

@@ -15,8 +15,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import any_power, zeroth_power
-from hystfit.models.oscillator_start import oscillator_starts
-from hystfit.models.shared.band_limited import REACH, upsample
+from hystfit.models.oscillator_start import REACH, oscillator_starts, upsample
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.reported import Derived
 from hystfit.models.shared.shapes import Scalar, Signal, State
@@ -212,7 +211,6 @@ class BoucWenOscillator(AbstractHysteresis):
         return record.replace(weight=weight).noted(Code.PREPARED, text)
 
     def start(self, records: Sequence[Record]) -> BoucWenOscillator:
-        """The first of `starting_points`."""
         return self.starting_points(records)[0]
 
     def starting_points(self, records: Sequence[Record]) -> tuple[BoucWenOscillator, ...]:

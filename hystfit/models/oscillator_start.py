@@ -1,8 +1,9 @@
-"""Starting values of the oscillator: a linear fit to the transfer function, then grids over the shape of the loop."""
+"""Of the oscillator: starting values, by a linear fit to the transfer function and grids over the loop; its force between samples."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Sequence
 from typing import Any
@@ -11,12 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy  # loads its subpackages when they are first used
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from hystfit.data.batch import Batch
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shared.shapes import Signal
 from hystfit.models.shared.simulation import run
 from hystfit.models.shared.starting import output_range
 from hystfit.params.host_arrays import compiled
@@ -106,3 +108,37 @@ def _spectra(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     kept[0] = False
     w = 2 * np.pi * np.fft.rfftfreq(len(record), (even[-1] - even[0]) / (len(record) - 1) or 1.0)
     return w[kept], U[kept], Y[kept]
+
+
+REACH = 24  # samples on each side of an interval that its values depend on
+_BETA = 8.0  # shape of the Kaiser window
+_BLOCK = 16  # intervals in one row of the product below; three blocks hold the 48 samples around an interval
+
+
+@functools.cache
+def _weights(parts: int) -> np.ndarray:
+    """Shape (parts - 1, 2 REACH): weights of the samples around an interval at 1 / parts, 2 / parts, ... of it; their sum is one."""
+    distance = np.arange(1, parts)[:, None] / parts - np.arange(1 - REACH, REACH + 1)
+    window = np.i0(_BETA * np.sqrt(1 - (distance / REACH) ** 2)) / np.i0(_BETA)
+    weights = np.sinc(distance) * window
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+@functools.cache
+def _block_weights(parts: int) -> np.ndarray:
+    """Shape (4 _BLOCK, _BLOCK (parts - 1)): the same for all intervals of a block at once."""
+    weights = _weights(parts)
+    matrix = np.zeros((4 * _BLOCK, _BLOCK, parts - 1))
+    for k in range(_BLOCK):
+        matrix[k : k + 2 * REACH, k] = weights.T
+    return matrix.reshape(4 * _BLOCK, -1)
+
+
+def upsample(x: Signal, parts: int) -> Float[Array, "T-1 {parts}+1"]:
+    """Values at 0, 1 / parts, ..., 1 of each interval between samples; beyond its ends the signal is constant."""
+    count = x.shape[0] - 1
+    rows = -(-count // _BLOCK) + 3  # a row of the product reads four blocks of samples
+    padded = jnp.pad(x, (REACH - 1, rows * _BLOCK - x.shape[0] - REACH + 1), mode="edge").reshape(rows, _BLOCK)
+    four = jnp.concatenate([padded[k : rows - 3 + k] for k in range(4)], axis=1)
+    inner = (four @ jnp.asarray(_block_weights(parts), x.dtype)).reshape(-1, parts - 1)[:count]
+    return jnp.concatenate([x[:-1, None], inner, x[1:, None]], axis=1)

@@ -84,7 +84,6 @@ class Viscous(_AbstractRate):
         return Slopes.of(float(self.c) / dt) if dt else None
 
     def c_part(self) -> CPart:
-        """A difference quotient."""
         return CPart.of(self, "rate", force=self.c, saturates=0)
 
 
@@ -109,7 +108,6 @@ class SaturatingRate(_AbstractRate):
         return Slopes.of(float(self.F / self.v0) / dt, 0.0) if dt else None
 
     def c_part(self) -> CPart:
-        """A difference quotient."""
         return CPart.of(self, "rate", force=self.F, saturates=1)
 
 
@@ -139,7 +137,6 @@ class Excess(_AbstractRate):
         return Slopes.of(float(self.g / self.e**0.5) / dt, 0.0) if dt else None
 
     def c_part(self) -> CPart:
-        """A difference quotient."""
         return CPart.of(self, "rate", force=self.g, v0=self.e, saturates=2)
 
 

@@ -64,5 +64,4 @@ class Relaxation(AbstractHysteresis):
         return dataclasses.replace(self, a=np.full(self.a.shape, 0.02), tau=tau)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
-        """The output is affine in the new input."""
         return LinearStep(self)

@@ -199,5 +199,4 @@ class SelfSimilarStops(AbstractHysteresis):
         return dataclasses.replace(self, w=w, c=c, fading=fading, peaks=peaks, floor=floor, offset=out.center)
 
     def c_part(self) -> CPart:
-        """The same step in C."""
         return CPart.of(self, "self_similar", weights=np.hstack([self.w, self.c]).ravel())

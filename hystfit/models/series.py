@@ -51,7 +51,6 @@ class Series(AbstractComposition):
         return jnp.concatenate([*states, jnp.stack(between[:-1])])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample through the chain."""
         states, between, signal = [], [], u1
         for part, s, old in self._chain(state, u0):
             s, signal = part.step(s, old, signal, dt)
@@ -100,7 +99,6 @@ class Series(AbstractComposition):
         return np.append(u[0], u), np.append(0.0, dt)
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """Part by part, where some part has a short cut."""
         if not self.has_fast_run:
             return super().free_run(u, dt)
         signal, steps = self._with_rest_sample(u, dt)
@@ -185,13 +183,7 @@ class Series(AbstractComposition):
 
 
 class SeriesStep(AbstractStepInverse):
-    """Inverses of the parts of a `Series`, from the last to the first.
-
-    Attributes:
-        model: the series.
-        inner: an inverse for each part.
-        edges: between which input limits each part but the first is searched, infinite for closed forms.
-    """
+    """Inverses of the parts of a `Series`, from the last to the first; each but the first searches between its limits (`edges`)."""
 
     model: Series
     inner: tuple[AbstractStepInverse, ...]

@@ -27,19 +27,12 @@ _SESSION = "session"  # home of a class that was typed into an interpreter
 
 
 def to_json(model: AbstractHysteresis) -> dict[str, Any]:
-    """A JSON-able description: class, and fields by name.
-
-    Raises:
-        ModelError: a field holds something that has no description.
-    """
+    """A JSON-able description: class, and fields by name; a ModelError where a field holds something that has none."""
     return _pack(model)
 
 
 def from_json(described: dict[str, Any], allowed: Collection[str] = ()) -> AbstractHysteresis:
-    """The model that `to_json` described.
-
-    `allowed` are the files of the user's that may be run.
-    """
+    """The model that `to_json` described; `allowed` are the files of the user's that may be run."""
     model = _unpack(described, allowed)
     if not isinstance(model, AbstractHysteresis):
         raise ModelError("the file describes no hystfit model")

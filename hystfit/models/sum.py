@@ -43,7 +43,6 @@ class Sum(AbstractComposition):
         return jnp.concatenate([part.init(u0) for part in self.parts])
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """One sample of every part."""
         steps = [part.step(s, u0, u1, dt) for part, s in zip(self.parts, split_state(state, self.parts), strict=True)]
         return jnp.concatenate([s for s, _ in steps]), sum((y for _, y in steps), jnp.zeros_like(u1))
 
@@ -69,7 +68,6 @@ class Sum(AbstractComposition):
         return type(self)(*(part.step_errors(rest(k)) for k, part in enumerate(self.parts)))
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """Part by part, where some part has a short cut."""
         if not self.has_fast_run:
             return super().free_run(u, dt)
         u, dt = checked_drive(self, u, dt)
@@ -110,13 +108,7 @@ class Sum(AbstractComposition):
 
 
 class SumStep(AbstractStepInverse):
-    """Inverse of a sum of one model and constants.
-
-    Attributes:
-        model: the sum.
-        inner: inverse of the part that is not constant.
-        which: its number.
-    """
+    """Inverse of a sum of one model, number `which`, and constants."""
 
     model: Sum
     inner: AbstractStepInverse

@@ -66,10 +66,7 @@ def _rises(u: np.ndarray, high: np.ndarray, changes: np.ndarray) -> bool:
     """Whether an output of two levels rises with the input, so that it is high, and jumps up, at larger inputs.
 
     Both tell: a comparator jumps both ways at one input, and the inputs of a thermostat have one mean while it heats and while it cools.
-
-    Args:
-        high: whether the output is, shape (n,).
-        changes: numbers of the samples before its jumps.
+    `high` tells whether the output is, shape (n,), and `changes` are numbers of the samples before its jumps.
     """
     middle, up = 0.5 * (u[changes] + u[changes + 1]), high[changes + 1]
     apart = u[high].mean() - u[~high].mean()
@@ -238,9 +235,7 @@ class _Places(NamedTuple):
     def range_of(self, jumps: np.ndarray, *, up: float | None = None, down: float | None = None) -> _Range:
         """The range of the best values of one threshold beside the other, which is given.
 
-        Args:
-            jumps: inputs before and after each, shape (N, 2); the range is looked for between the outermost of them and the other
-                threshold.
+        It is looked for between the outermost of the jumps, inputs before and after each, shape (N, 2), and the other threshold.
         """
         last, other = self.edges.size - 2, down if up is None else up
         reached = [jumps.min(), jumps.max(), other] if len(jumps) else self.edges[[1, -2]]

@@ -47,23 +47,15 @@ def _declared(slope: Slope) -> tuple[str, ParamInfo]:
 
 
 class Slope(eqx.Module):
-    """Dependence of one parameter on one covariate.
+    """Dependence of one parameter on one covariate."""
 
-    Attributes:
-        value: its slope, of the shape of the parameter.
-        half: half of the range of the covariate in the records.
-        parameter, covariate: their names.
-        leaf: number of the parameter among the leaves of the model.
-        which: number of the covariate.
-        lower, upper, unit, scale, linear: as the parameter declares them.
-    """
-
-    value: Array = param(0.0, declared=_declared)
-    half: Scalar = eqx.field(converter=as_array, default=1.0)
-    parameter: str = eqx.field(static=True, default="")
+    value: Array = param(0.0, declared=_declared)  # its slope, of the shape of the parameter
+    half: Scalar = eqx.field(converter=as_array, default=1.0)  # half of the range of the covariate in the records
+    parameter: str = eqx.field(static=True, default="")  # parameter, covariate: their names
     covariate: str = eqx.field(static=True, default="")
-    leaf: int = eqx.field(static=True, default=0)
-    which: int = eqx.field(static=True, default=0)
+    leaf: int = eqx.field(static=True, default=0)  # number of the parameter among the leaves of the model
+    which: int = eqx.field(static=True, default=0)  # number of the covariate
+    # lower, upper, unit, scale, linear: as the parameter declares them
     lower: float | None = eqx.field(static=True, default=None)
     upper: float | None = eqx.field(static=True, default=None)
     unit: str = eqx.field(static=True, default="1")
@@ -90,34 +82,19 @@ class Varying(AbstractComposition):
 
     The reference is the mean of the covariates of the records, so that p0 and the slopes are estimated independently. A parameter stays
     within its bounds. `at` holds the covariates where the model is used: a fit sets them for each record.
-
-    Attributes:
-        parts: the model, with its parameters at the reference.
-        slopes: dependences.
-        at: covariates, shape (K,).
-        reference: where the parameters of `model` hold, shape (K,).
-        edges: smallest and largest covariate of the records, shape (2, K).
-        names: of the covariates.
     """
 
-    parts: tuple[AbstractHysteresis, ...]
-    slopes: tuple[Slope, ...]
-    at: Float[Array, " K"] = eqx.field(converter=as_array)
-    reference: Float[Array, " K"] = eqx.field(converter=as_array)
+    parts: tuple[AbstractHysteresis, ...]  # the model, with its parameters at the reference
+    slopes: tuple[Slope, ...]  # dependences
+    at: Float[Array, " K"] = eqx.field(converter=as_array)  # covariates, shape (K,)
+    reference: Float[Array, " K"] = eqx.field(converter=as_array)  # where the parameters of `model` hold, shape (K,)
+    # smallest and largest covariate of the records, shape (2, K)
     edges: Float[Array, "2 K"] = eqx.field(converter=as_array)
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)  # of the covariates
 
     @classmethod
     def of(cls, model: AbstractHysteresis, pairs: Sequence[tuple[str, str]], records: Sequence[Record]) -> Varying:
-        """The model with its parameters at the mean of the covariates, and slopes of zero.
-
-        Args:
-            pairs: (covariate, parameter).
-
-        Raises:
-            ParameterError: an unknown parameter, or one that cannot vary.
-            DataError: a record without a value, or covariates that do not differ enough to determine slopes.
-        """
+        """The model with its parameters at the mean of the covariates, and slopes of zero; `pairs` are (covariate, parameter)."""
         names = tuple(dict.fromkeys(name for name, _ in pairs))
         values = np.array([[covariate(record, name) for name in names] for record in records])
         _check_spread(names, values)

@@ -146,7 +146,6 @@ class VoceChaboche(AbstractHysteresis):
         return UniaxialMaterial("UVCuniaxial", (*first, int(g.size), *pairs), lost)
 
     def c_part(self) -> CPart:
-        """The same Newton steps in C."""
         return CPart.of(self, "voce_chaboche", softest=_SOFTEST, newton=_NEWTON)
 
     def start(self, records: Sequence[Record]) -> VoceChaboche:

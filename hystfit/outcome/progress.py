@@ -91,12 +91,7 @@ def _on_terminal(task: str, console: Any) -> Iterator[Update]:
 
 
 class ShownProgress:
-    """Progress of models that are fitted side by side: each line names a model, its step, and how many are done.
-
-    Args:
-        update: called with a line of text and the fraction done.
-        names: of the models.
-    """
+    """Progress of models that are fitted side by side: each line names a model, its step, and how many are done."""
 
     def __init__(self, update: Callable[..., object], names: Sequence[str]):
         self._update, self._names, self._done, self._lock = update, set(names), set[str](), threading.Lock()

@@ -172,11 +172,7 @@ def or_none(value: Any) -> float | None:
 
 
 def write_csv(path: Path, columns: Mapping[str, Iterable[Any]], form: str = "") -> None:
-    """Columns of text and numbers by heading as a CSV file; a missing value is an empty cell.
-
-    Args:
-        form: format of the numbers, such as ".10g"; all digits by default.
-    """
+    """Columns of text and numbers, in a form such as ".10g", by heading as a CSV file; a missing value is an empty cell."""
     write_rows(path, columns, zip(*columns.values(), strict=True), form)
 
 

@@ -52,27 +52,21 @@ _slope_traced = functools.partial(jax.jit, static_argnums=4, inline=True)(_slope
 
 
 class Coordinates(eqx.Module):
-    """The traced half of a `ParameterSpace`: arrays and structure without labels, which would cause compilations.
+    """The traced half of a `ParameterSpace`: arrays and structure without labels, which would cause compilations."""
 
-    Attributes:
-        leaves: all leaves of the template tree.
-        lower, upper, scale: of each free element, shape (p,).
-        kinds: map of each free element.
-        layout: for each leaf with free elements (leaf index, flat positions, whether it differs between records).
-        constants: values of leaves that are given for each record (covariates), shapes (R, ...), at the indices `constant_at`.
-        ties: elements that follow from others: (leaf index, flat position, those of the source, factor, constant).
-    """
-
-    leaves: tuple[Any, ...]
-    lower: Float[Array, " p"]
+    leaves: tuple[Any, ...]  # all leaves of the template tree
+    lower: Float[Array, " p"]  # lower, upper, scale: of each free element, shape (p,)
     upper: Float[Array, " p"]
     scale: Float[Array, " p"]
-    kinds: tuple[int, ...] = eqx.field(static=True)
+    kinds: tuple[int, ...] = eqx.field(static=True)  # map of each free element
+    # for each leaf with free elements (leaf index, flat positions, whether it differs between records)
     layout: tuple[tuple[int, tuple[int, ...], bool], ...] = eqx.field(static=True)
     treedef: Any = eqx.field(static=True)
     n_records: int = eqx.field(static=True)
+    # values of leaves that are given for each record (covariates), shapes (R, ...), at the indices `constant_at`
     constants: tuple[Any, ...] = ()
     constant_at: tuple[int, ...] = eqx.field(static=True, default=())
+    # elements that follow from others: (leaf index, flat position, those of the source, factor, constant)
     ties: tuple[tuple[int, int, int, int, float, float], ...] = eqx.field(static=True, default=())
 
     def at(self, tree: Any) -> Coordinates:
@@ -104,13 +98,10 @@ class Coordinates(eqx.Module):
         return self._mapped(_physical_traced if xp is jnp else _physical, z, xp)
 
     def unconstrained(self, x: Any, inside: float = 1e-9, xp: Any = jnp) -> Any:
-        """z from x; values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
+        """z from physical x, shape (p,); values on a bound or beyond are moved inside, as the maps reach a bound only in the limit.
 
-        Args:
-            x: physical values, shape (p,).
-            inside: distance from the bound to which they are moved, as a fraction of the scale or of the interval. An estimate
-                stays at its bound with a small one; a start can leave it with a large one.
-            xp: module of the arrays: jax.numpy, also inside traced code, or numpy.
+        They are moved by a fraction `inside` of the scale or of the interval: an estimate stays at its bound with a small one; a start can
+        leave it with a large one. `xp` is jax.numpy, also inside traced code, or numpy.
         """
         lower, upper, scale, kind = (xp.asarray(v) for v in (self.lower, self.upper, self.scale, self.kinds))
         low = xp.where(xp.isfinite(lower), lower, 0.0)

@@ -34,12 +34,9 @@ def zeros(*shape: int) -> np.ndarray:
 
 
 def to_device(values: Any, dtype: Any = None) -> jax.Array:
-    """Numbers or a NumPy array as an array of JAX.
+    """Numbers or a NumPy array as an array of JAX, of this dtype or that of the values, in the precision of JAX.
 
     `jnp.asarray` compiles a program for most values; each takes 10 to 30 ms in the first fit of a process.
-
-    Args:
-        dtype: of the result; default: that of the values, in the precision of JAX.
     """
     array = np.asarray(values)
     with on_device():
@@ -49,10 +46,8 @@ def to_device(values: Any, dtype: Any = None) -> jax.Array:
 def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """`equinox.filter_jit`, at a third of its cost per call where all leaves of the arguments are arrays or NumPy numbers.
 
-    The command line keeps its programs on disk (`hystfit.params.kept_programs`).
-
-    Args:
-        function: at the level of a module, of positional arguments that are trees.
+    For functions at the level of a module, of positional arguments that are trees. The command line keeps its programs on disk
+    (`hystfit.params.kept_programs`).
     """
     programs = dict[Any, Callable[..., _R]]()
 

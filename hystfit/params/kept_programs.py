@@ -45,11 +45,9 @@ class _NotByValueError(Exception):
 
 
 def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callable[..., Any]:
-    """A function that runs the program kept for its arguments, or `otherwise` where no folder for programs is set.
+    """A function that runs the program kept for its arguments, or `otherwise`, by JAX, where no folder for programs is set.
 
-    Args:
-        function: of a module of hystfit, of trees; returns arrays in tuples, lists and dictionaries.
-        otherwise: the same function, compiled by JAX.
+    It is a function of a module of hystfit, of trees, and returns arrays in tuples, lists and dictionaries.
     """
     programs: dict[Any, Callable[..., Any] | None] = {}
     making = threading.RLock()

@@ -26,12 +26,7 @@ def _strong(leaf: Any) -> Any:
 
 
 class NamedLeaves:
-    """The arrays of parameters of a tree (a model, or (model, noise)), with the shortest names that tell them apart.
-
-    Attributes:
-        leaves: the arrays with their declarations.
-        names: of the arrays, in the same order.
-    """
+    """The arrays of parameters of a tree (a model, or (model, noise)), with the shortest names that tell them apart."""
 
     def __init__(self, tree: Any):
         self.leaves = leaves_of(tree)

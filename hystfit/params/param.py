@@ -21,29 +21,17 @@ from hystfit.params.units import exponents
 
 @dataclasses.dataclass(frozen=True)
 class ParamInfo:
-    """Declaration of a parameter on a field.
+    """Declaration of a parameter on a field."""
 
-    Attributes:
-        bounds: (lower, upper) in physical units.
-        unit: expression in u, y and s (see `hystfit.params.units`).
-        scale: typical size in multiples of the unit's natural size.
-        doc: meaning, one sentence.
-        fixed: kept at its value unless freed by name.
-        per_record: each record of a fit has its own value.
-        linear: the output of the model is linear in it.
-        common: one value serves all records of this model, although each record of others has its own.
-        stepwise: the output is piecewise constant in it, so that derivatives tell nothing about it.
-    """
-
-    bounds: tuple[float, float] = (-math.inf, math.inf)
-    unit: str = "1"
-    scale: float = 1.0
-    doc: str = ""
-    fixed: bool = False
-    per_record: bool = False
-    linear: bool = False
-    common: bool = False
-    stepwise: bool = False
+    bounds: tuple[float, float] = (-math.inf, math.inf)  # (lower, upper) in physical units
+    unit: str = "1"  # expression in u, y and s (see `hystfit.params.units`)
+    scale: float = 1.0  # typical size in multiples of the unit's natural size
+    doc: str = ""  # meaning, one sentence
+    fixed: bool = False  # kept at its value unless freed by name
+    per_record: bool = False  # each record of a fit has its own value
+    linear: bool = False  # the output of the model is linear in it
+    common: bool = False  # one value serves all records of this model, although each record of others has its own
+    stepwise: bool = False  # the output is piecewise constant in it, so that derivatives tell nothing about it
 
     def __post_init__(self) -> None:
         exponents(self.unit)

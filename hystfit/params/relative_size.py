@@ -15,11 +15,7 @@ OPEN = 1.0  # standard error over this size, from which a direction or a quantit
 def relative_size(space: ParameterSpace, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Size against which the error of each parameter at x is judged: its distance to the bounds, or its natural scale without any.
 
-    For an offset it is the natural scale alone, because its value depends on where zero lies.
-
-    Args:
-        x: physical values, shape (..., p), like the result.
-        scale: natural scales that differ from those of the space, shape (..., p).
+    For an offset it is the natural scale alone, because its value depends on where zero lies. `scale` replaces that of the space.
     """
     lower, upper, kind = space.lower, space.upper, space.kinds
     scale = space.scale if scale is None else scale

@@ -13,12 +13,7 @@ from hystfit.params.named_leaves import NamedLeaves
 
 @dataclasses.dataclass(frozen=True)
 class Tie:
-    """target = factor * source + constant; both are a leaf of the tree and a flat position in it.
-
-    Attributes:
-        name: of the target.
-        expression: as the user wrote it, for one element of an array with the name of that element.
-    """
+    """target = factor * source + constant, both a leaf of the tree and a flat position in it; `expression` is that of the user."""
 
     name: str
     expression: str
@@ -29,10 +24,7 @@ class Tie:
 
 
 def parse_tie(expression: str) -> tuple[float, str, float]:
-    """(factor, name of the source, constant) of an expression.
-
-    Numbers, one name, + - * / and parentheses; nothing is evaluated as code.
-    """
+    """(factor, name of the source, constant) of an expression of numbers, one name, + - * / and parentheses, which is not run as code."""
     try:
         factor, name, constant = _linear(ast.parse(expression.strip(), mode="eval").body)
     except (SyntaxError, ValueError, ZeroDivisionError, RecursionError, AttributeError):
@@ -69,11 +61,7 @@ def _linear(node: ast.expr) -> tuple[float, str | None, float]:
 
 
 def ties_of(expressions: Mapping[str, str], named: NamedLeaves) -> tuple[Tie, ...]:
-    """The ties of expressions by target.
-
-    Args:
-        expressions: such as {"gamma[1]": "gamma[0]", "k2": "2*k1"}; an array is tied to an array of the same size or to one element.
-    """
+    """The ties of expressions by target, such as {"gamma[1]": "gamma[0]"}; an array is tied to an array of its size or to one element."""
     ties: list[Tie] = []
     for name, expression in expressions.items():
         factor, source, constant = parse_tie(expression)

@@ -43,17 +43,13 @@ def _parts(unit: str) -> list[tuple[int, str]]:
 
 @dataclasses.dataclass(frozen=True)
 class Scales:
-    """Natural sizes of input, output and time in a set of data, and their units.
+    """Natural sizes of input, output and time in a set of data, and their units."""
 
-    Attributes:
-        u, y, s: sizes (half the range of input and output, median sampling interval times 100 or so for time).
-        u_unit, y_unit, s_unit: units as printed; "" where unknown.
-    """
-
+    # u, y, s: sizes (half the range of input and output, median sampling interval times 100 or so for time)
     u: float = 1.0
     y: float = 1.0
     s: float = 1.0
-    u_unit: str = ""
+    u_unit: str = ""  # u_unit, y_unit, s_unit: units as printed; "" where unknown
     y_unit: str = ""
     s_unit: str = "s"
 
@@ -97,12 +93,7 @@ def with_unit(name: str, unit: str) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Unit:
-    """A unit of a measured column.
-
-    Attributes:
-        factor: its size in SI base units.
-        powers: of the base units, sorted by name; the dimension.
-    """
+    """A unit of a measured column: its size in SI base units, and their powers, sorted by name."""
 
     factor: float
     powers: tuple[tuple[str, float], ...]
@@ -204,10 +195,7 @@ def _plain(text: str) -> str:
 
 @functools.cache
 def parse_unit(text: str) -> Unit | None:
-    """The unit of a column, such as "um", "kA/m", "uC/cm2" or "emu/g"; None if it is not known.
-
-    lb is a force here, as in load cells.
-    """
+    """The unit of a column, such as "um", "kA/m", "emu/g" or "lb" (here a force, as in load cells); None if it is not known."""
     return _product(_plain(text)) or _product(_plain(re.sub(r"(?<=[a-z])(?=[A-Z][a-z]{2})", "_", text)))  # NewtonMeter
 
 

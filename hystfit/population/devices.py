@@ -30,12 +30,7 @@ DRAWS = 2000  # of a device's own posterior, at most
 
 @dataclasses.dataclass(frozen=True)
 class Common:
-    """The coordinates z of all devices: those of the first one, so that natural scales of single records do not enter.
-
-    Attributes:
-        space: of the first device.
-        at: positions of the parameters that scatter between devices, in every device's own vector.
-    """
+    """The coordinates z of all devices, those of the first: natural scales of single records do not enter. `at`: what scatters."""
 
     space: ParameterSpace
     at: np.ndarray
@@ -92,23 +87,15 @@ class Common:
 
 @dataclasses.dataclass(frozen=True)
 class Device:
-    """One device.
+    """One device."""
 
-    Attributes:
-        name: of the device.
-        result: its fit.
-        problem: with the noise model of its residuals, whose parameters stay at their estimates.
-        noise: name of that noise model.
-        x: maximum of the likelihood under that noise, all free parameters, physical.
-        mean, precision: of the normal approximation of the likelihood in the common coordinates, shapes (p,) and (p, p); parameters that
-            do not scatter between devices (an offset of each record) are integrated out.
-    """
-
-    name: str
-    result: FitResult
-    problem: Problem
-    noise: str
-    x: np.ndarray
+    name: str  # of the device
+    result: FitResult  # its fit
+    problem: Problem  # with the noise model of its residuals, whose parameters stay at their estimates
+    noise: str  # name of that noise model
+    x: np.ndarray  # maximum of the likelihood under that noise, all free parameters, physical
+    # mean, precision: of the normal approximation of the likelihood in the common coordinates, shapes (p,) and (p, p); parameters that do
+    # not scatter between devices (an offset of each record) are integrated out
     mean: np.ndarray
     precision: np.ndarray
 

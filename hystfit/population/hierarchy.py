@@ -33,13 +33,7 @@ _RIDGE = 1e-9  # relative to the precision of the population, for directions tha
 
 @dataclasses.dataclass(frozen=True)
 class Pool:
-    """Draws from the posterior of one device under a prior of its own.
-
-    Attributes:
-        z: shape (n, p).
-        log_prior: of that prior at the draws, shape (n,).
-        problems: why they do not stand for that posterior.
-    """
+    """Draws z, (n, p), from the posterior of one device under a prior of its own, and why they do not stand for it."""
 
     z: Float[np.ndarray, "n p"]
     log_prior: Float[np.ndarray, " n"]
@@ -48,13 +42,7 @@ class Pool:
 
 @dataclasses.dataclass(frozen=True)
 class Hierarchy:
-    """Draws of a population.
-
-    Attributes:
-        effects: B, shape (chains, draws, q, p); the first row is the mean device.
-        covariance: Sigma, shape (chains, draws, p, p).
-        z: of the devices, shape (chains, draws, D, p).
-    """
+    """Draws of a population, (chains, draws, ...): effects (q, p), the mean device first, covariance (p, p), and devices' z (D, p)."""
 
     effects: np.ndarray
     covariance: np.ndarray
@@ -85,13 +73,9 @@ def draw_hierarchy(
 ) -> Hierarchy:
     """Draw mean, covariance and devices.
 
-    Args:
-        means: maxima of the devices' likelihoods.
-        precisions: curvatures there; a direction without information has none.
-        design: covariates of the devices, the first column of ones.
-        pools: draws of the devices, by number, whose likelihood is not normal.
-        chains, draws: of the sampler; a quarter as many come before.
-        thin: steps for each draw.
+    Given are the maxima of the devices' likelihoods and the curvatures there (a direction without information has none), their covariates,
+    the first column of ones, and draws of the devices, by number, whose likelihood is not normal. A quarter as many draws come before those
+    of each chain, and `thin` steps before each.
     """
     chain = _Chains(means, precisions, design, pools or {}, [np.random.default_rng([seed, k]) for k in range(chains)])
     return Hierarchy(*chain.run(draws, thin))

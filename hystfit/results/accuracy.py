@@ -1,7 +1,8 @@
-"""Whether an error is small enough: limits that depend on the data, and the error relative to those of simple descriptions."""
+"""The error of a prediction, and whether it is small enough: limits that depend on the data, and errors of simple descriptions."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +12,53 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.outcome.table import ROUNDING, number
 from hystfit.quality.baselines import DEGREE, USABLE, Baselines
-from hystfit.results.metrics import Metrics
+
+
+@dataclasses.dataclass(frozen=True)
+class Metrics:
+    """Errors over the samples that count; the range is max - min of the measured output over the same samples.
+
+    Attributes:
+        rmse, max_error: in output units.
+        nrmse_percent, max_error_percent: of the range; None where the range is zero.
+        r2: explained part of the variance; None where there is none.
+        n: number of samples.
+    """
+
+    rmse: float
+    nrmse_percent: float | None
+    max_error: float
+    max_error_percent: float | None
+    r2: float | None
+    n: int
+
+    @classmethod
+    def of(cls, measured: Sequence[np.ndarray], predicted: Sequence[np.ndarray]) -> Metrics:
+        """Metrics over records: arrays (T_r,) of the samples that count."""
+        y = _joined(measured)
+        span, variance = float(np.ptp(y)), _sum_of_squares(y - y.mean())
+        error = _joined(predicted) - y
+        largest = max(float(error.max()), -float(error.min()))
+        squares = _sum_of_squares(error)
+        rmse = float(np.sqrt(squares / y.size))
+        percent = lambda value: 100 * value / span if span > 0 else None
+        r2 = 1 - squares / variance if variance > 0 else None
+        return cls(rmse, percent(rmse), largest, percent(largest), r2, y.size)
+
+    def to_dict(self) -> dict[str, float | int | None]:
+        """For `result.json`."""
+        return {k: (v if v is None or np.isfinite(v) else None) for k, v in dataclasses.asdict(self).items()}
+
+
+def _joined(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """One array of several; a single one as it is."""
+    return np.asarray(rows[0]) if len(rows) == 1 else np.concatenate(rows)
+
+
+def _sum_of_squares(values: np.ndarray) -> float:
+    """The values are overwritten: long records have no room for copies."""
+    return float(np.sum(np.multiply(values, values, out=values)))
+
 
 VISIBLE = 1.0  # percent of range, below which drift or damage does not matter: least limit of the rms error (`USABLE` the largest)
 _TIMES_PLAYS = 5.0  # it is this many times the error of ten plays
@@ -57,12 +104,7 @@ def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
 
 
 def persistent_error(errors: Any, xp: Any = np) -> Any:
-    """Size of the error that three successive samples have in common: at each sample, the smallest of it and its neighbors.
-
-    Args:
-        errors: of successive samples, shape (..., T), like the result.
-        xp: module of the arrays, NumPy or jax.numpy.
-    """
+    """Size of the error that three successive samples, shape (..., T), have in common: the smallest of each and its neighbors."""
     size = xp.abs(errors)
     if size.shape[-1] < _LASTING:
         return size
@@ -77,11 +119,7 @@ def _lasting_percent(rows: Sequence[np.ndarray], baselines: Baselines) -> float:
 
 
 def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines) -> list[str]:
-    """Limits of a usable description that an error exceeds, each in words; empty for a usable one.
-
-    Args:
-        rows: errors of each record, on samples that count [y].
-    """
+    """Limits of a usable description that errors, the `rows` of each record [y], exceed, each in words; empty for a usable one."""
     if metrics.nrmse_percent is None or baselines.span <= 0:
         return []
     limits, found, largest = Limits.of(baselines), [], _lasting_percent(rows, baselines)
@@ -121,11 +159,7 @@ def better_family_warning(metrics: Metrics, baselines: Baselines) -> Note | None
 
 
 def accuracy_note(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Baselines, what: str) -> Note:
-    """The error with its limits, and relative to the noise and simpler descriptions.
-
-    Args:
-        rows: errors of each record, on samples that count [y].
-    """
+    """The error with its limits, and relative to the noise and simpler descriptions; `rows` as in `exceeded_limits`."""
     if metrics.nrmse_percent is None or metrics.max_error_percent is None or baselines.span <= 0:
         return Note(Code.ACCURACY, f"{what}: the range of the output is zero")
     limits, over = Limits.of(baselines), ratios(metrics, baselines)

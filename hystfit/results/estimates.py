@@ -1,14 +1,15 @@
-"""Parameters and noise as a fit reports them."""
+"""Parameters and noise as a fit reports them, and where the standard errors of other verbs differ."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
+from hystfit.outcome import Code, Note
 from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
 
@@ -48,11 +49,7 @@ class ParameterEstimate:
 
 
 def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[ParameterEstimate, ...]:
-    """Every parameter with its declaration, free ones first, then tied and fixed ones, without standard errors.
-
-    Args:
-        x: the free ones, physical, shape (p,).
-    """
+    """Every parameter with its declaration, free ones first, at physical x, then tied and fixed ones, without standard errors."""
     free = ((*row, False, None) for row in zip(space.names, x, space.infos, strict=True))
     tied = ((tie.name, value, info, False, tie.expression) for tie, value, info, _ in space.tied(x))
     fixed_ones = ((*row, True, None) for row in space.fixed())
@@ -98,3 +95,21 @@ class NoiseEstimate:
     def refines(self) -> bool:
         """Whether the estimate is the optimum of a likelihood of its own, not of least squares."""
         return self.name not in ("auto", "iid")
+
+
+SIMILAR = 1.25  # ratio up to which two standard errors count as equal
+
+
+def differences(
+    parameters: Sequence[ParameterEstimate], errors: Mapping[str, float | None], source: str, reason: str
+) -> list[Note]:
+    """A note where standard errors by parameter (None: unknown) differ from those of a fit; none where they agree within `SIMILAR`."""
+    fitted = {one.name: one.stderr for one in parameters if one.tie is None and one.stderr}
+    ratios = {name: error / fitted[name] for name, error in errors.items() if error and name in fitted}
+    ratios = {name: ratio for name, ratio in ratios.items() if not 1 / SIMILAR < ratio < SIMILAR}
+    if not ratios:
+        return []
+    name = max(ratios, key=lambda one: max(ratios[one], 1 / ratios[one]))
+    others = f" ({len(ratios)} parameters differ)" if len(ratios) > 1 else ""
+    text = f"standard error of {name} by {source} {errors[name]:.3g}, by the fit {fitted[name]:.3g}{others}: {reason}"
+    return [Note(Code.ERRORS_DIFFER, text)]

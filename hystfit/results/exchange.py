@@ -26,9 +26,6 @@ def write_mat(result: FitResult, path: str | Path) -> Path:
 
     It has model, status, units; parameters (name, value, stderr, lower, upper, unit, fixed), free_names and covariance; rmse and
     error_percent; records (name, t, u, y, weight, predicted). Unknown numbers are NaN.
-
-    Raises:
-        DataError: the folder does not exist, or cannot be written.
     """
     import scipy.io
 
@@ -63,11 +60,7 @@ def _contents(result: FitResult) -> dict[str, Any]:
 
 
 def to_xarray(result: FitResult) -> Any:
-    """A fit as an xarray data set: value, stderr over `parameter`; covariance; u, y, predicted over `sample`, with the name of the record.
-
-    Raises:
-        MissingExtraError: xarray is not installed.
-    """
+    """A fit as an xarray data set: value, stderr over `parameter`; covariance; u, y, predicted over `sample`, with record names."""
     xarray = optional("xarray", "frames", "to_xarray")
     units, free = result.data.units, list(result.free_names)
     series = {
@@ -88,16 +81,9 @@ def to_xarray(result: FitResult) -> Any:
 
 
 def write_table(path: str | Path, frames: Callable[[], Iterable[Any]], dataset: Callable[[], Any]) -> Path:
-    """Write a table of many fits, whole or not at all: .parquet, .nc (netCDF) or .zarr (a Zarr store of format 2).
+    """Write a table of many fits, whole or not at all: .parquet, .nc (netCDF) or .zarr (a store of format 2), in place of an older one.
 
-    Args:
-        path: of the file or store; one that exists is replaced.
-        frames: makes the pandas data frames of a Parquet table, part by part.
-        dataset: makes the xarray data set of the others.
-
-    Raises:
-        HystfitError: it cannot be written.
-        MissingExtraError: the package for this kind of file is not installed.
+    `frames` makes the pandas data frames of a Parquet table, part by part, and `dataset` the xarray data set of the others.
     """
     path = Path(path)
     if path.suffix not in TABLES:
@@ -141,9 +127,7 @@ def smoothed_weights(log_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def arviz_data(groups: Mapping[str, Mapping[str, Any]], **axes: Any) -> Any:
     """ArviZ' container of draws: `InferenceData` before version 1, a DataTree from then on.
 
-    Args:
-        groups: arrays by name, for each group ("posterior", "sample_stats").
-        **axes: `dims` and `coords`, as ArviZ takes them.
+    Arrays are given by name for each group ("posterior", "sample_stats"); `axes` are `dims` and `coords`, as ArviZ takes them.
     """
     arviz = optional("arviz", "bayes", "to_arviz")
     old = "posterior" in inspect.signature(arviz.from_dict).parameters

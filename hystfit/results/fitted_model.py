@@ -18,7 +18,7 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.params.units import conversion
 from hystfit.reading.in_memory import excitation_of, records_of
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import Metrics
 
 
 class FittedModel:

@@ -29,46 +29,32 @@ FAILURE = f"failure ({100 * FAILED:.0f} % of the largest force)"
 
 @dataclasses.dataclass(frozen=True)
 class ForceCycle:
-    """One cycle of displacement, from its middle to one side, to the other and back.
+    """One cycle of displacement, from its middle to one side, to the other and back."""
 
-    Attributes:
-        first, last: samples.
-        low, high: smallest and largest displacement.
-        force_low, force_high: forces there.
-        energy: absorbed in the cycle, the integral of force over displacement; with its standard error.
-        stiffness: secant between the two ends; with its standard error.
-        damping: equivalent viscous damping ratio, energy / (2 pi stiffness amplitude^2); None for a stiffness that is not positive.
-        stiffness_lost: 1 less the ratio of the stiffness to the largest of the cycles so far: a damage index from 0 to 1.
-    """
-
-    first: int
+    first: int  # first, last: samples
     last: int
-    low: float
+    low: float  # low, high: smallest and largest displacement
     high: float
-    force_low: float
+    force_low: float  # force_low, force_high: forces there
     force_high: float
-    energy: float
+    energy: float  # absorbed in the cycle, the integral of force over displacement; with its standard error
     energy_error: float | None
-    stiffness: float
+    stiffness: float  # secant between the two ends; with its standard error
     stiffness_error: float | None
+    # equivalent viscous damping ratio, energy / (2 pi stiffness amplitude^2); None for a stiffness that is not positive
     damping: float | None
+    # 1 less the ratio of the stiffness to the largest of the cycles so far: a damage index from 0 to 1
     stiffness_lost: float | None
 
 
 @dataclasses.dataclass(frozen=True)
 class BackbonePoint:
-    """A peak of the displacement beyond all before in its direction.
+    """A peak of the displacement beyond all before in its direction."""
 
-    Attributes:
-        displacement, force: where the force of that half cycle is largest in size.
-        later: largest force of the last half cycle that repeats this peak; None where it is not repeated.
-        sample: of the peak.
-    """
-
-    displacement: float
+    displacement: float  # displacement, force: where the force of that half cycle is largest in size
     force: float
-    later: float | None
-    sample: int
+    later: float | None  # largest force of the last half cycle that repeats this peak; None where it is not repeated
+    sample: int  # of the peak
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,11 +128,7 @@ class ForceLoops:
         }
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the backbones of the first and the last cycles, and the failure points.
-
-        Args:
-            ax: to draw on; None makes one.
-        """
+        """Draw the backbones of the first and the last cycles, and the failure points, on given axes or new ones."""
         from hystfit.results.colors import MODEL, SECOND
 
         if ax is None:

@@ -22,11 +22,7 @@ from hystfit.results.labels import column_label
 def plot_density(
     model: Preisach, ax: Any = None, reach: np.ndarray | None = None, *, units: Mapping[str, str] | None = None
 ) -> Any:
-    """Weight density of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data do not reach.
-
-    Args:
-        reach: part of each weight's cells that the data switched, as a fit returns it.
-    """
+    """Weight density of every cell over the Preisach plane, beta to the right and alpha upward; hatched where the data do not `reach`."""
     u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     ax = axes_or_new(ax)
     levels, n = np.asarray(model.levels), model.n
@@ -95,12 +91,7 @@ def _label(ax: Any, unit: str) -> Any:
 def plot_curves(
     data: Dataset | Sequence[Record], predicted: Sequence[np.ndarray] = (), ax: Any = None, every: int = 1
 ) -> Any:
-    """Reversal curves, measured as dots and predicted as lines, colored by their order of reversal.
-
-    Args:
-        predicted: output of the model on each curve, shape (T,).
-        every: draw every n-th curve.
-    """
+    """Reversal curves, every n-th, measured as dots and predicted, shape (T,) each, as lines, colored by their order of reversal."""
     import matplotlib
 
     ax = axes_or_new(ax)
@@ -129,10 +120,7 @@ _SHARE = 0.99  # of the points above it that the picture holds: isolated ones at
 
 
 def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[str, str] | None = None) -> Any:
-    """The FORC distribution over coercivity (to the right) and interaction field (upward), red positive and blue negative.
-
-    A dashed line surrounds what is above three standard errors, where they are known.
-    """
+    """The FORC distribution over coercivity and interaction field, red positive and blue negative; dashed: three standard errors."""
     ax = axes_or_new(ax)
     u, unit = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     top = np.nanpercentile(np.abs(diagram.density), 99.95) or 1.0
@@ -183,14 +171,7 @@ def plot_profiles(
 def plot_compared(
     diagrams: Mapping[str, ForcDiagram], figure: Any, *, units: Mapping[str, str] | None = None
 ) -> tuple[list[Any], Any]:
-    """Diagrams found in different ways beside each other, over their coercivity distributions with two standard errors.
-
-    Args:
-        diagrams: by how they were found; at most two.
-
-    Returns:
-        The axes of the diagrams, and those of the distributions.
-    """
+    """At most two diagrams by how they were found, over their coercivity distributions with two standard errors: the axes of both."""
     u, y = ((units or {}).get(symbol, "") for symbol in ("u", "y"))
     grid = figure.add_gridspec(2, len(diagrams))
     panels, below = [figure.add_subplot(grid[0, k]) for k in range(len(diagrams))], figure.add_subplot(grid[1, :])

@@ -137,12 +137,7 @@ def _estimate(
     natural: float,
     known: np.ndarray | None,
 ) -> QuantityEstimate:
-    """A quantity from its value and its derivatives.
-
-    Args:
-        change: derivative by each free parameter in units of its size, shape (p,).
-        known: covariance with zeros where it is not finite, shape (p, p); None without one.
-    """
+    """A quantity from its value and its change by each parameter [its size]; `known` is the finite covariance, None without one."""
     one = QUANTITIES[name]
     made = lambda value, error, reason: QuantityEstimate(name, value, error, one.units(result.data), reason)
     if not np.isfinite(value):
@@ -174,11 +169,7 @@ def values_of_outputs(
 ) -> dict[str, np.ndarray]:
     """Quantities by name, each shape (count,), NaN where a simulation fails; without the creep of a model that has none.
 
-    Args:
-        names: that the records have, see `applicable`.
-        excitation: of all outputs, or of each.
-        of_loop: outputs over its loops, shape (count, T).
-        of_step: gives those over its steps.
+    `of_loop` are outputs over the loops of the excitation, shape (count, T), and `of_step` gives those over its steps.
     """
     found = {}
     with np.errstate(all="ignore"):
@@ -211,13 +202,9 @@ def _run(result: FitResult, record: Record, model: AbstractHysteresis) -> np.nda
 
 
 def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """Outputs at the estimate, with each parameter larger, and with each smaller, shape (1 + 2 p, T).
+    """Outputs at the estimate, with each parameter larger by its step, and with each smaller, shape (1 + 2 p, T).
 
     A linear parameter takes one simulation, or none where the design matrix has its column.
-
-    Args:
-        step: of each parameter, shape (p,).
-        linear: parameters in which the output is linear, shape (p,), bool.
     """
     x = np.asarray(result.x)
     middle = _simulated(result, record, x[None])

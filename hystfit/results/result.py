@@ -20,11 +20,11 @@ from hystfit.outcome import Code, Note, Status, WithStatus
 from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines
 from hystfit.registry import attribute, near
+from hystfit.results.accuracy import Metrics
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
 from hystfit.results.fitted_model import FittedModel
 from hystfit.results.measured.loop_values import LoopValues, quantities
 from hystfit.results.measured.quantities import QuantityEstimate
-from hystfit.results.metrics import Metrics
 
 
 @dataclasses.dataclass(frozen=True)

@@ -60,11 +60,7 @@ def write_fit(result: FitResult, folder: Path) -> None:
 
 
 def check_target(folder: Path, own: str = "") -> None:
-    """Refuse a folder whose result must not be replaced, before anything is computed.
-
-    Args:
-        own: schema of what is to be written, without its number, where it may replace an older one.
-    """
+    """Refuse, before any work, a folder whose result must not be replaced; one of the schema `own` (without its number) may be."""
     for name in ("result.json", MANIFEST):
         if (folder / name).is_dir():
             raise HystfitError(f"cannot write {str(folder / name)!r}: a folder has this name; choose another folder")
@@ -160,11 +156,7 @@ def save_records(path: Path, data: Dataset, extra: Mapping[str, np.ndarray] | No
 
 
 def load_records(file: Path | io.BytesIO, place: str = "") -> Dataset:
-    """The records that `save_records` wrote.
-
-    Args:
-        place: of the file, for messages; default: the path.
-    """
+    """The records that `save_records` wrote; messages name the place, by default the path."""
     place = place or str(file)
     with _damage_refused(place), np.load(file, allow_pickle=False) as stored:
         described = parse(str(stored["labels"]), f"{place}: labels")

@@ -24,13 +24,9 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class Picture:
-    """A picture on a page.
+    """A figure of matplotlib on a page; the caption is also its text for readers who do not see it.
 
-    Attributes:
-        figure: matplotlib figure.
-        caption: below it, and its text for readers who do not see it.
-        wide: as wide as the page, for figures of several panels.
-        name: of the same picture as a file beside the page; "" for none.
+    A `wide` one, of several panels, is as wide as the page; `name` is that of the same picture as a file beside the page, "" for none.
     """
 
     figure: Figure
@@ -77,14 +73,9 @@ Block = str | Table | Markup | Sequence[Note | str] | Sequence[Picture]
 
 @dataclasses.dataclass(frozen=True)
 class Page:
-    """A page.
+    """A page: a sentence on its status, what a reader came for as names and values, and sections of blocks.
 
-    Attributes:
-        title: one line.
-        status: a sentence on whether the result can be used.
-        good: whether it can.
-        answer: what a reader came for, as names and values; "Next" holds commands.
-        sections: heading and blocks of each: paragraphs, tables, lists of notes, pictures; empty ones are skipped.
+    "Next" in the answer holds commands. Blocks are paragraphs, tables, lists of notes and pictures; empty ones are skipped.
     """
 
     title: str

@@ -39,12 +39,7 @@ def keep(file: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Arrays from a file of a folder, or computed and kept there.
-
-    Args:
-        folder: None keeps nothing.
-        make: computes the arrays; a damaged file is computed again.
-    """
+    """Arrays from a file of a folder (None keeps nothing), or made and kept there; a damaged file is made again."""
     kept = None if folder is None else load(folder / name)
     if kept is not None:
         return kept

@@ -29,13 +29,8 @@ _RESUMES = "the same call resumes where it was given a folder"
 def computed(task: Task, items: Sequence[Any], workers: int = 1, scheduler: str | None = None) -> Iterator[Outcome]:
     """Number and outcome of each item as they end: what `task(item)` returned, or the exception that ended it.
 
-    Args:
-        workers: processes on this machine; 1 computes in this one.
-
-    Raises:
-        MissingExtraError: dask.distributed is not installed.
-        DataError: the scheduler does not answer, or was lost.
-        HystfitError: a task raised it: an error that the user has to correct.
+    One worker is this process, several are processes on this machine; a scheduler is one of Dask, which raises a `DataError` where it does
+    not answer, or is lost. Errors that the user has to correct are raised at once.
     """
     if scheduler is not None:
         yield from _by_dask(task, items, scheduler)

@@ -25,11 +25,7 @@ class Stopped(BaseException):
 
 
 class Workers:
-    """Runs lists of tasks; results are in the order of the tasks, and the same with any number of threads.
-
-    Args:
-        count: threads; None for one a core, at most four. With one, tasks run in the calling thread.
-    """
+    """Runs tasks in `count` threads (None: one a core, at most four; 1: that of the caller); the results are in their order."""
 
     def __init__(self, count: int | None = None):
         self.count = min(usable_cores(), _MOST) if count is None else count

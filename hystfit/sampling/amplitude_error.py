@@ -40,19 +40,13 @@ _MOVES = 300
 
 @dataclasses.dataclass(frozen=True)
 class AmplitudeError:
-    """Error of the posterior mean between and beyond fitted amplitudes.
+    """Error of the posterior mean between and beyond fitted amplitudes."""
 
-    Attributes:
-        levels: logarithms of the fitted swings of the input, rising.
-        variance: of the error without noise over the output's swing, for an e-fold of amplitude.
-        freedom: number of degrees of freedom with which it is known: the amplitudes left out, for the error of each has one cause.
-        length: samples over which the error is correlated.
-    """
-
-    levels: np.ndarray
-    variance: float
+    levels: np.ndarray  # logarithms of the fitted swings of the input, rising
+    variance: float  # of the error without noise over the output's swing, for an e-fold of amplitude
+    # number of degrees of freedom with which it is known: the amplitudes left out, for the error of each has one cause
     freedom: int
-    length: int
+    length: int  # samples over which the error is correlated
 
     @classmethod
     def of(cls, posterior: Posterior) -> AmplitudeError | None:
@@ -120,16 +114,11 @@ def _covariance(a: np.ndarray | float, b: np.ndarray | float) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Strokes:
-    """Branches of an input between clear reversals.
+    """Branches of an input between clear reversals."""
 
-    Attributes:
-        edges: first sample of each, and the end, shape (K + 1,).
-        number: of the stroke of every sample, shape (T,).
-        swings: change of the input over each, shape (K,); of the first and the last at least that of their neighbor.
-    """
-
-    edges: np.ndarray
-    number: np.ndarray
+    edges: np.ndarray  # first sample of each, and the end, shape (K + 1,)
+    number: np.ndarray  # of the stroke of every sample, shape (T,)
+    # change of the input over each, shape (K,); of the first and the last at least that of their neighbor
     swings: np.ndarray
 
     @classmethod
@@ -152,11 +141,7 @@ def _swings(values: np.ndarray, edges: np.ndarray) -> Float[np.ndarray, " K"]:
 
 
 def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, " p"]:
-    """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors.
-
-    Args:
-        problem: with the same parameters; samples of weight zero do not count.
-    """
+    """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors."""
     x, size = posterior.result.x, float(problem.scales.y)
     noise = {name: float(np.median(posterior[name])) for name in posterior.names if name.startswith("noise_")}
     slow, unit = None, noise["noise_white"]

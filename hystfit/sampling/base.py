@@ -30,25 +30,15 @@ class Evidence(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Raw:
-    """What a sampler returns.
+    """What a sampler returns."""
 
-    Attributes:
-        z: draws in unconstrained coordinates, shape (chains, draws, d).
-        log_density: log posterior there, shape (chains, draws).
-        stats: per draw, such as "diverging" and "acceptance", shape (chains, draws).
-        notes: on the run.
-        complete: whether the run met the sampler's own criterion for its length.
-        evidence: where the sampler estimates it.
-        sampler: the name of the sampler that drew, where another one took its place; "" for itself.
-    """
-
-    z: np.ndarray
-    log_density: np.ndarray
-    stats: dict[str, np.ndarray]
-    notes: tuple[Note, ...] = ()
-    complete: bool = True
-    evidence: Evidence | None = None
-    sampler: str = ""
+    z: np.ndarray  # draws in unconstrained coordinates, shape (chains, draws, d)
+    log_density: np.ndarray  # log posterior there, shape (chains, draws)
+    stats: dict[str, np.ndarray]  # per draw, such as "diverging" and "acceptance", shape (chains, draws)
+    notes: tuple[Note, ...] = ()  # on the run
+    complete: bool = True  # whether the run met the sampler's own criterion for its length
+    evidence: Evidence | None = None  # where the sampler estimates it
+    sampler: str = ""  # the name of the sampler that drew, where another one took its place; "" for itself
 
 
 @dataclasses.dataclass(frozen=True)

@@ -17,10 +17,7 @@ from hystfit.sampling.posterior import Posterior
 
 
 def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -> dict[str, np.ndarray]:
-    """Draws of derived quantities, each shape (count,), as `hystfit.results.measured.quantities` defines them.
-
-    By default all quantities that the records and the model have; `count` draws are simulated.
-    """
+    """Draws of derived quantities, each (count,), see `hystfit.results.measured.quantities`; by default all that records and model have."""
     posterior = dataclasses.replace(posterior, result=posterior.result.settled)
     timed = posterior.result.model.creeps
     have = applicable(posterior.result.data, timed=timed)
@@ -48,13 +45,10 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
 
 
 def sampled_density(posterior: Posterior, count: int = 200, seed: int = 0, *, rising: bool = True) -> ForcDiagram:
-    """Posterior mean of the density of each cell, with its standard deviation and draws.
+    """Posterior mean of the density of each cell of a Preisach model, with its standard deviation and draws.
 
     The draws are the repeats of the diagram, so that `forc_numbers` gives every number and profile its credible error. Smoothness is a
     prior of the sampled weights, and its strength is drawn with them.
-
-    Args:
-        posterior: of a Preisach model with cells, such as that of a fit of "preisach-forc".
     """
     model = posterior.result.model
     if not isinstance(model, Preisach) or model.elements != "cells":

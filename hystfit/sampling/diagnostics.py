@@ -79,11 +79,7 @@ def tail_ess(draws: np.ndarray) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Convergence:
-    """Diagnostics of a set of chains.
-
-    Attributes:
-        rhat, bulk, tail: by parameter, shape (d,).
-    """
+    """Diagnostics of a set of chains by parameter, each of shape (d,)."""
 
     rhat: np.ndarray
     bulk: np.ndarray

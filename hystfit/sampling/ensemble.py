@@ -122,10 +122,7 @@ def walk(target: Target, walkers: int) -> Any:
 
 
 def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
-    """emcee's state with walkers about the mode, each where the density is finite.
-
-    `away` is the standard deviation of their places in whitened coordinates.
-    """
+    """emcee's state with walkers about the mode where the density is finite, `away` standard deviations in whitened coordinates."""
     import emcee
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)

@@ -29,19 +29,12 @@ _STEP = 0.5  # of a parameter's size, or of the way to its bound, over which der
 
 
 class LinearPart(eqx.Module):
-    """The map between e and x of k parameters of a model.
+    """The map between e and x of k parameters of a model."""
 
-    Attributes:
-        places: of these parameters in z.
-        reference: z of these from which x is counted, shape (k,).
-        moves: steps of the parameters, in which x is counted, one in each row, shape (k, p).
-        precision: of their priors, about, in these steps, shape (k,).
-    """
-
-    places: tuple[int, ...] = eqx.field(static=True)
-    reference: Float[Array, " k"]
-    moves: Float[Array, "k p"]
-    precision: Float[Array, " k"]
+    places: tuple[int, ...] = eqx.field(static=True)  # of these parameters in z
+    reference: Float[Array, " k"]  # z of these from which x is counted, shape (k,)
+    moves: Float[Array, "k p"]  # steps of the parameters, in which x is counted, one in each row, shape (k, p)
+    precision: Float[Array, " k"]  # of their priors, about, in these steps, shape (k,)
 
     @classmethod
     def of(cls, problem: Problem, z: Float[np.ndarray, " d"], deviations: Float[np.ndarray, " p"]) -> LinearPart | None:
@@ -94,12 +87,7 @@ class LinearPart(eqx.Module):
 
 
 def _jointly_linear(problem: Problem, x: np.ndarray, steps: np.ndarray, clear: np.ndarray) -> list[int]:
-    """Numbers of parameters in which the output is linear together, the others as they are: derivatives do not depend on them.
-
-    Args:
-        steps: over which derivatives are compared, shape (p,).
-        clear: which parameters may be among them, shape (p,).
-    """
+    """Numbers of parameters, of those that are clear, in which the output is linear together: derivatives over steps are those at x."""
     objective, candidates = problem.objective, np.flatnonzero(clear)
     derivatives = lambda x: linearized(objective, x)[1][..., candidates].reshape(-1, candidates.size)
     here = derivatives(x)

@@ -57,11 +57,7 @@ class Nested(AbstractSampler):
             raise ParameterError(f"rest must lie between 0 and 1, got {self.rest!r}")
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
-        """Draw, or continue from the chunks in a folder.
-
-        Raises:
-            DataError: hardly any draw from the prior has a finite likelihood.
-        """
+        """Draw, or continue from the chunks in a folder."""
         _blackjax()  # a missing package is named before any other work
         if setup.dependence is not None:
             raise ParameterError("sampler='nested' takes independent priors: use sampler='nuts'")

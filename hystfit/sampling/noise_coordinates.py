@@ -29,19 +29,12 @@ from hystfit.params.param import leaves_of
 
 
 class NoiseCoordinates(eqx.Module):
-    """The map between z and coordinates w that have (a, c) in the places of the logarithms of (w, s).
+    """The map between z and coordinates w that have (a, c) in the places of the logarithms of (w, s)."""
 
-    Attributes:
-        places: of w, s and tau in z.
-        ratio: b where both z are 0.
-        time: logarithms of the least tau and of the scale of its excess over that.
-        count: of the samples.
-    """
-
-    places: tuple[int, int, int] = eqx.field(static=True)
-    ratio: Float[Array, ""]
-    time: tuple[Array, Array]
-    count: Float[Array, ""]
+    places: tuple[int, int, int] = eqx.field(static=True)  # of w, s and tau in z
+    ratio: Float[Array, ""]  # b where both z are 0
+    time: tuple[Array, Array]  # logarithms of the least tau and of the scale of its excess over that
+    count: Float[Array, ""]  # of the samples
 
     @classmethod
     def of(cls, density: Density) -> NoiseCoordinates | None:

@@ -7,7 +7,7 @@ import functools
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,11 +24,84 @@ from hystfit.results.result import FitResult
 from hystfit.runs.chunks import stored
 from hystfit.runs.threads import Workers, usable_cores
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.bend import Shear
 from hystfit.sampling.diagnostics import Convergence, effective_size
 from hystfit.sampling.setup import Setup, given_others, prepare
-from hystfit.sampling.shear import Shear
 from hystfit.sampling.target import Target
-from hystfit.sampling.transitions import CHUNK, Tuning, advance_chunk
+
+CHUNK = 50  # draws in one compiled call, and between two writes to disk
+_GAIN = 5.0  # of the step size's logarithm in the error of the acceptance
+
+
+class Tuning(NamedTuple):
+    """State of the dual averaging of the step size (Hoffman and Gelman 2014, section 3.2), logarithms.
+
+    The first size is about right in whitened coordinates: trials need not start at ten times it, and their gain is a quarter of the
+    usual one. They then scatter by 15 %, not 50 %, about the average, which has the acceptance that the trials have on average.
+    """
+
+    size: Array
+    average: Array
+    error: Array
+    middle: Array
+    m: Array
+
+    @classmethod
+    def about(cls, size: float) -> Tuning:
+        """Before the first step."""
+        log_size = jnp.log(jnp.asarray(size, float))
+        return cls(log_size, log_size, jnp.zeros(()), log_size, jnp.ones(()))
+
+    def after(self, acceptance: Array, goal: Array) -> Tuning:
+        """One step later."""
+        share = 1 / (self.m + 10.0)
+        error = (1 - share) * self.error + share * (goal - acceptance)
+        size = jnp.clip(self.middle - jnp.sqrt(self.m) * _GAIN * error, -12.0, 2.0)
+        weight = self.m**-0.75
+        return Tuning(size, weight * size + (1 - weight) * self.average, error, self.middle, self.m + 1)
+
+
+@compiled
+def advance_chunk(
+    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """One chunk: (positions and statistics of each draw, fields of `Tuning`); `adapting` is an array, so that one program does both."""
+    out, tuning = advance(target, q, tuning, key, adapting, goal, depth, CHUNK)
+    return out, tuple(tuning)
+
+
+def advance(
+    target: Target,
+    q: Array,
+    tuning: Tuning,
+    key: Array,
+    adapting: Array,
+    goal: Array,
+    depth: int,
+    steps: int,
+) -> tuple[tuple[Array, ...], Tuning]:
+    """`steps` transitions, for use inside traced code; `adapting` is one flag or one per transition.
+
+    During adaptation the step size is the trial value of dual averaging, otherwise its average.
+
+    The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
+    """
+    nuts = optional("blackjax", "bayes", "sampling by NUTS").nuts
+    kernel, mass = nuts.build_kernel(), jnp.ones_like(q)
+
+    def once(carry: tuple[Any, Tuning], at: tuple[Array, Array]) -> tuple[Any, tuple[Array, ...]]:
+        (state, tuning), (key, adapts) = carry, at
+        size = jnp.exp(jnp.where(adapts, tuning.size, tuning.average))
+        state, info = kernel(key, state, target, size, mass, max_num_doublings=depth)
+        later = tuning.after(info.acceptance_rate, goal)
+        tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapts, a, b), later, tuning)
+        out = (info.is_divergent, info.acceptance_rate, info.num_integration_steps)
+        return (state, tuning), (state.position, state.logdensity, *out)
+
+    ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
+    (_, tuning), out = jax.lax.scan(once, (nuts.init(q, target), tuning), ahead)
+    return out, tuning
+
 
 _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge, and further runs where those of the draws do
 # Gradients of a trajectory on average beyond which the coordinates of `LinearPart` pay: those of the piezo record of
@@ -157,11 +230,8 @@ class Nuts(AbstractSampler):
     ) -> dict[str, np.ndarray]:
         """Step size, covariance, step size again: a quarter, a half and a quarter of the warm-up, in whole chunks.
 
-        Where transitions still diverge at the end, covariance and step size are adapted again for a higher acceptance.
-
-        Args:
-            target: in the coordinates of the fit.
-            before: the end of another warm-up, from which this one continues: its first quarter is left out.
+        The target is in the coordinates of the fit. Where transitions still diverge at the end, covariance and step size are adapted again
+        for a higher acceptance. A warm-up that continues `before`, the end of another, leaves out the first quarter.
         """
         adaptation = _Adaptation(self, key, self.target_accept if goal is None else goal)
         if before is None:
@@ -183,15 +253,10 @@ class Nuts(AbstractSampler):
 
 @dataclasses.dataclass(frozen=True)
 class _Chain:
-    """One chain of a run, in memory or continued from the files of a folder.
+    """One chain of a run, in memory or continued from the files of a folder; nothing is kept where the folder is None.
 
-    Attributes:
-        nuts, target: what is drawn.
-        goal: acceptance for which the step size is tuned.
-        key: of this chain.
-        folder, label: where it is kept, and the first part of the files' names; nothing is kept where the folder is None.
-        before: the end of the warm-up of the chain before it, whose transitions diverged.
-        chunks: drawn so far.
+    `goal` is the acceptance for which the step size is tuned, `label` the first part of the files' names, and `before` the end of the
+    warm-up of the chain before it, whose transitions diverged.
     """
 
     nuts: Nuts

@@ -29,11 +29,7 @@ _KINDS = ("corner", "trace", "rank", "bands")
 
 
 def draw(posterior: Posterior, kind: str, **options: Any) -> Any:
-    """Draw a picture of one kind and return its figure.
-
-    Raises:
-        MissingExtraError: corner is not installed.
-    """
+    """Draw a picture of one kind and return its figure."""
     if kind not in _KINDS:
         raise ParameterError(f"no picture {kind!r} of a posterior; there are {', '.join(_KINDS)}")
     figure = {"corner": _corner, "trace": _trace, "rank": _rank, "bands": _bands}[kind](posterior, **options)

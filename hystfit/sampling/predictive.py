@@ -42,11 +42,7 @@ def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbe
 
 @verb
 def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) -> Float[np.ndarray, "count T"]:
-    """Outputs over a record's input for many parameter vectors.
-
-    x has shape (count, p), physical. Where the record is not a fitted one, `seed` chooses the fitted record whose own parameters
-    (its offset) a draw takes.
-    """
+    """Outputs over a record's input at physical x, (count, p); for a record not fitted `seed` chooses whose own parameters each takes."""
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
@@ -73,10 +69,7 @@ def _by_columns(result: FitResult, record: Record, x: np.ndarray, numbers: np.nd
 
 
 def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int) -> Float[np.ndarray, "count T"]:
-    """Outputs that might be measured over a record's input: parameters vary, and noise is added.
-
-    `seed` is that of the choice of draws, of the fitted record whose own parameters each takes, and of the noise.
-    """
+    """Outputs that might be measured over a record's input: parameters vary, and noise is added; `seed` is that of all choices."""
     result = posterior.result
     given, record = record, result.in_fitted_units(record)
     flat = posterior.draws.reshape(-1, len(posterior.names))
@@ -144,12 +137,7 @@ def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array, abo
 
 
 def residual_at(density: Density, x: Array, about: Any = None) -> Array:
-    """Prediction less measurement of a draw, shape (R, T): by simulation, or linear about a point.
-
-    Args:
-        x: parameters of model and noise.
-        about: residuals at a point, their derivatives there, and the point; None simulates the model.
-    """
+    """Prediction less measurement of a draw, shape (R, T): simulated, or linear about a point (residuals, derivatives, point)."""
     if about is None:
         return density.objective.residual(x[: density.p])
     residual, jacobian, start = about

@@ -35,13 +35,7 @@ _STEADY = 0.5  # effective fraction of the draws of two rounds after which no fu
 
 @dataclasses.dataclass(frozen=True)
 class Mixture:
-    """A mixture of k t distributions over the coordinates q of a target.
-
-    Attributes:
-        share: of the components, shape (k,).
-        center: of each, shape (k, d).
-        root: of each; times its transpose the scale matrix, shape (k, d, d).
-    """
+    """A mixture of k t distributions over the coordinates q of a target; a root times its transpose is a scale matrix."""
 
     share: Float[np.ndarray, " k"]
     center: Float[np.ndarray, "k d"]
@@ -95,14 +89,7 @@ class Mixture:
 
 @dataclasses.dataclass(frozen=True)
 class Batch:
-    """Places with importance weights.
-
-    Attributes:
-        q: places, shape (n, d).
-        z: unconstrained parameters there, shape (n, d).
-        log_density: of the target, shape (n,).
-        score: logarithms of importance weights, shape (n,).
-    """
+    """Places q with their z, the log density of the target there, and logarithms of importance weights (`score`)."""
 
     q: Float[np.ndarray, "n d"]
     z: Float[np.ndarray, "n d"]

@@ -26,7 +26,7 @@ from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
-from hystfit.results.agreement import differences
+from hystfit.results.estimates import differences
 from hystfit.results.provenance import provenance
 from hystfit.results.result import FitResult
 from hystfit.results.saving.folders import alone
@@ -140,12 +140,9 @@ def _status(result: FitResult, *, converged: bool, diverging: bool, incomplete: 
 def suited_sampler(
     result: FitResult, noise: str | type[AbstractNoise] = "auto", priors: Mapping[str, AbstractPrior] | None = None
 ) -> str:
-    """The sampler that suits a fit: "weights" if most parameters are weights and it supports their noise model and priors.
+    """The sampler that suits a fit: "weights" if most parameters are weights and it supports their noise and priors (as in `sample`).
 
-    Args:
-        noise: as in `sample`. If the residuals need a noise model that "weights" lacks, "independence" is chosen for up to `MOST`
-            parameters.
-        priors: as in `sample`.
+    If the residuals need a noise model that "weights" lacks, "independence" is chosen for up to `MOST` parameters.
     """
     problem, space = result.problem, result.problem.space
     if not space.mostly_linear or not space.weights.any() or not are_free_or_positive(space):
@@ -272,7 +269,7 @@ def _agreement_notes(result: FitResult, setup: Prepared, draws: Float[np.ndarray
             f"the posterior weights the samples by its noise model, least squares weights them equally; a fit with noise={setup.noise!r} "
             "has the estimate of the posterior"
         )
-    return differences(result, errors, "the posterior", reason)
+    return differences(result.parameters, errors, "the posterior", reason)
 
 
 def notes_of_fit(result: FitResult) -> list[Note]:

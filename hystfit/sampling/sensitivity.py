@@ -44,13 +44,7 @@ _RARE = (
 
 @dataclasses.dataclass(frozen=True)
 class Check:
-    """A quantity of the measured loops beside that of replicated data.
-
-    Attributes:
-        measured: its value.
-        lower, median, upper: of the replicated data, with 95 % between the outer ones.
-        above: share of the replicated data with a larger value.
-    """
+    """A quantity of the measured loops, the median and 95 % of replicated data, and the share of these `above` it."""
 
     measured: float
     lower: float
@@ -149,11 +143,7 @@ def _label(name: str) -> str:
 
 
 def sensitivity(posterior: Posterior) -> Sensitivity:
-    """What the draws of a posterior rest on; 1000 of them are used.
-
-    Raises:
-        MissingExtraError: ArviZ is not installed.
-    """
+    """What the draws of a posterior rest on; 1000 of them are used."""
     flat = posterior.draws.reshape(-1, len(posterior.names))
     # Those for which `Posterior.derived` computes quantities.
     at = np.random.default_rng(0).choice(len(flat), min(_COUNT, len(flat)), replace=False)
@@ -250,10 +240,7 @@ def _notes(found: Sensitivity, posterior: Posterior, *, independent: bool) -> tu
 
 
 def record_densities(posterior: Posterior, draws: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Log densities of every record, shapes (draws, R): at the draws, and with the offsets of the record integrated out.
-
-    None where the noise has shapes that all records share.
-    """
+    """Log densities of every record at the draws, (draws, R), also with its offset integrated out; None where records share shapes."""
     noise = NOISES.make(posterior.noise)
     if noise.has_shapes:
         return None

@@ -43,17 +43,11 @@ _WIDEST = 3.0  # standard deviation in v given at first to a direction without c
 
 @dataclasses.dataclass(frozen=True)
 class Prepared:
-    """A posterior prepared for a sampler.
+    """A posterior prepared for a sampler."""
 
-    Attributes:
-        problem: model and data as they were fitted, with noise model and priors.
-        noise: the choice of the noise model, as users write it.
-        notes: what was chosen, and why.
-    """
-
-    problem: Problem
-    noise: str
-    notes: tuple[Note, ...]
+    problem: Problem  # model and data as they were fitted, with noise model and priors
+    noise: str  # the choice of the noise model, as users write it
+    notes: tuple[Note, ...]  # what was chosen, and why
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -93,10 +87,7 @@ def _physical(density: Density, z: Array) -> Array:
 
 
 def choose_noise(residuals: ResidualAnalysis, choice: str | type[AbstractNoise]) -> tuple[Any, list[Note]]:
-    """The noise model to use, and notes on the choice.
-
-    "auto" takes slow noise unless the residuals need another.
-    """
+    """The noise model to use, and notes on the choice; "auto" takes slow noise unless the residuals need another."""
     diagnosis = diagnose(residuals)
     if choice != "auto":
         mismatches = diagnosis.objections(NOISES.find(choice))  # type: ignore[arg-type]
@@ -117,12 +108,9 @@ def prepare(
     priors: Mapping[str, AbstractPrior] | None = None,
     by_residuals: bool = True,
 ) -> Setup:
-    """Prepare the posterior of a fit: noise model, priors, mode and curvature.
+    """Prepare the posterior of a fit: noise model, priors (both as in `sample`), mode and curvature.
 
-    Args:
-        noise: "auto", a name of `NOISES`, my_noise.py:MyNoise, or a class.
-        priors: the user's own, by parameter name; defaults for the others (`hystfit.priors.default_priors`).
-        by_residuals: whether residuals may suggest the size of model error; an evidence needs priors that they do not decide.
+    An evidence needs priors without `by_residuals`: residuals then do not suggest the size of model error.
     """
     check_smooth(result.problem.space, "sampling")
     problem = result.problem.with_loss("linear")
@@ -185,10 +173,7 @@ def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
 
 
 def _widths(problem: Problem, root: np.ndarray) -> np.ndarray:
-    """Widths of the bends of weights with one bound: their standard deviations given the other parameters, in natural sizes.
-
-    `root` is a square root of the information matrix of the model's parameters, shape (p, p).
-    """
+    """Widths of the bends of weights with one bound: their deviations given the others, natural sizes; `root` of the information."""
     space = problem.space
     soft = space.linear & ((space.kinds == LOWER) | (space.kinds == UPPER))
     precision = np.sum((root * space.scale) ** 2, axis=0) + WIDE**-2

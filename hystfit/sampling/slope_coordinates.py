@@ -17,24 +17,19 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.inference.density import Density
-from hystfit.models.shared.secant import AbstractSecant
+from hystfit.models.bouc_wen_steps import AbstractSecant
 from hystfit.params.coordinates import BOTH, LOWER, Coordinates
 from hystfit.params.host_arrays import to_device
 
 
 class SlopeCoordinates(eqx.Module):
-    """The map between z and coordinates w that have log(c secant) in the place of log c.
+    """The map between z and coordinates w that have log(c secant) in the place of log c."""
 
-    Attributes:
-        c, mu: places in z of the parameters of each Bouc-Wen part of the model.
-        parts: numbers of these parts among all such parts.
-        swing: half range of the input [u].
-    """
-
+    # c, mu: places in z of the parameters of each Bouc-Wen part of the model
     c: tuple[int, ...] = eqx.field(static=True)
     mu: tuple[int, ...] = eqx.field(static=True)
-    parts: tuple[int, ...] = eqx.field(static=True)
-    swing: Float[Array, ""]
+    parts: tuple[int, ...] = eqx.field(static=True)  # numbers of these parts among all such parts
+    swing: Float[Array, ""]  # half range of the input [u]
 
     @classmethod
     def of(cls, density: Density) -> SlopeCoordinates | None:

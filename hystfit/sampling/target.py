@@ -15,10 +15,9 @@ from jaxtyping import Array, Float
 from hystfit.inference.density import Density
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import compiled, to_device
-from hystfit.sampling.bend import Bend
+from hystfit.sampling.bend import Bend, Shear
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.noise_coordinates import NoiseCoordinates
-from hystfit.sampling.shear import Shear
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 
 ROWS = 200  # places at once where only sums are kept
@@ -26,25 +25,18 @@ TOGETHER = 8  # places at once where they are heavy: more do not fit into the ca
 
 
 class Target(eqx.Module):
-    """The log posterior that samplers draw from.
+    """The log posterior that samplers draw from."""
 
-    Attributes:
-        density: over z, the unconstrained parameters of model and noise.
-        bend: between z and the coordinates v of `hystfit.sampling.bend`.
-        center, factor: y = center + factor q.
-        shear: between y and v; None where they are the same.
-        noise: coordinates of white and slow noise; None where the noise model has one part.
-        slopes: coordinates of slopes of which the hysteresis takes a part; None where the model has none.
-        linear: parameters whose coordinates are relative to their distribution given all the others; None for none.
-    """
-
-    density: Density
-    bend: Bend
-    center: Float[Array, " d"]
+    density: Density  # over z, the unconstrained parameters of model and noise
+    bend: Bend  # between z and the coordinates v of `hystfit.sampling.bend`
+    center: Float[Array, " d"]  # center, factor: y = center + factor q
     factor: Float[Array, "d d"]
-    shear: Shear | None = None
+    shear: Shear | None = None  # between y and v; None where they are the same
+    # coordinates of white and slow noise; None where the noise model has one part
     noise: NoiseCoordinates | None = None
+    # coordinates of slopes of which the hysteresis takes a part; None where the model has none
     slopes: SlopeCoordinates | None = None
+    # parameters whose coordinates are relative to their distribution given all the others; None for none
     linear: LinearPart | None = None
 
     @classmethod
@@ -107,10 +99,7 @@ class Target(eqx.Module):
         return (w, jnp.zeros(())) if self.noise is None else self.noise.z_and_slope(w)
 
     def log_density(self, v: Float[Array, " d"], lean: bool = False) -> Float[Array, ""]:
-        """Log posterior over v.
-
-        With `lean`, see `Density.log_density`.
-        """
+        """Log posterior over v; `lean` as for `Density.log_density`."""
         return self.log_density_and_z(v, lean)[0]
 
     def log_density_and_z(

@@ -34,13 +34,9 @@ def draw_truncated(
     bounded: Bool[Array, " p"],
     moves: int = 1,
 ) -> Float[Array, "moves p"]:
-    """Ends of transitions that leave the density exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is.
+    """Ends of transitions that leave exp(-x'P x / 2 + s'x) on x >= 0 (where `bounded`) as it is; the precision P is positive definite.
 
-    Args:
-        slope: s.
-        precision: P, positive definite.
-        bounded: which coordinates are >= 0.
-        moves: number of transitions; they share the factorization, which takes three times as long as one of them.
+    All moves share the factorization, which takes three times as long as one of them.
     """
     factor = jnp.linalg.cholesky(precision)
     covariance = jax.scipy.linalg.cho_solve((factor, True), jnp.eye(x.size))

@@ -33,35 +33,21 @@ class WeightEquations(eqx.Module):
     Given noise number k of variance s and a strength of the penalty, w has the density exp(-q_k(w) / 2s - strength w'R w / 2 - w'D w / 2
     + d'w) on w >= 0 where `bounded`, with q_k(w) the squares of the residuals, whitened by that noise. Among w are also the other
     parameters, as unconstrained coordinates, in which the residuals are not linear: `exact` then corrects the density.
-
-    Attributes:
-        estimate: about which the equations are expanded, shape (p,).
-        squares: q_k(estimate), shape (m,).
-        slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p).
-        log_dets: log determinants of the noises' covariances over their variance, shape (m,).
-        log_priors: of the noises, up to a constant, shape (m,).
-        roughness: R, shape (p, p).
-        penalized: rank of R.
-        precision: diagonal of D: priors of the weights without a penalty, shape (p,).
-        pull: d, shape (p,).
-        bounded: which weights are >= 0, shape (p,).
-        count: number of samples.
-        exact: the density without linearization; None where the residuals are linear in all of w.
     """
 
-    estimate: Float[Array, " p"]
-    squares: Float[Array, " m"]
-    slopes: Float[Array, "m p"]
+    estimate: Float[Array, " p"]  # about which the equations are expanded, shape (p,)
+    squares: Float[Array, " m"]  # q_k(estimate), shape (m,)
+    slopes: Float[Array, "m p"]  # slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p)
     grams: Float[Array, "m p p"]
-    log_dets: Float[Array, " m"]
-    log_priors: Float[Array, " m"]
-    roughness: Float[Array, "p p"]
-    penalized: Float[Array, ""]
-    precision: Float[Array, " p"]
-    pull: Float[Array, " p"]
-    bounded: Bool[Array, " p"]
-    count: Float[Array, ""]
-    exact: Exact | None = None
+    log_dets: Float[Array, " m"]  # log determinants of the noises' covariances over their variance, shape (m,)
+    log_priors: Float[Array, " m"]  # of the noises, up to a constant, shape (m,)
+    roughness: Float[Array, "p p"]  # R, shape (p, p)
+    penalized: Float[Array, ""]  # rank of R
+    precision: Float[Array, " p"]  # diagonal of D: priors of the weights without a penalty, shape (p,)
+    pull: Float[Array, " p"]  # d, shape (p,)
+    bounded: Bool[Array, " p"]  # which weights are >= 0, shape (p,)
+    count: Float[Array, ""]  # number of samples
+    exact: Exact | None = None  # the density without linearization; None where the residuals are linear in all of w
 
     def conditional(self, number: Any, variance: Any, strength: Any) -> tuple[Float[Array, " p"], Float[Array, "p p"]]:
         """s and P of the weights' density exp(-w'P w / 2 + s'w) for number and variance of the noise, and a strength of the penalty."""
@@ -98,15 +84,7 @@ class WeightEquations(eqx.Module):
 
 
 class Exact(eqx.Module):
-    """The density over w of a model with parameters in which its output is not linear, up to a constant.
-
-    Attributes:
-        density: of model and noise; its priors do not count.
-        grid: of the noises.
-        linear: which parameters are weights, shape (p,).
-        priors: of the others, None for weights.
-        size: of the output.
-    """
+    """The density over w of a model with parameters in which its output is not linear, up to a constant; priors of these alone."""
 
     density: Density
     grid: NoiseGrid
@@ -135,13 +113,7 @@ class Exact(eqx.Module):
 
 
 class NoiseGrid(eqx.Module):
-    """Noises among which the sampler moves, on a grid about the most probable one.
-
-    Attributes:
-        ratios: of white to slow variance, shape (m,); None for independent noise.
-        times: correlation times, typical sampling intervals, shape (m,).
-        log_prior: of each noise, up to a constant.
-    """
+    """Noises among which the sampler moves, about the most probable one: ratios of white to slow variance (None: white), and times."""
 
     models: ClassVar[tuple[str, ...]] = ("iid", "ou")  # noise models that are on such grids
     ratios: Any
@@ -195,15 +167,7 @@ def parameters_of(space: ParameterSpace, w: Float[np.ndarray, "... p"], size: fl
 def weight_equations(
     problem: Problem, x: np.ndarray, grid: NoiseGrid, priors: Mapping[str, AbstractPrior], size: float
 ) -> WeightEquations:
-    """The equations of a problem about an estimate.
-
-    Args:
-        problem: model, data and weights of its samples.
-        x: estimate, shape (p,).
-        grid: of the noises.
-        priors: of weights without a penalty, and of the other parameters.
-        size: of the output, by which it is divided.
-    """
+    """The equations of a problem about x, (p,), outputs over `size`; `priors` are of weights without a penalty and of other parameters."""
     space, linear = problem.space, problem.space.linear
     bounded = linear & (space.lower == 0)
     if not are_free_or_positive(space):
@@ -243,11 +207,7 @@ def weight_equations(
 def weight_priors(
     problem: Problem, x: np.ndarray, given: Mapping[str, AbstractPrior] | None
 ) -> dict[str, AbstractPrior]:
-    """Priors by name: the user's own, which multiply a penalty, and the default ones of weights without a penalty.
-
-    Raises:
-        ParameterError: see `choose_priors`.
-    """
+    """Priors by name: the user's own, which multiply a penalty, and the default ones of weights without a penalty."""
     space, own = problem.space, set(given or {})
     penalized = np.diag(smoothness_penalty(space, list(problem.data), x)) > 0
     rows = zip(space.names, choose_priors(space, given, x), penalized, strict=True)

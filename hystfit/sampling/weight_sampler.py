@@ -247,13 +247,9 @@ def overrelaxed(value: Array, others: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True)
 class WeightSetup(Prepared):
-    """The posterior of linear weights; the noise model of its problem is for predictions.
+    """The posterior of linear weights, outputs over `size`; the noise model of its problem is for predictions.
 
-    Attributes:
-        chosen: priors of the weights without a penalty, and the user's own.
-        equations: of the weights.
-        grid: of the noises.
-        size: of the output in the equations.
+    `chosen` are priors of the weights without a penalty, and the user's own.
     """
 
     chosen: dict[str, AbstractPrior]

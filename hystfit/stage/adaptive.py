@@ -132,12 +132,7 @@ class _Channel:
         return np.asarray(answer.u)
 
     def filter(self, u: np.ndarray, y: np.ndarray, *, first: bool) -> None:
-        """Update the model by measured outputs.
-
-        Args:
-            u, y: inputs and outputs, shape (T,).
-            first: whether the run begins here.
-        """
+        """Update the model by inputs and outputs, shape (T,); `first` where the run begins."""
         begins = np.zeros(u.size, dtype=bool)
         begins[0] = first
         self.state, _ = run_stream(self.ukf, self.state, Sample.of(u, y, np.full(u.size, self.dt), begins))

@@ -76,12 +76,7 @@ def seeds_of(seed: int, count: int) -> list[int]:
 def single_models(
     model: Any, count: int, *, spread: Mapping[str, float], seed: int
 ) -> tuple[list[Any], dict[str, np.ndarray], dict[str, str]]:
-    """The devices of `population` one by one, their parameters by name, and the units of these on a piezo (V, um).
-
-    Args:
-        model: any model.
-        count, spread, seed: see `population`.
-    """
+    """The devices of `population` one by one, their parameters by name, and the units of these on a piezo (V, um)."""
     space, x = _scattered(model, count, spread, seed)
     label = Scales(u_unit="V", y_unit="um").label
     units = {name: label(info.unit) for name, info in zip(space.names, space.infos, strict=True)}

@@ -149,11 +149,8 @@ def _partialled(
     """Rows without the parameters of single records that have fewer than `fewest` blocks, and which parameters these are, shape (p,).
 
     A block that alone determines a parameter has no residuals from which to judge its error. Without the derivatives by it, and their
-    projection in those by the others, the estimates of the others and all residuals stay as they are (Frisch and Waugh 1933).
-
-    Args:
-        rows: residuals (T,) and derivatives (T, p) of each record.
-        of_record: positions of the parameters of each record alone.
+    projection in those by the others, the estimates of the others and all residuals stay as they are (Frisch and Waugh 1933). Rows are
+    residuals (T,) and derivatives (T, p) of each record; `of_record` are positions of the parameters of each record alone.
     """
     kept, gone = [], np.zeros(rows[0][1].shape[1], dtype=bool)
     for (residual, slope), own in zip(rows, of_record, strict=True):
@@ -181,12 +178,7 @@ def _orthonormal(slopes: list[np.ndarray]) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class _Blocks:
-    """Blocks of consecutive samples of a linear model y = Q q + e with orthonormal Q.
-
-    Attributes:
-        scores: Q_g' e_g of each block g, shape (G, k).
-        grams: Q_g' Q_g, shape (G, k, k).
-    """
+    """Blocks g of samples of y = Q q + e with orthonormal Q: scores Q_g' e_g, (G, k), and grams Q_g' Q_g, (G, k, k)."""
 
     scores: np.ndarray
     grams: np.ndarray

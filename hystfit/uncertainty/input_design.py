@@ -26,8 +26,7 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
 from hystfit.params.units import with_unit
 from hystfit.quality.coverage import coverage_notes
-from hystfit.results.agreement import differences
-from hystfit.results.estimates import grouped
+from hystfit.results.estimates import differences, grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import Plan, covariance_with
 
@@ -89,11 +88,7 @@ class Design(WithStatus):
         return self.candidates[0]
 
     def record(self, seed: int = 0, sigma: float | None = None) -> Record:
-        """A simulated measurement of the best input, with white noise.
-
-        Args:
-            sigma: its standard deviation [y]; that of the residuals by default.
-        """
+        """A simulated measurement of the best input, with white noise of standard deviation sigma [y]; by default that of the residuals."""
         u = self.best.u
         t = None if self.dt is None else np.arange(u.size) * self.dt
         y = np.asarray(simulate(self.result.model, u, self.dt)[0])
@@ -125,11 +120,7 @@ class Design(WithStatus):
     __repr__ = __str__
 
     def text(self, width: int | None = None) -> str:
-        """The proposed input, and the predicted standard errors with all inputs.
-
-        Args:
-            width: columns of the table; a wider one is shown in parts.
-        """
+        """The proposed input, and the predicted standard errors with all inputs; a table of more than `width` columns is shown in parts."""
         lines = [
             f"{self.result.name}: next input for {', '.join(self.families(self.aim))}",
             f"proposed input: {self.best.name}",
@@ -250,7 +241,7 @@ def _notes(
         "the present data alone",
         "the design combines the data with a wide prior and no other regularization",
     )
-    return (*notes, *differences(result, present, source, reason))
+    return (*notes, *differences(result.parameters, present, source, reason))
 
 
 def _score(covariance: Array, counted: Array) -> Array:

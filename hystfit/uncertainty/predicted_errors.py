@@ -36,28 +36,18 @@ class Plan(eqx.Module):
     """What candidates are judged by.
 
     The parameters of a further record that it does not share, such as its offset, follow those of the fit.
-
-    Attributes:
-        coordinates: of the fit's parameters.
-        x: their values, shape (p,).
-        size: relative sizes, shape (p,); 0 for weights on their bound, which do not count.
-        information: the noise behind the standard errors of the fit.
-        dt: sampling interval.
-        limits: of the fitted input, relative to which curves over the input are placed.
-        own: positions of the parameters that each record has for itself.
     """
 
-    coordinates: Coordinates
-    x: Float[Array, " p"]
-    size: Float[Array, " p"]
-    information: AbstractInformation
-    dt: Float[Array, ""]
-    limits: tuple[Array, Array]
-    own: tuple[int, ...] = eqx.field(static=True)
+    coordinates: Coordinates  # of the fit's parameters
+    x: Float[Array, " p"]  # their values, shape (p,)
+    size: Float[Array, " p"]  # relative sizes, shape (p,); 0 for weights on their bound, which do not count
+    information: AbstractInformation  # the noise behind the standard errors of the fit
+    dt: Float[Array, ""]  # sampling interval
+    limits: tuple[Array, Array]  # of the fitted input, relative to which curves over the input are placed
+    own: tuple[int, ...] = eqx.field(static=True)  # positions of the parameters that each record has for itself
 
     @classmethod
     def of(cls, result: FitResult) -> Plan:
-        """The plan for a fit."""
         problem, x = result.problem, result.x
         c, infos = problem.space.coordinates, problem.space.infos
         held = problem.on_bound(x) & np.array([info.linear for info in infos])

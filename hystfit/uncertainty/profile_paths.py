@@ -29,13 +29,7 @@ class LowerOptimum(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Path:
-    """One side of a profile.
-
-    Attributes:
-        v: the parameter's coordinate along the path, away from the optimum, shape (n,).
-        statistic: -2 delta log likelihood there, divided by the squared widening of the errors, shape (n,).
-        points: the refits.
-    """
+    """One side of a profile: the coordinate away from the optimum, -2 delta log likelihood over the squared widening, and the refits."""
 
     v: np.ndarray
     statistic: np.ndarray
@@ -55,15 +49,7 @@ class Path:
 
 @dataclasses.dataclass(frozen=True)
 class Walk:
-    """The way along one parameter from the optimum.
-
-    Attributes:
-        newton: the least-squares problem.
-        optimum: where all parameters are at their best.
-        k: position of the parameter.
-        wider: reported over i.i.d. standard error of it.
-        limit: of the statistic, where a path ends.
-    """
+    """The way along parameter k from the optimum to a limit of the statistic; its reported error is `wider` than an i.i.d. one."""
 
     newton: BoundedNewton
     optimum: Point
@@ -123,9 +109,7 @@ class Walk:
         return bool(root < 0.5 * _STRIDE or abs(root - expected) < _ORDINARY * expected)
 
     def _nearby(self, value: float, before: Point) -> Point:
-        """The refit with the parameter at a value, from the refit before; where its statistic is not that of the curvature, from the
-        optimum too.
-        """
+        """The refit with the parameter at a value, from that before; from the optimum too where its statistic is not the curvature's."""
         point = self._refit(value, before.v)
         if self._ordinary(point):
             return point

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from hystfit.config import verb
 from hystfit.errors import ParameterError
-from hystfit.fitting.judgment.error_ratios import error_ratios
+from hystfit.fitting.judgment.covariance import error_ratios
 from hystfit.fitting.noise_refinement import refine_moving
 from hystfit.inference.bounded_newton import BoundedNewton, Point
 from hystfit.inference.fittable import check_smooth
@@ -29,7 +29,7 @@ from hystfit.outcome.table import rounded
 from hystfit.outcome.wrapping import listed
 from hystfit.params.coordinates import BOTH, LOWER, UPPER
 from hystfit.params.units import axis_label
-from hystfit.results.agreement import differences
+from hystfit.results.estimates import differences
 from hystfit.results.labels import use_available_fonts
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
@@ -226,7 +226,7 @@ def profile(
         name: (p.upper - p.lower) / (2 * np.sqrt(limit)) if p.lower is not None and p.upper is not None else None
         for name, p in profiles.items()
     }
-    notes += differences(result, halves, "half the distance between the limits", _reason(result, noise))
+    notes += differences(result.parameters, halves, "half the distance between the limits", _reason(result, noise))
     return Profiles(result, profiles, level, described, tuple(notes))
 
 

@@ -27,8 +27,8 @@ from hystfit.params.space import ParameterSpace
 from hystfit.runs.chunks import claim, keep, load
 from hystfit.runs.pool import computed
 from hystfit.sampling.ensemble import start, walk
+from hystfit.sampling.nuts import Tuning, advance
 from hystfit.sampling.target import Target
-from hystfit.sampling.transitions import Tuning, advance
 
 Method = Literal["laplace", "nuts", "emcee"]
 CHUNK = 10  # replicates in one compiled call and one file
@@ -40,21 +40,7 @@ _AWAY = 3.0  # standard deviations of the places where its walkers begin: they m
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What is calibrated, ready to be sent to another process.
-
-    Attributes:
-        model: whose present values center the priors.
-        data: records that give inputs, times and weights; their outputs are replaced.
-        truth: the noise that simulates, with values.
-        assumed: name of the noise model of the inference.
-        method: "laplace" (curvature at the mode: least squares), "nuts" or "emcee".
-        spread: relative width of the priors.
-        priors: the user's own, by name.
-        fix: parameters that are not fitted.
-        free: fitted parameters that the model fixes by default.
-        tie: parameters that follow from others.
-        seed: of everything.
-    """
+    """What is calibrated, ready to be sent to another process: `truth` is the noise that simulates, all else as for `calibrate`."""
 
     model: AbstractHysteresis
     data: Dataset
@@ -75,14 +61,9 @@ def typical_noise(name: str, problem: Problem) -> AbstractNoise:
 
 
 class Spaces:
-    """Parameter spaces, priors and the traced posterior of a study.
+    """Parameter spaces, priors and the traced posterior, centered on these, of a study; its data are replaced.
 
-    Attributes:
-        target: the posterior, centered on the priors; its data are replaced.
-        truth: space of the noise of the simulation.
-        true_priors: of the model's parameters, then of that noise.
-        names: of all parameters of the inference.
-        shared: which of them have a true value and a posterior.
+    `shared` of the names of the inference have a true value and a posterior.
     """
 
     def __init__(self, study: Study):
@@ -210,12 +191,7 @@ def collect(
     scheduler: str | None,
     progress: Callable[[str], None] | None,
 ) -> tuple[list[Chunk], list[str]]:
-    """`count` chunks in order, and a sentence on each that broke; a chunk that broke is not kept, so that the same call tries it again.
-
-    Raises:
-        DataError: the folder holds another study.
-        HystfitError: settings that cannot be used, or a missing extra.
-    """
+    """`count` chunks in order, and a sentence on each that broke, which is not kept, so that the same call tries it again."""
     place = None if folder is None else _claim(Path(folder), study)
     done = {} if place is None else {k: chunk for k in range(count) if (chunk := _load(_file(place, k))) is not None}
     missing = [k for k in range(count) if k not in done]

@@ -16,8 +16,7 @@ from hystfit.outcome.note import warn
 from hystfit.outcome.table import or_none
 from hystfit.outcome.wrapping import listed
 from hystfit.quality.determination import count
-from hystfit.results.agreement import differences
-from hystfit.results.estimates import grouped
+from hystfit.results.estimates import differences, grouped
 from hystfit.results.result import FitResult
 from hystfit.sampling.base import Progress
 from hystfit.sampling.sample import sample, suited_sampler
@@ -88,14 +87,7 @@ class StandardErrors:
         return [f"{name}[{len(places)}]", value, *(_span(error[places]) for error in self.errors.values()), remark]
 
     def text(self, parameter: str | Sequence[str] | None = None) -> str:
-        """The table and the notes.
-
-        Args:
-            parameter: see `table`.
-
-        Raises:
-            ParameterError: see `table`.
-        """
+        """The table, see there, and the notes."""
         lines = [f"Standard errors of {self.result.name} by several methods", *self.table(parameter).lines()]
         if arrays := [(name, len(places)) for name, places in self._families(parameter) if len(places) > 1]:
             name, many = arrays[0]
@@ -197,7 +189,7 @@ def standard_errors(
             notes.append(Note(Code.BLOCKS, text))
         reason = f"from {other.blocks} blocks, a standard error is accurate to {100 / np.sqrt(2 * other.blocks):.0f} % at best"
         by_name = dict(zip(result.free_names, map(float, np.nan_to_num(errors[kind])), strict=True))
-        notes += differences(result, by_name, f"the {kind}", reason)
+        notes += differences(result.parameters, by_name, f"the {kind}", reason)
     if suited_sampler(result) == "weights":
         errors["posterior"], factors["posterior"], remarks = _of_draws(result, seed, progress)
         notes += remarks

@@ -40,12 +40,7 @@ Progress = Callable[[str], object]
 class CandidateFits:
     """Fits of candidates, which use what those of others told: sizes, equations of the same elements, and the error to beat.
 
-    Args:
-        data: records.
-        left_out: see `hystfit.fitting.comparison.compare.compare`.
-        options: of every fit.
-        named: models by the name of their row, where the user chose them.
-        standings: the models that are done.
+    `named` are models by the name of their row, where the user chose them; the standings are those of the models that are done.
     """
 
     def __init__(
@@ -148,11 +143,7 @@ class CandidateFits:
     def _sized(
         self, one: Candidate, model: AbstractHysteresis, progress: Progress, of_last: tuple[Problem, Split] | None
     ) -> tuple[AbstractHysteresis | None, FitSetup | None]:
-        """The model of the size that suits the data, and its setup where it is known; none of a model without choices.
-
-        Args:
-            of_last: problem and equations of the last fit.
-        """
+        """The model of the size that suits the data, and its setup if known; none without choices. `of_last`: equations of the last fit."""
         if (alike := self._alike(model, one.first)) is not None:
             given = type(model).of(**alike.model.settings())
             if of_last is None:

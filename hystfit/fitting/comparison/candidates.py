@@ -34,12 +34,9 @@ _LEFT = 0.5
 class Candidates:
     """Models that a comparison tries, in order.
 
-    Attributes:
-        closed: models whose weights follow from a linear solve: they take a tenth of a second each.
-        iterated: models whose parameters are searched for.
-        resonant: those of them with a resonance, which take longest.
-        late: models tried only where the others leave more than noise: those that need more speeds than the long branches have.
-        last: those for loops of the other direction that describe these too: where no other model does.
+    The weights of `closed` ones follow from a linear solve, in a tenth of a second each; `iterated` ones are searched for, of which the
+    `resonant` take longest. `late` ones, which need more speeds than the long branches have, and the `last`, for loops of the other
+    direction that describe these too, are tried only where the others leave more than noise.
     """
 
     closed: tuple[str, ...]
@@ -60,12 +57,7 @@ class Candidates:
         return dataclasses.replace(self, iterated=early, late=(*late, *self.late))
 
     def beside(self, found: Structure, delay: bool) -> Candidates:
-        """The same after the search, with what it found before and beside its plays before and beside the iterated models too.
-
-        Args:
-            found: the terms that the search took.
-            delay: whether it took a pure delay.
-        """
+        """The same after the search, with the terms and the pure delay that it found before and beside the iterated models too."""
         before = "delay+" * delay + "negate+" * found.falls
         around = lambda name: f"{before}{name}" + "+linear" * found.line
         lagged = (f"{before}lag+preisach",) if found.lag and len(self.closed) > 1 else ()  # none without a loop

@@ -9,11 +9,10 @@ from typing import Any, Literal, get_args
 from hystfit.config import verb
 from hystfit.errors import DataError, HystfitError, ModelError, ParameterError
 from hystfit.fitting.comparison.candidates import Candidates, candidates
-from hystfit.fitting.comparison.compared_models import Comparison, Fits, Purpose, Row
+from hystfit.fitting.comparison.compared_models import Comparison, Fits, Purpose, Row, ranked
 from hystfit.fitting.comparison.comparison_run import ComparisonRun
 from hystfit.fitting.comparison.left_out import CHOICES, LeftOut
 from hystfit.fitting.comparison.model_search import search
-from hystfit.fitting.comparison.ranking import ranked
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.judgment.verdict import turns_back
@@ -118,11 +117,7 @@ def _refusal(errors: Sequence[Exception], rows: Sequence[Row]) -> HystfitError:
 
 
 def _named(models: Sequence[str | type[AbstractHysteresis] | AbstractHysteresis]) -> dict[str, Any]:
-    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it.
-
-    Raises:
-        ModelError: one of them is not a model.
-    """
+    """Models by the name of their row: as it was given, or that of a class or a model, numbered where several have it."""
     chosen: dict[str, Any] = {}
     for choice in [models] if isinstance(models, str) else models:
         if isinstance(choice, str):

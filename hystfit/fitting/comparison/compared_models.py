@@ -1,11 +1,11 @@
-"""A ranking of models: its rows, its winner, and the table that shows it."""
+"""A ranking of models: their order, by errors on held-out samples, the winner, and the table that shows it."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 from hystfit.outcome import Column, Status, Table, fragment
@@ -24,11 +24,7 @@ Purpose = Literal["prediction", "inverse", "export"]
 
 
 class Obstacles(Mapping[str, str]):
-    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables.
-
-    Args:
-        result: the fit.
-    """
+    """Why a fitted model cannot be inverted or exported, by purpose: found when first looked at, because an inverse takes tables."""
 
     def __init__(self, result: FitResult):
         self._result = result
@@ -54,41 +50,30 @@ def handicap(status: Status, inverts: bool, paced: bool = False) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One model in a comparison.
+    """One model in a comparison."""
 
-    Attributes:
-        name: expression that recreates the model, with the chosen size and terms.
-        asked: the name as requested: the same, a name without settings, or a search.
-        score_percent: error on left-out data, in percent of the output's range; None where it is not known.
-        in_sample_percent, max_error_percent: on the samples fitted.
-        parameters: number of free ones.
-        family_inverts: whether the models of its family have an inverse, unless their parameters exclude one.
-        leaves_noise: whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`.
-        paced: whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike.
-        hysteretic: whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data.
-        effective: how many of them the data determine, where a penalty or bounds reduce them; None where it is not known.
-        seconds: what fit and validation took.
-        status: of the fit, or "failed".
-        note: why it was left out or stopped early.
-        bic: Bayesian information criterion, see `hystfit.fitting.comparison.left_out.bic`; None where it is not known.
-        obstacles: why the model cannot be inverted or exported, by purpose; None where it is not known.
-    """
-
-    name: str
-    asked: str
+    name: str  # expression that recreates the model, with the chosen size and terms
+    asked: str  # the name as requested: the same, a name without settings, or a search
+    # error on left-out data, in percent of the output's range; None where it is not known
     score_percent: float | None = None
-    in_sample_percent: float | None = None
+    in_sample_percent: float | None = None  # in_sample_percent, max_error_percent: on the samples fitted
     max_error_percent: float | None = None
-    parameters: int | None = None
-    seconds: float = 0.0
-    status: Status = Status.UNTESTED
-    note: str = ""
+    parameters: int | None = None  # number of free ones
+    seconds: float = 0.0  # what fit and validation took
+    status: Status = Status.UNTESTED  # of the fit, or "failed"
+    note: str = ""  # why it was left out or stopped early
+    # Bayesian information criterion, see `hystfit.fitting.comparison.left_out.bic`; None where it is not known
     bic: float | None = None
+    # why the model cannot be inverted or exported, by purpose; None where it is not known
     obstacles: Mapping[str, str] | None = None
-    family_inverts: bool = True
+    family_inverts: bool = True  # whether the models of its family have an inverse, unless their parameters exclude one
+    # how many of them the data determine, where a penalty or bounds reduce them; None where it is not known
     effective: float | None = None
+    # whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data
     hysteretic: bool = True
+    # whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`
     leaves_noise: bool = False
+    # whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike
     paced: bool = False
 
     @property
@@ -230,11 +215,7 @@ class Comparison:
         return [f"{row.name}: {row.note}" for row in self.rows if row.note]
 
     def text(self, width: int | None = None) -> str:
-        """The ranking as text.
-
-        Args:
-            width: columns of the table; a wider one is shown in parts.
-        """
+        """The ranking as text; a table of more than `width` columns is shown in parts."""
         purpose = "" if self.purpose == "prediction" else f" (for {self.purpose})"
         remarks = [f"  - {remark}" for remark in self.remarks()]
         winner = f"winner: {self.rows[0].name}{purpose}"
@@ -259,3 +240,57 @@ class Comparison:
             ],
             "provenance": self.winner.provenance,
         }
+
+
+def ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: float = 1.0) -> list[Row]:
+    """Models from best to worst, by their errors on held-out samples.
+
+    A few large errors decide such an error. Where errors do not differ by more than it is known, what else speaks for a model decides, see
+    `_plainest_first`: up to `equal` times the smallest error, and up to `floor`, that of rounding, which recurs where the cycles repeat
+    [percent of range]. A fit that has not converged is not first beside one that can be used.
+    """
+    by_error = sorted(rows, key=lambda row: _rank(row, purpose))
+    if not by_error or by_error[0].score_percent is None:
+        return by_error
+    ended = [row for row in by_error if row.status not in UNFIT]
+    if by_error[0].status is Status.NOT_CONVERGED and ended and ended[0].status is Status.OK:
+        first = ranked(ended, purpose, floor, equal=equal)[0]
+        return [first, *(row for row in by_error if row is not first)]
+    kind, most = _rank(by_error[0], purpose)[:-1], equal * _error(by_error[0])
+    alike = [row for row in by_error if _rank(row, purpose)[:-1] == kind and _error(row) <= max(most, floor)]
+    # Rounding errors are no evidence.
+    return _plainest_first(alike, evidence=most > floor) + by_error[len(alike) :]
+
+
+def _plainest_first(alike: Sequence[Row], *, evidence: bool) -> list[Row]:
+    """Models whose errors do not differ: fits that converged and describe the loop first, at one pace those without time, those without
+    strong evidence against them by BIC, without hysteresis, with fewer determined parameters, and with an inverse.
+
+    Args:
+        evidence: whether their BIC tells of the models, not of rounding.
+    """
+    least = min((row.bic for row in alike if row.bic is not None and evidence), default=math.inf)
+
+    def plain(row: Row) -> tuple[Any, ...]:
+        unlikely = row.bic is not None and row.bic > least + STRONG
+        parameters = row.effective or row.parameters or 0
+        return row.status in UNFIT, row.paced, unlikely, row.hysteretic, parameters, not row.family_inverts, row.score
+
+    return sorted(alike, key=plain)
+
+
+def _error(row: Row) -> float:
+    """Error by which a model ranks [percent of range]: one that describes the loops only roughly must err clearly less."""
+    return (row.ranked_percent or 0.0) * (MARGIN if row.status is Status.ROUGH else 1.0)
+
+
+def _rank(row: Row, purpose: Purpose) -> tuple[Any, ...]:
+    """Validated models first, then those that serve the purpose, then the smallest error on left-out data."""
+    return (
+        row.in_sample_percent is None,
+        row.status is Status.UNTESTED,
+        row.status is Status.NO_LOOP and row.hysteretic,
+        purpose != "prediction" and not row.serves(purpose),
+        row.score_percent is None,
+        _error(row) or (row.in_sample_percent or 0.0) * row.handicap,
+    )

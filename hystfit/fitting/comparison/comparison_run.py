@@ -41,17 +41,8 @@ _Work = Callable[[Candidate, Callable[[str], object]], None]
 class ComparisonRun:
     """Tries candidates side by side and keeps their rows.
 
-    Args:
-        data: records.
-        left_out, purpose: see `hystfit.fitting.comparison.compare.compare`.
-        options: of every fit.
-        named: models by the name of their row; where the user chose them, every one is validated, however poor its fit.
-        shown: progress of the models.
-        workers: which fit them side by side.
-
-    Attributes:
-        standings: the models that are done.
-        errors: of those that could not be fitted.
+    Models that are `named` by the user, by the name of their row, are validated however poor their fit. `standings` are the models that are
+    done, `errors` those of models that could not be fitted.
     """
 
     def __init__(
@@ -89,13 +80,9 @@ class ComparisonRun:
         return candidates
 
     def run_until_settled(self, waiting: list[Candidate], names: Sequence[str]) -> None:
-        """Finish candidates, after first fits of others, from those with the fewest parameters on.
+        """Finish candidates that wait after their first fits, and the others by name, from those with the fewest parameters on.
 
         One that errs by no more than the noise is fitted at once: where its residuals are white, the others are not looked at.
-
-        Args:
-            waiting: candidates after their first fits.
-            names: of the others.
         """
         ahead = sorted(names, key=lambda name: weights_of(make_model(name)))
         while ahead:

@@ -41,17 +41,9 @@ class First(NamedTuple):
 class Candidate:
     """A model in a comparison, with the results so far.
 
-    Attributes:
-        name: of its row.
-        row: once it is validated, stopped, or has failed.
-        solved: the fit, without standard errors.
-        sizes: the search for its size.
-        choices: notes on its choices.
-        result: its verdict.
-        first: the first fit, where there was one.
-        failure: why there is no result.
-        started: models with starting values from the records, the best first, where they are those of its fit too.
-        seconds: time of its fits and validation.
+    It has a row once it is validated, stopped, or has failed. `solved` is the fit without standard errors, `result` its verdict, `choices`
+    are notes on its choices, `started` models with starting values from the records, the best first, where they are those of its fit too,
+    and `seconds` the time of its fits and validation.
     """
 
     name: str
@@ -67,12 +59,7 @@ class Candidate:
 
 
 def leader(waiting: Sequence[Candidate], equal: float = 1.0) -> Candidate | None:
-    """The model to validate next, because it may stop the others; None where no first fit is known.
-
-    Args:
-        waiting: models that are not validated.
-        equal: ratio to the smallest error of a first fit up to which that with the fewest parameters goes first.
-    """
+    """The next to validate, as it may stop others: the smallest within the ratio `equal` of the least first error; None without one."""
     firsts = [(one, one.first) for one in waiting if one.first is not None]
     most = equal * min((first.ranked for _, first in firsts), default=0.0)
     alike = [(one, first) for one, first in firsts if first.ranked <= most]

@@ -50,12 +50,7 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
 
 
 def ranking_error(result: FitResult, error: float, most: float = np.inf) -> float:
-    """The error by which models are ranked: where scattered samples are held out, its geometric mean with that on `inner_loops`, if any.
-
-    Args:
-        result, most: see `left_out_error`.
-        error: its value.
-    """
+    """The error by which models are ranked: where scattered samples are held out, its geometric mean with that on `inner_loops`, if any."""
     problem = result.problem
     inner = problem.by_inner_loops() if problem.held_out.scheme is Scheme.SCATTERED else None
     if inner is None:
@@ -115,13 +110,7 @@ def _effects(problem: Problem, x: np.ndarray) -> Float[np.ndarray, " p"]:
 def _with_absent_records(
     problem: Problem, x: np.ndarray, fitted: np.ndarray, idle: np.ndarray
 ) -> Float[np.ndarray, " p"]:
-    """Fitted parameters, and those of records absent from the fit: offsets that fit them best, and else their values in x.
-
-    Args:
-        x: the fit of all records, physical, shape (p,).
-        fitted: the fit without some records, shape (p,).
-        idle: which parameters belong to these, shape (p,), bool.
-    """
+    """Fitted parameters, (p,), but those of records absent from the fit (`idle`): offsets that fit them best, else their values in x."""
     changed, shifts = np.where(idle, x, fitted), idle & problem.space.offsets
     if not shifts.any():
         return changed

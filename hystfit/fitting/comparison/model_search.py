@@ -90,9 +90,7 @@ def _terms(run: ComparisonRun) -> tuple[Structure, bool]:
 def _after_closed_forms(run: ComparisonRun, chosen: Candidates, *, rings: bool, at_one_pace: bool) -> Candidates:
     """What remains to be tried, with the terms that the search found.
 
-    Args:
-        rings: whether the response shows a resonance.
-        at_one_pace: whether the search left noise by terms of time that the records do not tell from a loop.
+    The response `rings` where it shows a resonance; noise is left `at_one_pace` by terms of time that the records do not tell from a loop.
     """
     found, delay = _terms(run)
     if at_one_pace or (run.standings.one_pace and run.standings.is_white()):

@@ -34,14 +34,11 @@ def weights_of(model: AbstractHysteresis) -> int:
 
 @dataclasses.dataclass
 class Known:
-    """What the search for the size of one model tells of another with the same elements, whose bounds alone differ.
+    """What the search for the size of one model tells of another with the same elements, whose bounds alone differ."""
 
-    Attributes:
-        equations: of choices whose free parameters all are weights, by settings and spacing, until another model takes them.
-        beaten: choices with lower bounds of their errors, which hold for weights of either sign.
-    """
-
+    # of choices whose free parameters all are weights, by settings and spacing, until another model takes them
     equations: dict[str, tuple[Problem, Split]] = dataclasses.field(default_factory=dict)
+    # choices with lower bounds of their errors, which hold for weights of either sign
     beaten: list[tuple[AbstractHysteresis, LeftOutErrors]] = dataclasses.field(default_factory=list)
 
     def take(self, key: str, problem: Problem) -> Split | None:
@@ -55,13 +52,8 @@ class SizeSearch:
 
     It takes those with the smallest cross-validation error of all samples, to which samples that are in every fit, such as the largest of
     several loops, add their error of the fit. Of 105 simulated devices (experiments/choice) this changes one, whose error on unseen loops
-    falls from 0.61 to 0.37 %.
-
-    Args:
-        data: records; of long ones every k-th sample and the reversals count.
-        spacing: samples over which errors are correlated, see `held_out`.
-        progress: called with the name of each model that is tried.
-        known: of other models on these records.
+    falls from 0.61 to 0.37 %. Of long records every k-th sample and the reversals count; `spacing` is that of `held_out`, over which errors
+    are correlated, and `known` is of other models on these records.
     """
 
     def __init__(

@@ -18,16 +18,9 @@ from hystfit.results.result import FitResult
 
 
 class Standings:
-    """Rows and fits of the models that are done.
+    """Rows and fits of the models that are done, and which of these are validated.
 
-    Args:
-        data: records.
-        purpose: models that do not serve it stop no others.
-        all_validated: whether every model is validated, however poor its fit: the user chose them.
-
-    Attributes:
-        rows: of models that were validated, stopped or left out.
-        fits: of those that were validated, by the requested name.
+    Models that do not serve `purpose` stop no others; with `all_validated` every model is, however poor its fit: the user chose them.
     """
 
     def __init__(self, data: Dataset, purpose: Purpose, *, all_validated: bool):

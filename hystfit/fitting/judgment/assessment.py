@@ -87,13 +87,7 @@ class Unknown(NamedTuple):
 def notes_of_errors(
     space: ParameterSpace, sides: Sequence[Side | None], unknown: Unknown, penalty: np.ndarray | None
 ) -> list[Note]:
-    """Notes on bounds that were reached, on what is not determined, and on a regularization.
-
-    Args:
-        sides: which bound each of them has reached.
-        unknown: what the data do not determine.
-        penalty: see `Estimate`.
-    """
+    """Notes on bounds that were reached (`sides`), on what is not determined, and on a regularization (`penalty`: see `Estimate`)."""
     notes = [*_bounds_reached(space, sides), *_undetermined(space, unknown)]
     if penalty is not None and np.any(penalty > 0):
         text = "standard errors treat the smoothing penalty as prior information; the data alone would give larger ones"

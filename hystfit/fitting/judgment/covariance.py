@@ -12,7 +12,6 @@ import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 from scipy.linalg.lapack import dtrtri
 
-from hystfit.fitting.judgment.error_ratios import RANK, mean_error_ratio
 from hystfit.fitting.judgment.near_bounds import (
     Information,
     NearBounds,
@@ -21,14 +20,46 @@ from hystfit.fitting.judgment.near_bounds import (
     distances_to_bounds,
 )
 from hystfit.fitting.solvers.estimate import Estimate
+from hystfit.inference.blocks import parts, triangle
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_root
 from hystfit.inference.problem import Problem
-from hystfit.inference.residuals import FEW, ResidualAnalysis
+from hystfit.inference.residuals import FEW, ResidualAnalysis, analyze
 from hystfit.models.shared.cholesky import cholesky
 from hystfit.params.coordinates import BOTH
 from hystfit.params.relative_size import OPEN, REACH, relative_size
 from hystfit.params.space import ParameterSpace
+
+RANK = 1e-7  # singular value, relative to the largest of columns of unit length, below which rounding errors dominate
+
+
+def error_ratios(problem: Problem, x: np.ndarray) -> np.ndarray:
+    """Standard errors of a least-squares fit at x under the noise in its residuals, over those for independent noise, shape (p,)."""
+    residuals = analyze(problem, x)
+    ratios = np.full(x.size, np.sqrt(residuals.correlation_time))
+    if residuals.of_errors is None or residuals.derivatives is None:
+        return ratios
+    live = ~problem.on_bound(x)
+    J = residuals.derivatives() * problem.scales.y
+    plain = float(np.sum(residuals.residual**2)) / max(len(J) - J.shape[1], 1)
+    independent = triangle((J[part] for part in parts(*J.shape)), J.shape[1])
+    root = least_squares_root(residuals.of_errors, J, overwrite=True)
+    ratios[live] = np.exp(_log_ratios(root, independent, plain))
+    return np.where(np.isfinite(ratios), ratios, np.sqrt(residuals.correlation_time))
+
+
+def mean_error_ratio(root: np.ndarray, J: np.ndarray, variance: float) -> float:
+    """Geometric mean of standard errors under a noise model over those for independent noise; 1 where neither is finite."""
+    logs = _log_ratios(root, J, variance)
+    logs = logs[np.isfinite(logs)]
+    return float(np.exp(logs.mean())) if logs.size else 1.0
+
+
+def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
+    with np.errstate(all="ignore"):
+        errors = [np.sum(np.linalg.pinv(A, rcond=RANK) ** 2, axis=1) for A in (root, J)]
+        return 0.5 * np.log(errors[0] / (errors[1] * variance))
+
 
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
 _MOVED = 0.5  # the same for a direction limited by two bounds: standard error that it adds, over the parameter's size
@@ -37,36 +68,21 @@ _PART = 0.25  # smallest component in the description of a direction, relative t
 
 @dataclasses.dataclass(frozen=True)
 class Uncertainty:
-    """Covariance and standard errors of a fit.
+    """Covariance and standard errors of a fit."""
 
-    Attributes:
-        covariance: of the free parameters in physical units, shape (p, p); NaN where it is undefined.
-        joint: the same including undetermined parameters, whose variances are large; 0 for parameters fixed at a bound, NaN for inactive
-            ones.
-        determined: whether the data determine each parameter, shape (p,), bool.
-        inactive: parameters without any influence on these data, shape (p,), bool.
-        directions: parameters that the data cannot separate, a text for each such direction.
-        reaching: parameters whose 95 % interval reaches a bound.
-        rank: number of directions determined.
-        condition: largest over smallest singular value in relative coordinates; None where it is infinite.
-        correlation_time: integrated autocorrelation time of the residuals, samples; 1 for white ones.
-        ratio: standard errors over those for i.i.d. residuals (geometric mean over the parameters).
-        sigma: standard deviation of the residuals, output units.
-        residuals: their analysis.
-    """
-
-    covariance: np.ndarray
+    covariance: np.ndarray  # of the free parameters in physical units, shape (p, p); NaN where it is undefined
+    # the same including undetermined parameters, whose variances are large; 0 for parameters fixed at a bound, NaN for inactive ones
     joint: np.ndarray
-    determined: np.ndarray
-    inactive: np.ndarray
-    directions: tuple[str, ...]
-    reaching: tuple[str, ...]
-    rank: int
-    condition: float | None
-    correlation_time: float
-    ratio: float
-    sigma: float
-    residuals: ResidualAnalysis
+    determined: np.ndarray  # whether the data determine each parameter, shape (p,), bool
+    inactive: np.ndarray  # parameters without any influence on these data, shape (p,), bool
+    directions: tuple[str, ...]  # parameters that the data cannot separate, a text for each such direction
+    reaching: tuple[str, ...]  # parameters whose 95 % interval reaches a bound
+    rank: int  # number of directions determined
+    condition: float | None  # largest over smallest singular value in relative coordinates; None where it is infinite
+    correlation_time: float  # integrated autocorrelation time of the residuals, samples; 1 for white ones
+    ratio: float  # standard errors over those for i.i.d. residuals (geometric mean over the parameters)
+    sigma: float  # standard deviation of the residuals, output units
+    residuals: ResidualAnalysis  # their analysis
 
     @classmethod
     def unknown(cls, problem: Problem, estimate: Estimate) -> Uncertainty:
@@ -89,12 +105,8 @@ def uncertainty(
     (`inference.noise.slow_likelihood`). For hundreds of weights, or if this noise would be far larger than the residuals, the covariance is
     multiplied by their integrated autocorrelation time instead. Parameters at a bound and undetermined directions have no finite error. The
     errors of the others treat the bounds as prior information if at most 60 parameters are near theirs (`near_bounds`); otherwise
-    parameters at a bound are fixed there.
-
-    Args:
-        estimate: the estimate.
-        correlated: allow for autocorrelated residuals.
-        root: square root R of the information R'R about x under a noise model, shape (p, p), which is then used instead.
+    parameters at a bound are fixed there. The root R of the information R'R about x under a noise model, shape (p, p), is used instead
+    where it is given.
     """
     x, y = estimate.x, problem.scales.y
     ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
@@ -217,12 +229,9 @@ def determine(
     live: np.ndarray,
     inside: np.ndarray | None,
 ) -> dict[str, Any]:
-    """Covariance, and which parameters and directions the data determine.
+    """Covariance, and which parameters and directions the data determine; `live` ones act and are off their bounds, shape (p,), bool.
 
-    Args:
-        relative: sizes of the parameters, see `relative_size`.
-        live: which parameters act and are off their bounds, shape (p,), bool.
-        inside: covariance where bounds are near, shape (p, p).
+    `relative` are the sizes of the parameters, see `relative_size`; `inside` is the covariance where bounds are near, shape (p, p).
     """
     at = np.flatnonzero(live)
     covariance, determined = np.full((x.size, x.size), np.nan), np.zeros(x.size, bool)

@@ -121,11 +121,7 @@ def _failed(fitted: Fitted) -> Note | None:
 
 
 def _clipped(data: Dataset, noise: float | None) -> Note | None:
-    """A warning where samples of a saturated sensor were left out, or samples that were fitted are at its limit.
-
-    Args:
-        noise: rms noise of the output, where it is known.
-    """
+    """A warning where samples of a saturated sensor were left out, or fitted samples are at its limit; `noise` is the rms one, if known."""
     saturated = sum(int((saturated_samples(r.u, r.y) & ~r.used).sum()) for r in data)
     if saturated:
         text = (
@@ -190,11 +186,7 @@ def _chattering(fitted: Fitted) -> Note | None:
 def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
     """A warning where the error of a record has a slope in time, or in the order of its samples, that is no chance.
 
-    No model includes it. Errors count once for the samples over which they are correlated.
-
-    Args:
-        rows: prediction less measurement at the samples of each record that count [y].
-        span: range of the output [y].
+    No model includes it. Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
     """
     for row, record in zip(rows, data, strict=True):
         if clear_reversals(record.u).size < _TURNS:
@@ -282,12 +274,7 @@ _OUTSIDE, _GAP = 4.0, 4
 
 
 def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool = False) -> Note | None:
-    """A warning of a short stretch of samples that carries half of the squared error of a record, such as a disturbance of the sensor.
-
-    Args:
-        rows: residuals of the samples that count, for each record.
-        robust: the loss was robust.
-    """
+    """A warning of a short stretch of samples, as of a disturbance, with half of the squared error of a record, one of the `rows`."""
     for row, record in zip(rows, data, strict=True):
         if not (row.any() and np.isfinite(row).all()):
             continue

@@ -16,22 +16,15 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.summary import may_change, summarize
-from hystfit.results.metrics import Metrics
+from hystfit.results.accuracy import Metrics
 
 
 @dataclasses.dataclass(frozen=True)
 class Fitted:
     """The data on which a verdict is based.
 
-    Attributes:
-        problem: what was fitted.
-        model: the fitted model.
-        estimate: where the fit ended.
-        train: its error.
-        rows: residuals of each record, samples that count only [y].
-        baselines: of the records.
-        method: name of the estimator; `usual` is that which the model takes by default.
-        thorough: whether the records are searched for damage and drift, which takes longer than many a fit.
+    `train` is the error of the fit, and `rows` are the residuals of each record, samples that count only [y]; `usual` is the method that
+    the model takes by default. A `thorough` verdict searches the records for damage and drift, which takes longer than many a fit.
     """
 
     problem: Problem

@@ -21,17 +21,11 @@ _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 
 
 class Information(NamedTuple):
-    """Information about the parameters: R'R / variance, and that of a regularization.
+    """Information about the parameters: R'R / variance, and that of a regularization."""
 
-    Attributes:
-        root: R, shape (n, p) or (N, n, p).
-        variance: of its rows, or one for each estimate, shape (N,).
-        ridge: added to R'R, diagonal, shape (p,) or (N, p).
-    """
-
-    root: np.ndarray
-    variance: Any
-    ridge: np.ndarray
+    root: np.ndarray  # R, shape (n, p) or (N, n, p)
+    variance: Any  # of its rows, or one for each estimate, shape (N,)
+    ridge: np.ndarray  # added to R'R, diagonal, shape (p,) or (N, p)
 
 
 class NearBounds(NamedTuple):
@@ -41,28 +35,18 @@ class NearBounds(NamedTuple):
     would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
     evidence, one for each array of weights: number of determined weights over their power (MacKay 1992, Bayesian
     interpolation, eq. 21), at most 1. The rest of the ridge is a known error of the estimate.
-
-    Attributes:
-        x: estimates, shape (N, k).
-        normal: information of independent noise, which decides where the unconstrained optimum is, shape (k, k).
-        ridge: added to it, diagonal, shape (N, k).
-        slope: of the cost without the ridge, shape (N, k).
-        known: information about the parameters, shape (N, k, k).
-        prior: what the ridge adds to it, diagonal, shape (N, k).
-        room: distances to the bounds, infinite without one, shape (N, k).
-        sides: 1 for a lower bound, -1 for an upper bound, shape (k,).
-        back: takes these parameters to physical ones, shape (k, k).
     """
 
-    x: np.ndarray
+    x: np.ndarray  # estimates, shape (N, k)
+    # information of independent noise, which decides where the unconstrained optimum is, shape (k, k)
     normal: np.ndarray
-    ridge: np.ndarray
-    slope: np.ndarray
-    known: np.ndarray
-    prior: np.ndarray
-    room: np.ndarray
-    sides: np.ndarray
-    back: np.ndarray
+    ridge: np.ndarray  # added to it, diagonal, shape (N, k)
+    slope: np.ndarray  # of the cost without the ridge, shape (N, k)
+    known: np.ndarray  # information about the parameters, shape (N, k, k)
+    prior: np.ndarray  # what the ridge adds to it, diagonal, shape (N, k)
+    room: np.ndarray  # distances to the bounds, infinite without one, shape (N, k)
+    sides: np.ndarray  # 1 for a lower bound, -1 for an upper bound, shape (k,)
+    back: np.ndarray  # takes these parameters to physical ones, shape (k, k)
 
     @classmethod
     def of(
@@ -78,13 +62,9 @@ class NearBounds(NamedTuple):
     ) -> NearBounds | None:
         """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
 
-        Args:
-            x: estimates, shape (N, p).
-            on_bound: which parameters have reached a bound, shape (N, p), bool.
-            rows: the Jacobian of what was minimized, or its triangular factor, shape (n, p).
-            slope: of the minimized cost, shape (N, p), computed when it is needed.
-            ridge: of that cost, added to its normal matrix, diagonal, shape (N, p).
-            acts: which parameters have an influence, shape (p,), bool.
+        At N estimates x, shape (N, p), some parameters are `on_bound`. `rows` are the Jacobian of what was minimized, or its triangular
+        factor, shape (n, p); `slope` makes the slope of this cost, shape (N, p), and `ridge` is added to its normal matrix, diagonal, shape
+        (N, p); `acts` tells which parameters have an influence, shape (p,).
         """
         below, above = distances_to_bounds(space, x)
         room = np.where(space.linear, np.minimum(below, above), np.inf)
@@ -149,14 +129,10 @@ class NearBounds(NamedTuple):
 
 
 def centered(J: np.ndarray, offsets: np.ndarray, ridge: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Columns without what the offsets of records explain of them, and the matrix that takes errors of the new parameters to the old ones.
+    """Columns of J, (n, p), without what the offsets of records explain, and the matrix from errors of the new parameters to the old ones.
 
-    Columns of offsets stay, as do columns that the offsets explain altogether.
-
-    Args:
-        J: derivatives, shape (n, p).
-        offsets: which columns are offsets, shape (p,), bool.
-        ridge: squares of the only entries of further rows of J, one for each column, zero for the offsets, shape (p,).
+    Columns that are offsets, shape (p,), stay, as do columns that these explain altogether. `ridge` are squares of the only entries of
+    further rows of J, one for each column, zero for the offsets, shape (p,).
     """
     back = np.eye(J.shape[1])
     if not offsets.any():
@@ -240,13 +216,7 @@ def about_estimate(
 def truncated_moments(
     precision: Float[np.ndarray, "N k k"], slope: Float[np.ndarray, "N k"], low: Float[np.ndarray, "N k"]
 ) -> tuple[Float[np.ndarray, "N k"], Float[np.ndarray, "N k k"]]:
-    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low.
-
-    Args:
-        precision: P, positive semidefinite.
-        slope: s.
-        low: lower limits.
-    """
+    """Means and covariances of N densities exp(-d'P d / 2 - s'd) over d >= low; the precision P is positive semidefinite, s the slope."""
     if not slope.size:
         return slope, precision
     unit = np.eye(slope.shape[1])

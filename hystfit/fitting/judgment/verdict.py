@@ -29,13 +29,13 @@ from hystfit.results.accuracy import (
     POOR,
     SHARE,
     VISIBLE,
+    Metrics,
     accuracy_note,
     exceeded_limits,
     is_noise,
     is_single_valued_error,
 )
 from hystfit.results.measured.loop_values import quantities
-from hystfit.results.metrics import Metrics
 
 _LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
 _ENOUGH = 30  # residuals of a record needed to call them white

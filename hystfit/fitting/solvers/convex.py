@@ -58,12 +58,7 @@ class Convex(AbstractEstimator):
         return dataclasses.replace(found, converged=converged, message=message, evaluations=evaluations)
 
     def of_ridge(self, fit: RidgeFit, x: np.ndarray, at: np.ndarray, size: float, groups: int) -> Estimate:
-        """The estimate that a solution gives.
-
-        Args:
-            x: all parameters, shape (p,).
-            size: half range of the output.
-        """
+        """The estimate that a solution gives: x has all parameters, shape (p,), and `size` is half the range of the output."""
         penalty = np.zeros(x.size)
         penalty[at] = fit.ridge / size**2
         note = (
@@ -104,12 +99,7 @@ def search_nonlinear(
 ) -> tuple[np.ndarray, int, bool, str]:
     """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
 
-    Args:
-        cost: of physical parameters, shape (p,).
-        z: unconstrained start, shape (p,).
-
-    Returns:
-        Physical parameters at the lowest cost, the number of evaluations, whether it converged, and a message.
+    From unconstrained z, to the lowest cost of physical parameters: these, the number of evaluations, whether it converged, and a message.
     """
 
     def at(inner: np.ndarray) -> np.ndarray:

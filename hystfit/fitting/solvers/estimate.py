@@ -16,37 +16,24 @@ from hystfit.outcome import Note
 
 @dataclasses.dataclass(frozen=True)
 class Estimate:
-    """A point in parameter space and how it was reached.
+    """A point in parameter space and how it was reached."""
 
-    Attributes:
-        x: free parameters in physical units, shape (p,); a weight may lie exactly on its bound.
-        cost: half the sum of squared residuals (in units of the output's half range).
-        converged: the solver met its tolerances.
-        message: of the solver, with what to try where it failed.
-        evaluations: steps of the solver, over all starts.
-        costs: cost that each start reached, shape (starts,); not finite where one failed.
-        penalty: what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None
-            without regularization.
-        notes: choices that were made.
-        left_out: rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was.
-        toward_zero: the penalty is a ridge: nothing but its diagonal, toward zero.
-        effective: number of parameters that the data determine: the trace of the matrix that maps outputs to predictions; None where
-            no penalty or bound reduces it.
-        linearized: `Problem.linearization` at x, where the estimator ended with it.
-    """
-
-    x: np.ndarray
-    cost: float
-    converged: bool
-    message: str
-    evaluations: int
-    costs: np.ndarray
+    x: np.ndarray  # free parameters in physical units, shape (p,); a weight may lie exactly on its bound
+    cost: float  # half the sum of squared residuals (in units of the output's half range)
+    converged: bool  # the solver met its tolerances
+    message: str  # of the solver, with what to try where it failed
+    evaluations: int  # steps of the solver, over all starts
+    costs: np.ndarray  # cost that each start reached, shape (starts,); not finite where one failed
+    # what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None without regularization
     penalty: np.ndarray | None = None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[Note, ...] = ()  # choices that were made
+    # rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was
     left_out: float | None = None
-    toward_zero: bool = False
+    toward_zero: bool = False  # the penalty is a ridge: nothing but its diagonal, toward zero
+    # number of parameters that the data determine: the trace of the matrix that maps outputs to predictions; None where no penalty or bound
+    # reduces it
     effective: float | None = None
-    linearized: Linearization | None = None
+    linearized: Linearization | None = None  # `Problem.linearization` at x, where the estimator ended with it
 
     @classmethod
     def solved(cls, x: np.ndarray, cost: float, **others: Any) -> Estimate:
@@ -54,13 +41,9 @@ class Estimate:
         return cls(x, cost, True, "solved", 1, np.array([cost]), **others)
 
     def freedom(self, samples: int, live: int) -> float:
-        """Degrees of freedom of the residuals, at least 1: samples less the parameters that these determine.
+        """Degrees of freedom of the residuals, at least 1: samples that count, less the parameters off their bounds that these determine.
 
         A penalty that holds hundreds of weights together leaves far more than their number would.
-
-        Args:
-            samples: number of samples that count.
-            live: number of parameters off their bounds.
         """
         return max(samples - (live if self.effective is None else self.effective), 1.0)
 
@@ -72,11 +55,7 @@ class Estimate:
 
 
 class AbstractEstimator(eqx.Module):
-    """A way to fit a problem; its settings are its fields.
-
-    Class attributes:
-        needs_starts: whether several starting points can lead to different minima.
-    """
+    """A way to fit a problem; its settings are its fields, and `needs_starts` whether several starts can lead to different minima."""
 
     needs_starts: eqx.AbstractClassVar[bool]
 

@@ -47,12 +47,7 @@ _ROUND = 6  # steps per round on a GPU
 
 
 class Stack(eqx.Module):
-    """Objectives of N records as one pytree: arrays that differ between records have a leading axis of N, the others are shared.
-
-    Attributes:
-        objective: the objective with these arrays.
-        own: for each leaf of the objective, whether it has that axis.
-    """
+    """Objectives of N records as one pytree: its `own` leaves differ between records and have an axis of N, the others are shared."""
 
     objective: Objective
     own: tuple[bool, ...] = eqx.field(static=True)
@@ -99,26 +94,18 @@ class Stack(eqx.Module):
 
 
 class Ends(NamedTuple):
-    """Where lanes ended, arrays of leading length L.
+    """Where lanes ended, arrays of leading length L."""
 
-    Attributes:
-        normal: normal equations there.
-        converged: whether the predicted decrease of the cost fell below the tolerance.
-        steps: number of linearizations.
-        cost: half the sum of squared misfits, shape (L,); for a lane that was given up, the prediction of its linear model, which is above
-            the cost of the best converged lane of its record.
-        beaten: which lanes were given up because another lane of their record has a lower cost than they can reach.
-        damping: damping of the next step, shape (L,).
-        promised: decrease of the cost to the minimum, as predicted by the linear model, shape (L,).
-    """
-
-    normal: Normal
-    converged: np.ndarray
-    steps: np.ndarray
+    normal: Normal  # normal equations there
+    converged: np.ndarray  # whether the predicted decrease of the cost fell below the tolerance
+    steps: np.ndarray  # number of linearizations
+    # half the sum of squared misfits, shape (L,); for a lane that was given up, the prediction of its linear model, which is above the cost
+    # of the best converged lane of its record
     cost: np.ndarray
+    # which lanes were given up because another lane of their record has a lower cost than they can reach
     beaten: np.ndarray
-    damping: np.ndarray
-    promised: np.ndarray
+    damping: np.ndarray  # damping of the next step, shape (L,)
+    promised: np.ndarray  # decrease of the cost to the minimum, as predicted by the linear model, shape (L,)
 
 
 def descend_lanes(
@@ -134,14 +121,10 @@ def descend_lanes(
 ) -> Ends:
     """Minimize half the sum of squared misfits from every lane.
 
-    Args:
-        records: number of the record of each lane, shape (L,); lanes of one record are adjacent.
-        z: starts, unconstrained.
-        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
-        steps: most linearizations per lane.
-        damping: damping of the first steps, to continue earlier descents.
-        device: device of JAX; by default a GPU for many lanes if there is one, else the CPU.
-        beside: number of lanes of an earlier call, whose program can be reused.
+    Lanes start at unconstrained z; `records` are the numbers of their records, shape (L,), and lanes of one record are adjacent. A lane has
+    converged below `gain`, a relative decrease of the cost predicted by the linear model, and takes so many steps at most. The damping of
+    the first steps continues earlier descents. The device is by default a GPU for many lanes if there is one, else the CPU; `beside` is the
+    number of lanes of an earlier call, whose program can be reused.
     """
     device = device_for(len(z)) if device is None else device
     lane, numbers = Lane.at(np.array(z, float), damping), np.asarray(records)
@@ -159,12 +142,7 @@ def descend_lanes(
 
 
 def go_on(ends: Ends, lanes: np.ndarray, run: Callable[[np.ndarray, np.ndarray], Ends]) -> None:
-    """Continue those of some descents that have neither converged nor been given up, in place.
-
-    Args:
-        lanes: their numbers.
-        run: descends from the points z of lanes, from their numbers and these.
-    """
+    """Continue, in place, descents of lanes that have neither converged nor been given up; `run` descends lanes from their points z."""
     lanes = lanes[~ends.converged[lanes] & ~ends.beaten[lanes] & np.isfinite(ends.cost[lanes])]
     if lanes.size:
         more = run(lanes, ends.normal.z[lanes])
@@ -218,12 +196,7 @@ def _on_host(
 
 
 def _of_records(stack: Stack, records: np.ndarray, most: int) -> tuple[Stack, np.ndarray]:
-    """The problems of some records on the CPU, padded to a power of two, and the place of each record among them.
-
-    Args:
-        records: numbers of the records, which may repeat.
-        most: largest number of problems, padding included.
-    """
+    """The problems of some records on the CPU, padded to a power of two up to `most`, and the place of each record, which may repeat."""
     among, place = np.unique(records, return_inverse=True)
     size = min(most, room(among.size))
     if among[-1] - among[0] < among.size <= size <= stack.count:  # contiguous: arrays are not copied

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from hystfit.fitting.solvers.bounded import TrustRegion
 from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
 from hystfit.fitting.solvers.lanes import Ends, Stack, descend_lanes, go_on
 from hystfit.fitting.solvers.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.solvers.polish import EXACT, STEPS, polish
 from hystfit.fitting.solvers.thinning import thin
-from hystfit.fitting.solvers.trust_region import TrustRegion
 from hystfit.inference.normal import Normal
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem

@@ -48,14 +48,8 @@ _BETTER = 1e-4  # relative decrease below the cost of a converged lane that is w
 class Lane(NamedTuple):
     """The state of descents, with any leading axes.
 
-    Attributes:
-        best: normal equations at the best point.
-        trial: the next point to evaluate, (..., p).
-        damping: damping of the step to it.
-        promised: decrease of the cost from the best point, as predicted by the linear model.
-        last: whether the next point is the last.
-        ended: whether the descent has ended.
-        steps: number of linearizations.
+    `best` are normal equations at the best point, from which a step with `damping` leads to `trial`, (..., p). `promised` is the decrease
+    of the cost from there, as predicted by the linear model; `last` tells whether the trial is the last; `steps` counts linearizations.
     """
 
     best: Normal
@@ -68,12 +62,7 @@ class Lane(NamedTuple):
 
     @classmethod
     def at(cls, z: Float[np.ndarray, "L p"], damping: Float[np.ndarray, " L"] | None = None) -> Lane:
-        """Lanes before their first step.
-
-        Args:
-            z: where they start.
-            damping: damping of their first step, to continue earlier descents.
-        """
+        """Lanes before their first step, from z; `damping` continues earlier descents."""
         count, p = z.shape
         none, no = np.zeros(count), np.zeros(count, bool)
         best = Normal(z.copy(), none + np.inf, np.zeros((count, p)), np.zeros((count, p, p)))
@@ -98,12 +87,8 @@ class Lane(NamedTuple):
 def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarray, xp: ModuleType) -> Lane:
     """Lanes after their trial points were linearized.
 
-    Args:
-        lane: before.
-        gain: relative decrease of the cost, predicted by the linear model, below which a lane has converged.
-        samples: of each problem.
-        bounded: which parameters have bounds, shape (p,).
-        xp: `numpy` or `jax.numpy`.
+    `gain` is the relative decrease of the cost, predicted by the linear model, below which a lane has converged; `samples` are those of
+    each problem; `bounded` tells which parameters have bounds, shape (p,).
     """
     # The last step may change the cost by less than rounding errors do.
     better = new.cost < xp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)
@@ -152,11 +137,7 @@ def _steps(point: Normal, damping: Array, samples: int, bounded: np.ndarray, xp:
 
 
 def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:
-    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,).
-
-    Args:
-        problems: the number of the problem of each.
-    """
+    """Which lanes cannot reach a lower cost than the best converged lane of the same problem, by their linear models, shape (L,)."""
     rival, cost, ended = _rival(lane, problems), np.asarray(lane.best.cost), np.asarray(lane.ended)
     near, hopeless = cost <= (1 + _CLOSE) * rival, cost - np.asarray(lane.promised) >= (1 - _BETTER) * rival
     return ~ended & np.isfinite(rival) & near & hopeless

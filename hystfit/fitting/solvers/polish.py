@@ -46,16 +46,11 @@ def polish(
     *,
     held: np.ndarray | None = None,
 ) -> Polished:
-    """Minimize half the sum of squared misfits from a point near the minimum.
+    """Minimize half the sum of squared misfits from an unconstrained point near the minimum, by so many linearizations at most.
 
     It factorizes the Jacobian, because normal equations would square its condition. Offsets of records are not damped: if an input or
-    output is far from zero, damped offsets would slow down all other parameters.
-
-    Args:
-        z: start, unconstrained, shape (p,).
-        steps: most linearizations.
-        within: distance from the minimum, in standard errors of the linear model, at which the fit has converged.
-        held: which parameters are not moved, shape (p,), bool; None for none.
+    output is far from zero, damped offsets would slow down all other parameters. The fit has converged `within` this distance from the
+    minimum, in standard errors of the linear model; parameters that are `held`, shape (p,), are not moved.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL

@@ -13,7 +13,7 @@ ESTIMATORS = Registry(
     {
         "lm": f"{_HERE}.least_squares:LeastSquares",
         "dogleg": f"{_HERE}.least_squares:dogleg",
-        "trf": f"{_HERE}.trust_region:TrustRegion",
+        "trf": f"{_HERE}.bounded:TrustRegion",
         "lbfgsb": f"{_HERE}.bounded:BoundedDescent",
         "convex": f"{_HERE}.convex:Convex",
         "preisach": f"{_HERE}.smooth_weights:SmoothWeights",

@@ -23,32 +23,19 @@ _SMALL = 45  # unknowns up to which 25 systems take less time side by side than 
 
 @dataclasses.dataclass(frozen=True)
 class LinearSystem:
-    """The linear least-squares problem for the linear parameters at given values of the others, on the samples that count.
+    """The linear least-squares problem for the linear parameters at given values of the others, on the samples that count."""
 
-    Attributes:
-        columns: shape (n, p), weighted.
-        target: measured output less the response with all weights zero, weighted, shape (n,).
-        free: parameters without a lower bound, shape (p,), bool; the others are >= 0.
-        ridged: parameters that the ridge penalizes (all but the offsets of records), shape (p,), bool.
-        fold: of each sample, the group with which it is held out, shape (n,); -1 for samples that stay in every fit.
-        weight: of each sample, shape (n,).
-    """
-
-    columns: np.ndarray
-    target: np.ndarray
-    free: np.ndarray
-    ridged: np.ndarray
+    columns: np.ndarray  # shape (n, p), weighted
+    target: np.ndarray  # measured output less the response with all weights zero, weighted, shape (n,)
+    free: np.ndarray  # parameters without a lower bound, shape (p,), bool; the others are >= 0
+    ridged: np.ndarray  # parameters that the ridge penalizes (all but the offsets of records), shape (p,), bool
+    # of each sample, the group with which it is held out, shape (n,); -1 for samples that stay in every fit
     fold: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray  # of each sample, shape (n,)
 
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray, which: np.ndarray | None = None) -> LinearSystem:
-        """The system at given values of the other parameters; for all linear parameters, or some.
-
-        Args:
-            x: physical parameters, shape (p,).
-            which: parameters to solve for, shape (p,), bool; None for all linear ones.
-        """
+        """The system at physical x, shape (p,), for the linear parameters `which`, shape (p,), bool; None for all of them."""
         at = linear_positions(problem) if which is None else np.flatnonzero(which)
         lower, upper = (np.asarray(b)[at] for b in (problem.space.coordinates.lower, problem.space.coordinates.upper))
         if np.isfinite(upper).any() or (np.isfinite(lower) & (lower != 0)).any():
@@ -98,23 +85,14 @@ class LinearSystem:
 
 
 class Normal(NamedTuple):
-    """Normal equations of N targets on the same columns, for G held-out groups of samples and a last one of those that stay in every fit.
+    """Normal equations of N targets on the same columns, for G held-out groups of samples and a last one that stays in every fit."""
 
-    Attributes:
-        A: shape (G + 1, p, p), of columns divided by `scale`.
-        b: shape (N, G + 1, p).
-        squares: of the targets, shape (N, G + 1).
-        origins: about which the targets are solved for, shape (N, p).
-        scale: of each column, infinite for columns that vanish, shape (p,).
-        counts: number of samples of each group, shape (G + 1,).
-    """
-
-    A: np.ndarray
-    b: np.ndarray
-    squares: np.ndarray
-    origins: np.ndarray
-    scale: np.ndarray
-    counts: np.ndarray
+    A: np.ndarray  # shape (G + 1, p, p), of columns divided by `scale`
+    b: np.ndarray  # shape (N, G + 1, p)
+    squares: np.ndarray  # of the targets, shape (N, G + 1)
+    origins: np.ndarray  # about which the targets are solved for, shape (N, p)
+    scale: np.ndarray  # of each column, infinite for columns that vanish, shape (p,)
+    counts: np.ndarray  # number of samples of each group, shape (G + 1,)
 
     @property
     def dead(self) -> np.ndarray:
@@ -132,15 +110,8 @@ def solve_normal(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Minimize w'Aw - 2 w'b + ridge w'w with w >= 0 where not free, for K problems.
 
-    Args:
-        A: shape (K, p, p), or shared, (p, p).
-        b: shape (K, p).
-        free: unknowns without a lower bound, shape (p,), bool.
-        ridges: added to the diagonals, shape (K, p).
-        start: which unknowns are not zero at neighboring solutions, shape (K, p), bool.
-
-    Returns:
-        Solutions, and which unknowns are not held at zero, to start similar problems from, shapes (K, p).
+    A has shape (K, p, p), or (p, p) where all share it, b and the ridges of the diagonals (K, p). With the solutions it returns which
+    unknowns are not held at zero, shapes (K, p); `start` is this of neighboring solutions.
     """
     found, positive = np.empty_like(b), np.empty(b.shape, bool)
     A = np.broadcast_to(A, (len(b), *A.shape[-2:]))
@@ -169,23 +140,15 @@ def _squares(A: np.ndarray, b: np.ndarray, squares: np.ndarray, w: np.ndarray) -
 
 
 class RidgeFit(NamedTuple):
-    """Solution of a `LinearSystem` for one target; or solutions for N targets, along a first axis of each array.
+    """Solution of a `LinearSystem` for one target; or solutions for N targets, along a first axis of each array."""
 
-    Attributes:
-        weights: shape (p,).
-        strength: of the ridge, relative to the samples' number, on columns of unit spread.
-        ridge: what it adds to the normal matrix of the weights, diagonal, shape (p,).
-        left_out: weighted root mean square error on held-out groups, output units, for each strength tried, shape (S,).
-        rss: sum of squared residuals.
-        effective: number of weights that the data determine, see `effective_number`.
-    """
-
-    weights: np.ndarray
-    strength: np.ndarray
-    ridge: np.ndarray
+    weights: np.ndarray  # shape (p,)
+    strength: np.ndarray  # of the ridge, relative to the samples' number, on columns of unit spread
+    ridge: np.ndarray  # what it adds to the normal matrix of the weights, diagonal, shape (p,)
+    # weighted root mean square error on held-out groups, output units, for each strength tried, shape (S,)
     left_out: np.ndarray
-    rss: np.ndarray
-    effective: np.ndarray
+    rss: np.ndarray  # sum of squared residuals
+    effective: np.ndarray  # number of weights that the data determine, see `effective_number`
 
     @property
     def score(self) -> np.ndarray:

@@ -80,12 +80,7 @@ class SmoothWeights(AbstractEstimator):
     def of_fit(
         self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int = 0, texts: Sequence[str] = ()
     ) -> Estimate:
-        """The estimate that a solution gives.
-
-        Args:
-            x: values of the parameters that are no weights, shape (p,).
-            size: half range of the output.
-        """
+        """The estimate that a solution gives: x has the parameters that are no weights, shape (p,), `size` is half the output's range."""
         at = split.place >= 0
         x, penalty = x.copy(), np.zeros(x.size)
         x[at], penalty[at] = fit.weights[split.place[at]], fit.penalty[split.place[at]] / size**2

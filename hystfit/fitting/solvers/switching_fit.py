@@ -22,11 +22,7 @@ class Switching(Convex):
     strengths: tuple[float, ...] = eqx.field(static=True, default=(0.0,))
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; the starts matter where all weights are fixed alone.
-
-        Raises:
-            ModelError: other nonlinear parameters are free, or weights are bounded.
-        """
+        """See `AbstractEstimator.estimate`; the starts matter where all weights are fixed alone."""
         space = problem.space
         if space.ties:
             raise ParameterError("tied parameters need another method than 'switching': choose method='lm'")

@@ -21,12 +21,7 @@ class TableReading(AbstractEstimator):
     needs_starts: ClassVar[bool] = False
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
-        """See `AbstractEstimator.estimate`; the starts give the levels alone.
-
-        Raises:
-            ModelError: another model, or parts of the table are fixed.
-            DataError: records that are not such curves.
-        """
+        """See `AbstractEstimator.estimate`; the starts give the levels alone."""
         model, records = problem.model, list(problem.data)
         if not isinstance(model, TabulatedPreisach):
             raise ModelError(

@@ -50,12 +50,7 @@ def thin(problem: Problem, samples: int = SAMPLES) -> Objective | None:
 
 
 def kept_samples(records: Iterable[Record], padded: int, samples: int = SAMPLES) -> tuple[list[np.ndarray], int] | None:
-    """Numbers of the samples of each record in the short form, and its length; None for short records, see `thin`.
-
-    Args:
-        padded: samples of a record, padding included.
-        samples: that all records together keep, or more where the input has many reversals.
-    """
+    """Numbers of the samples of each record (`padded`: with padding) in the short form, and its length; None for short ones; see `thin`."""
     records = list(records)
     turns, length = _plan(records, samples)
     if PAYS * length > padded:
@@ -64,11 +59,7 @@ def kept_samples(records: Iterable[Record], padded: int, samples: int = SAMPLES)
 
 
 def thinned(data: Dataset, samples: int = SAMPLES) -> Dataset:
-    """Records of every k-th sample and the reversals of the input, for a quick fit; short records as they are.
-
-    Args:
-        samples: that all records together keep, see `thin`.
-    """
+    """Records of every k-th sample and the reversals of the input, for a quick fit, see `thin`; short records as they are."""
     turns, length = _plan(data, samples)
     pairs = zip(data, turns, strict=True)
     return Dataset(

@@ -26,33 +26,19 @@ Form = Operator | Literal["curve"]
 
 @dataclasses.dataclass(frozen=True)
 class Structure:
-    """One candidate: which terms a model has.
+    """One candidate: which terms a model has."""
 
-    Attributes:
-        operator: plays, stops, or a single-valued curve in their place, whose knots count as plays.
-        envelopes: 1 (symmetric) or 3.
-        degree: of the single-valued part.
-        rest: where the device rested before the record.
-        falls: the input is negated first: the output falls as the input rises.
-        line: a straight line of either sign beside plays, which alone only rise (stops have one).
-        lag: mean delay of the input, in sampling intervals; 0 for none.
-        order: of the lag, 1 or 2.
-        creep: logarithmic creep of the input.
-        rate: 0, 1 (viscous) or 2 (and saturating).
-        hardening: path, in input ranges, over which hardening fades; 0 for none.
-    """
-
-    operator: Form = "play"
-    envelopes: int = 1
-    degree: int = 1
-    rest: Rest = "level"
-    falls: bool = False
-    line: bool = False
-    lag: float = 0.0
-    order: int = 2
-    creep: bool = False
-    rate: int = 0
-    hardening: int = 0
+    operator: Form = "play"  # plays, stops, or a single-valued curve in their place, whose knots count as plays
+    envelopes: int = 1  # 1 (symmetric) or 3
+    degree: int = 1  # of the single-valued part
+    rest: Rest = "level"  # where the device rested before the record
+    falls: bool = False  # the input is negated first: the output falls as the input rises
+    line: bool = False  # a straight line of either sign beside plays, which alone only rise (stops have one)
+    lag: float = 0.0  # mean delay of the input, in sampling intervals; 0 for none
+    order: int = 2  # of the lag, 1 or 2
+    creep: bool = False  # logarithmic creep of the input
+    rate: int = 0  # 0, 1 (viscous) or 2 (and saturating)
+    hardening: int = 0  # path, in input ranges, over which hardening fades; 0 for none
 
     @property
     def elements(self) -> str:

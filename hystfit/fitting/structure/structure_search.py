@@ -40,15 +40,9 @@ _LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 @dataclasses.dataclass(frozen=True)
 class Found:
-    """Result of the structure search.
+    """Result of the structure search: a model, started on the data, ready for `fit(..., start="model")`, and its terms.
 
-    Attributes:
-        model: started on the data, ready for `fit(..., start="model")`.
-        structure: its terms.
-        plays: number of thresholds.
-        score: root mean square error on left-out blocks, output units.
-        tried: number of candidates.
-        trail: each step taken, in words.
+    `score` is the root mean square error on left-out blocks, output units; `tried` counts candidates, and `trail` is each step in words.
     """
 
     model: AbstractHysteresis

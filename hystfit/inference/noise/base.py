@@ -53,10 +53,7 @@ class ResidualScales:
 
     @classmethod
     def of(cls, rows: list[np.ndarray], time: float) -> ResidualScales:
-        """Scales of residuals.
-
-        The rows are the residuals that count, one array per record [y]; `time` is their integrated autocorrelation time in samples.
-        """
+        """Scales of the residuals that count, one array per record [y], with their integrated autocorrelation time in samples."""
         together, differences = np.concatenate(rows), np.concatenate([np.diff(row) for row in rows])
         total = max(float(np.std(together)), 1e-12)  # residuals may all be zero
         rough = float(np.std(differences)) / np.sqrt(2) if differences.size else 0.5 * total
@@ -219,11 +216,7 @@ class AbstractNoise(eqx.Module):
 def integral(
     plain: Scalar, products: Float[Array, "m m"], precision: Float[Array, " k"]
 ) -> tuple[Scalar, Float[Array, " k"], Float[Array, "k k"]]:
-    """`AbstractNoise.integrated` of Gaussian noise from products of whitened signals, m = k + 1, of which the first is the residual.
-
-    Args:
-        plain: log density where all residuals are zero.
-    """
+    """`AbstractNoise.integrated` of Gaussian noise by products of whitened signals, first the residual; `plain`: log density at zero."""
     return _integral(plain - 0.5 * products[0, 0], products[1:, 0], products[1:, 1:], precision)
 
 
@@ -238,15 +231,9 @@ def resample(
 ) -> Float[Array, "*shape"]:
     """Independent values with the distribution of the innovations, of mean zero and unit variance: a smoothed bootstrap.
 
-    Innovations of Gaussian noise are normal. Those of noise with spikes have a narrow middle and heavy tails: normal ones give bands of
-    90 % that cover 92 to 97 %, and resampled ones keep the form of the noise, its size and its correlation (Stoffer and Wall 1991; Davison
-    and Hinkley 1997, chapter 6). A normal kernel (Silverman 1986, sections 3.4 and 6.4) gives few residuals their tails.
-
-    Args:
-        e: innovations, shape (n,).
-        on: which count, shape (n,).
-        shape: of the values.
-        key: of the random numbers.
+    Innovations of Gaussian noise are normal. Those of noise with spikes have a narrow middle and heavy tails: normal ones give bands of 90
+    % that cover 92 to 97 %, and resampled ones keep the form of the noise, its size and its correlation (Stoffer and Wall 1991; Davison and
+    Hinkley 1997, chapter 6). A normal kernel (Silverman 1986, sections 3.4 and 6.4) gives few residuals their tails.
     """
     count = jnp.sum(on)
     mean = jnp.sum(jnp.where(on, e, 0.0)) / count
@@ -265,13 +252,7 @@ def drive(
     setting: Setting,
     e: Float[Array, "R T"],
 ) -> Float[Array, "R T"]:
-    """The noise whose innovations are given [y], shape (R, T).
-
-    Args:
-        step, state: of the noise model's filter, whose innovation is affine in the residual.
-        setting: the records; all their weights are positive.
-        e: innovations scaled to unit variance, shape (R, T).
-    """
+    """The noise [y] whose innovations e, of unit variance, are given; `step` is affine in the residual, and all weights are positive."""
 
     def sample(state: State, at: tuple[Array, ...]) -> tuple[State, Array]:
         e, gap, weight = at

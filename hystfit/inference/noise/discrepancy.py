@@ -97,14 +97,7 @@ def on_branches(shapes: Float[Array, "R T k"], setting: Setting) -> Float[Array,
 
 
 def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) -> Any:
-    """Columns F with F F' close to the squared-exponential covariance of variance one over 0 <= place <= 1.
-
-    Args:
-        place: input as a fraction of its range, any shape.
-        length: length scale, as a fraction of the range of the input.
-        points: number of columns.
-        on: `jnp`, or `np` for arrays on the host.
-    """
+    """`points` columns F, F F' near the squared-exponential covariance of variance one; place (0 to 1) and length in input ranges."""
     solve = jax.scipy.linalg.solve_triangular if on is jnp else scipy.linalg.solve_triangular
     at = on.linspace(0.0, 1.0, points)
     cover = lambda a, b: on.exp(-0.5 * ((a[..., None] - b) / length) ** 2)

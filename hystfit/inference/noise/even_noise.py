@@ -26,21 +26,13 @@ BESIDE = 2**20
 
 @dataclasses.dataclass(frozen=True)
 class EvenRows:
-    """Columns of one evenly sampled record with one weight, by frequency; or those of several records with the same samples.
+    """Columns of one evenly sampled record with one weight, by frequency; or those of several records with the same samples."""
 
-    Attributes:
-        rows: their cosine transforms, shape (..., k, n).
-        ends: those of its first and last sample, shape (2, n).
-        curvature: eigenvalues of the second difference, shape (n,).
-        gap: step, in typical sampling intervals.
-        weight: of every sample.
-    """
-
-    rows: Float[np.ndarray, "*N k n"]
-    ends: Float[np.ndarray, "2 n"]
-    curvature: Float[np.ndarray, " n"]
-    gap: float
-    weight: float
+    rows: Float[np.ndarray, "*N k n"]  # their cosine transforms, shape (..., k, n)
+    ends: Float[np.ndarray, "2 n"]  # those of its first and last sample, shape (2, n)
+    curvature: Float[np.ndarray, " n"]  # eigenvalues of the second difference, shape (n,)
+    gap: float  # step, in typical sampling intervals
+    weight: float  # of every sample
 
     @classmethod
     def of(cls, columns: Sequence[np.ndarray], gap: Float[np.ndarray, " n"], weight: np.ndarray) -> EvenRows | None:
@@ -66,12 +58,7 @@ class EvenRows:
     def at(
         self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
     ) -> tuple[Float[np.ndarray, "*N m k k"], Float[np.ndarray, "*N m"]]:
-        """X' M^-1 X and log det M of the columns X, for M = correlation of the slow part + ratio, at m points.
-
-        Args:
-            ratio: of white to slow variance.
-            time: correlation time of the slow part, typical sampling intervals.
-        """
+        """X' M^-1 X and log det M of the columns X at m points, M = correlation of the slow part + ratio of white to slow variance."""
         decay, fresh = np.exp(-self.gap / time), -np.expm1(-2 * self.gap / time)
         low, white = np.expm1(-self.gap / time) ** 2, fresh * self.weight / ratio
         corner, k = decay * -np.expm1(-self.gap / time), self.rows.shape[-2]

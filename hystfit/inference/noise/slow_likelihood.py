@@ -34,14 +34,10 @@ _WIDEST = 1.0  # largest standard deviation of the logs of ratio and time in the
 
 @dataclasses.dataclass(frozen=True)
 class Samples:
-    """The samples that count, record after record.
+    """The samples that count, n of those of shape (R, T) in which `on` is true, record after record.
 
-    Attributes:
-        on: mask of these samples, shape (R, T), bool.
-        gap: time since the one before, in typical sampling intervals; infinite at the first of a record. Shape (n,), like what follows.
-        weight: of each.
-        place: input as a fraction of its range.
-        rising: whether the input last rose.
+    `gap` is the time since the one before, in typical sampling intervals, infinite at the first of a record; `place` the input as a
+    fraction of its range; `rising` tells whether the input last rose.
     """
 
     on: np.ndarray
@@ -79,24 +75,16 @@ def by_record(values: np.ndarray, on: np.ndarray) -> list[np.ndarray]:
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoise:
-    """Ornstein-Uhlenbeck and white noise of one set of records, and perhaps random curves on top.
+    """Ornstein-Uhlenbeck and white noise of one set of records, and perhaps random curves on top."""
 
-    Attributes:
-        samples: where.
-        white, slow: standard deviations, in the unit of the residuals.
-        time: correlation time of the slow part, typical sampling intervals.
-        shapes: columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0.
-        loop: see `shapes`.
-        length: length scale of the shapes in the input, relative to its range.
-    """
-
-    samples: Samples
-    white: float
+    samples: Samples  # where
+    white: float  # white, slow: standard deviations, in the unit of the residuals
     slow: float
-    time: float
+    time: float  # correlation time of the slow part, typical sampling intervals
+    # columns with independent weights of standard deviation `loop`, shape (n, k); k may be 0
     shapes: Float[np.ndarray, "n k"]
-    loop: float = 0.0
-    length: float = 1.0
+    loop: float = 0.0  # see `shapes`
+    length: float = 1.0  # length scale of the shapes in the input, relative to its range
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -134,12 +122,7 @@ def slow_solver(samples: Samples, ratio: float, time: float) -> tuple[Callable[[
 
 @dataclasses.dataclass(frozen=True)
 class SlowNoiseFit:
-    """Slow and independent noise estimated from residuals.
-
-    Attributes:
-        noise: the most probable one.
-        others: noises about it, with their posterior weights `shares`.
-    """
+    """Slow and independent noise estimated from residuals: the most probable one, and others about it by their posterior weights."""
 
     noise: SlowNoise
     others: tuple[SlowNoise, ...]
@@ -158,23 +141,17 @@ class Contrasts:
     """The restricted likelihood of slow and independent noise (Patterson and Thompson 1971), which allows for the fitted parameters.
 
     It is that of one fit, or of N fits on the same samples, whose residuals and bases then have a leading axis.
-
-    Attributes:
-        samples: the samples.
-        residual: of the fit, shape (..., n).
-        basis: orthonormal columns that span its derivatives, shape (..., n, p): contrasts to them alone are used.
-        shapes: see `SlowNoise`.
-        power: mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about
-            the value that gives this on average, because shapes too smooth for the residuals would otherwise grow without limit.
-        length: length scale of the shapes.
     """
 
-    samples: Samples
-    residual: Float[np.ndarray, "*N n"]
+    samples: Samples  # the samples
+    residual: Float[np.ndarray, "*N n"]  # of the fit, shape (..., n)
+    # orthonormal columns that span its derivatives, shape (..., n, p): contrasts to them alone are used
     basis: Float[np.ndarray, "*N n p"]
-    shapes: Float[np.ndarray, "n k"]
+    shapes: Float[np.ndarray, "n k"]  # see `SlowNoise`
+    # mean square of the part of the residuals that the shapes describe; the prior of their variance is log-normal about the value that
+    # gives this on average, because shapes too smooth for the residuals would otherwise grow without limit
     power: float = 0.0
-    length: float = 1.0
+    length: float = 1.0  # length scale of the shapes
 
     @functools.cached_property
     def _even(self) -> EvenRows | None:
@@ -296,15 +273,11 @@ def _minima(
     low: np.ndarray,
     high: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Minima of functions of two variables by Newton steps, their values, and the axes of exp(-value / 2) about each.
+    """Minima of so many functions of two variables by Newton steps, their values, and the axes of exp(-value / 2) about each.
 
-    Derivatives are differences on a stencil whose points, like all others, are computed together: that takes little longer than one.
-
-    Args:
-        value: of some of the functions, by their numbers, at points (a, m, 2) of each, shape (a, m).
-        tried: where each search begins, at the best of them.
-        count: of the functions.
-        low, high: within which the centers stay.
+    `value` is that of some of the functions, by their numbers, at points (a, m, 2) of each, shape (a, m). Each search begins at the best of
+    the points `tried`, and its center stays between `low` and `high`. Derivatives are differences on a stencil whose points, like all
+    others, are computed together: that takes little longer than one.
     """
     going, axes = np.arange(count), np.zeros((count, 2, 2))
     center, least = _best(

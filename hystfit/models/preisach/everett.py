@@ -104,13 +104,7 @@ def place(levels: Float[Array, " m"], u: Float[Array, "..."]) -> Place:
 
 
 class Everett(eqx.Module):
-    """The function E of cell masses, ready for look-up.
-
-    Attributes:
-        off: sums of the cells off the diagonal, shape (n + 1, n + 1).
-        diagonal: masses of the diagonal cells, shape (n,).
-        sums: their cumulative sums, shape (n + 1,).
-    """
+    """The function E of cell masses, ready for look-up: sums of the cells off the diagonal, masses and their sums of those on it."""
 
     off: Float[Array, "m m"]
     diagonal: Float[Array, " n"]
@@ -142,12 +136,9 @@ class Everett(eqx.Module):
 
 
 def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyArray, xp: Any = jnp) -> AnyArray:
-    """Parts of the cells of a row that lie in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
+    """Parts of the cells of a row, (..., n), in alpha <= x and alpha + beta >= 2 center: what a first rise to x switches.
 
-    `row` and `x` have one shape (...); a rise counts within its row only.
-
-    Returns:
-        Parts of each cell's area, shape (..., n); columns above the diagonal are 0.
+    `row` and `x` have one shape (...); a rise counts within its row only. Columns above the diagonal are 0.
     """
     base = levels[row]
     x = xp.clip(x, base, levels[row + 1])
@@ -165,14 +156,7 @@ def first_rise_masses(levels: AnyArray, center: AnyArray, row: AnyArray, x: AnyA
 
 
 class FirstRise(eqx.Module):
-    """Mass that a first rise from the demagnetized state switches up.
-
-    Attributes:
-        square: masses, shape (n, n).
-        sums: what rises to each level switch, shape (n + 1,).
-        levels: shape (n + 1,).
-        center: where the demagnetized input rests.
-    """
+    """Mass that a first rise from the demagnetized state, at rest in `center`, switches up; `sums`: by a rise to each level."""
 
     square: Float[Array, "n n"]
     sums: Float[Array, " m"]
@@ -201,12 +185,8 @@ class FirstRise(eqx.Module):
 class CellMemory(eqx.Module):
     """Tables of a model with cells; output = rest + first(e_0) + sum over k of pair(e_{k+1}, e_k).
 
-    Attributes:
-        everett: mass in triangles.
-        up, down: mass switched by a first excursion from an asymmetric demagnetized state; None where it is not needed.
-        rest: output of the initial state.
-        levels, center: as given.
-        initial: the state before the record.
+    `up`, `down` are the mass switched by a first excursion from an asymmetric demagnetized state, None where it is not needed; `rest` is
+    the output of the initial state.
     """
 
     everett: Everett

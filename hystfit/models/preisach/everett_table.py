@@ -16,12 +16,7 @@ from hystfit.quality.loops import APART
 
 @dataclasses.dataclass(frozen=True)
 class Moved:
-    """Distance between a measured table and the nearest monotone one.
-
-    Attributes:
-        rms, largest: change of node values, in percent of the table's largest value.
-        nodes: how many of them moved by more than 1e-9 of it.
-    """
+    """How far a measured table is from the nearest monotone one [% of its largest value], and how many nodes moved by over 1e-9 of it."""
 
     rms: float
     largest: float

@@ -124,19 +124,13 @@ def _tabulate(curves: Sequence[Record], values: Sequence[np.ndarray], field: np.
 
 @dataclasses.dataclass(frozen=True)
 class _LocalFits:
-    """The local polynomials of a whole table as linear operators on it, since they depend on its fields alone.
+    """The local polynomials of a whole table as linear operators on it, since they depend on its fields alone."""
 
-    Attributes:
-        mixed: from the table to -1/2 of the mixed second derivative, one row for each point with enough neighbors, shape (P, R F).
-        middle: to the value of the polynomial at the point itself, shape (P, R F).
-        rows: the points in the table.
-        shape: of the table.
-    """
-
+    # from the table to -1/2 of the mixed second derivative, one row for each point with enough neighbors, shape (P, R F)
     mixed: scipy.sparse.csr_array
-    middle: scipy.sparse.csr_array
-    rows: np.ndarray
-    shape: tuple[int, int]
+    middle: scipy.sparse.csr_array  # to the value of the polynomial at the point itself, shape (P, R F)
+    rows: np.ndarray  # the points in the table
+    shape: tuple[int, int]  # of the table
 
     @classmethod
     def of(cls, reversal: np.ndarray, field: np.ndarray, known: np.ndarray, curves: int, fields: int) -> _LocalFits:

@@ -33,13 +33,7 @@ _NARROW = 1.5
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """A curve read off a diagram.
-
-    Attributes:
-        x: coordinates [u], shape (B,).
-        values: shape (B,); NaN where there are no data.
-        stderr: of the values, shape (B,); None if unknown.
-    """
+    """A curve read off a diagram over coordinates x [u], shape (B,), NaN where there are no data; None as stderr where unknown."""
 
     x: np.ndarray
     values: np.ndarray

@@ -23,17 +23,11 @@ def choose_levels(
     symmetric: bool,
     margin: bool,
 ) -> tuple[np.ndarray, float]:
-    """Levels over the range of measured inputs, as many as are given.
+    """Levels over the range of measured inputs, as many as are given, strictly rising, and the center.
 
-    Args:
-        levels: the present ones; "given" returns them.
-        center: of the demagnetized state; None takes the middle of the range.
-        spacing: "quantile", equal shares of the samples; "square", distances from the center that grow as squares; or "uniform".
-        symmetric: spread the levels evenly about the center, by quantiles of the distance from it.
-        margin: keep the outermost levels half a spacing inside the range (relays), not on its edge (cells).
-
-    Returns:
-        Levels, strictly rising, and the center.
+    A spacing of "quantile" gives equal shares of the samples, "square" distances from the center that grow as squares, "uniform" equal
+    ones, and "given" the present levels. With `symmetric`, they are even about the center (None: the middle of the range), by quantiles of
+    the distance from it. With a margin, the outermost levels are half a spacing inside the range (relays), not on its edge (cells).
     """
     u = np.concatenate(list(inputs))
     low, high = float(u.min()), float(u.max())
@@ -124,18 +118,11 @@ def _quotient(rise: np.ndarray, run: np.ndarray) -> np.ndarray:
 def sharp_levels(
     branches: Sequence[tuple[np.ndarray, np.ndarray]], n: int, *, power: float = 0.5, even: float = 0.2
 ) -> np.ndarray:
-    """Levels denser where the output is steep: equal shares of the mean of |dy/du|^power on each kind of branch, and an even part.
+    """n + 1 levels denser where the output is steep: equal shares of the mean |dy/du|^power on each kind of branch, and an even part.
 
-    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight
-    lines between levels, and need fewer of them where the output is steep but straight.
-
-    Args:
-        branches: (inputs, slopes dy/du) of samples for each kind of branch; all kinds count the same.
-        power: of the slope.
-        even: size of the even part relative to the mean of the other.
-
-    Returns:
-        n + 1 levels over the range of the inputs.
+    With power 1 each interval has the same share of the output, so that point relays make steps of one height; cells follow straight lines
+    between levels, and need fewer of them where the output is steep but straight. All kinds of branches, (inputs, slopes), count the same;
+    `even` is the size of the even part relative to the mean of the other.
     """
     low, high = min(u.min() for u, _ in branches), max(u.max() for u, _ in branches)
     axis = np.linspace(low, high, 50 * n + 1)

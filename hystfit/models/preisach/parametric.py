@@ -106,7 +106,6 @@ class ParametricPreisach(AbstractHysteresis):
         return self.preisach().init(u0)
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
-        """As `Preisach.step`."""
         return self.preisach().step(state, u0, u1, dt)
 
     def start(self, records: Sequence[Record]) -> ParametricPreisach:
@@ -127,5 +126,4 @@ class ParametricPreisach(AbstractHysteresis):
         )
 
     def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
-        """As `Preisach.free_run`."""
         return self.preisach().free_run(u, dt)

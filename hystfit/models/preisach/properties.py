@@ -31,20 +31,13 @@ def through(extrema: Sequence[float | int], points: int = 100) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Closures:
-    """How well loops close: the output when the input comes back to an extremum, minus the output at the extremum.
+    """How well loops close: the output when the input comes back to an extremum, minus the output at the extremum."""
 
-    Attributes:
-        at: inputs at which loops closed, shape (K,).
-        width: how far each loop went, in units of the input, shape (K,).
-        gap: differences of the outputs there, shape (K,).
-        span: the output's range.
-        percent: root mean square and largest gap, in percent of the output's range; None without any closure.
-    """
-
-    at: np.ndarray
-    width: np.ndarray
-    gap: np.ndarray
-    span: float
+    at: np.ndarray  # inputs at which loops closed, shape (K,)
+    width: np.ndarray  # how far each loop went, in units of the input, shape (K,)
+    gap: np.ndarray  # differences of the outputs there, shape (K,)
+    span: float  # the output's range
+    # root mean square and largest gap, in percent of the output's range; None without any closure
     percent: tuple[float, float] | None
 
 
@@ -95,20 +88,14 @@ def _corners(u: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Congruency:
-    """Minor loops between the same two inputs after different histories, which a Preisach model makes congruent.
+    """Minor loops between the same two inputs after different histories, which a Preisach model makes congruent."""
 
-    Attributes:
-        low, high: the two inputs.
-        branches: how many branches were compared.
-        percent_of_loop: largest difference of branches shifted onto each other, in percent of the output's travel along them.
-        percent_of_range: the same in percent of the record's range.
-    """
-
-    low: float
+    low: float  # low, high: the two inputs
     high: float
-    branches: int
+    branches: int  # how many branches were compared
+    # largest difference of branches shifted onto each other, in percent of the output's travel along them
     percent_of_loop: float
-    percent_of_range: float
+    percent_of_range: float  # the same in percent of the record's range
 
 
 def congruency(record: Record) -> list[Congruency]:

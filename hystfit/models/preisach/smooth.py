@@ -22,30 +22,20 @@ _EQUAL = 1.01  # ratio of errors on held-out groups, or of residuals, below whic
 
 @dataclasses.dataclass(frozen=True)
 class SmoothFit:
-    """Solution of a `SmoothSystem`.
+    """Solution of a `SmoothSystem`."""
 
-    Attributes:
-        weights: all p weights, in output units; fixed ones as given.
-        smoothness: strength of the penalty, relative to the number of samples.
-        left_out: root mean square error on held-out groups, in parts of the output's range, for each strength; infinite for those
-            that were not tried.
-        error: the same for the strength chosen; None where there was no choice.
-        rss: sum of squared residuals, output units.
-        cost: the same with the penalty added.
-        effective: number of weights that the data determine, see `effective_number`; None where there was no choice.
-        penalty: what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,).
-        size: of the output, as in the system.
-    """
-
-    weights: np.ndarray
-    smoothness: float
+    weights: np.ndarray  # all p weights, in output units; fixed ones as given
+    smoothness: float  # strength of the penalty, relative to the number of samples
+    # root mean square error on held-out groups, in parts of the output's range, for each strength; infinite for those that were not tried
     left_out: np.ndarray
-    error: float | None
-    rss: float
-    cost: float
+    error: float | None  # the same for the strength chosen; None where there was no choice
+    rss: float  # sum of squared residuals, output units
+    cost: float  # the same with the penalty added
+    # number of weights that the data determine, see `effective_number`; None where there was no choice
     effective: float | None
+    # what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,)
     penalty: np.ndarray
-    size: float
+    size: float  # of the output, as in the system
 
 
 def fit_smooth(
@@ -158,12 +148,7 @@ class _Solved(NamedTuple):
 
 
 class _Trials:
-    """Solutions of a system with penalties of different strengths, each started from the one before.
-
-    Args:
-        fixed: see `fit_smooth`.
-        likely: strength of a penalty that a similar system chose.
-    """
+    """Solutions of a system with penalties of different strengths, each started from the one before; see `left_out_errors`."""
 
     def __init__(self, system: SmoothSystem, fixed: np.ndarray, likely: float | None = None):
         self._grams, self.free = _reduced(system, fixed - system.origin * system.size)

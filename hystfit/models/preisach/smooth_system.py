@@ -26,19 +26,13 @@ _SPARSE = 0.08
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Where the columns of design matrices stand in one matrix for all records, block after block.
+    """Where the columns of design matrices stand in one matrix for all records, block after block."""
 
-    Attributes:
-        blocks: of the design matrix of the first record, those that are used.
-        kept: their numbers among all its blocks.
-        own: whether each record has weights of its own for a block; those of all records then stand in turn.
-        starts: position of each block's first weight, and the number of all weights.
-    """
-
-    blocks: tuple[Block, ...]
-    kept: tuple[int, ...]
+    blocks: tuple[Block, ...]  # of the design matrix of the first record, those that are used
+    kept: tuple[int, ...]  # their numbers among all its blocks
+    # whether each record has weights of its own for a block; those of all records then stand in turn
     own: tuple[bool, ...]
-    starts: tuple[int, ...]
+    starts: tuple[int, ...]  # position of each block's first weight, and the number of all weights
 
     @classmethod
     def of(cls, design: DesignMatrix, records: int, offsets: Offsets = "each") -> Layout:
@@ -81,35 +75,25 @@ class Layout:
 
 @dataclasses.dataclass(frozen=True)
 class SmoothSystem:
-    """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`.
+    """Normal equations of all linear weights of a model, block after block, the outputs in units of `size`."""
 
-    Attributes:
-        layout: of all p weights.
-        origin: offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size
-            of an output far from zero.
-        grams: one matrix for each held-out group of samples, and a last one for those that stay in every fit, shape
-            (groups + 1, p + 1, p + 1); the output, less the response to `origin`, comes last.
-        counts: sum of weights of each group of samples, shape (groups + 1,).
-        roughness: matrix of the smoothness penalty, shape (p, p).
-        bounded: which weights are >= 0, shape (p,).
-        offsets: which weights are offsets of single records, shape (p,), bool.
-        visited: of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples
-            that count, record after record; shapes (any, p).
-        size: of the output, by which it was divided.
-        scattered: whether the groups are samples scattered over the records.
-        solved: solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again.
-    """
-
-    layout: Layout
+    layout: Layout  # of all p weights
+    # offsets about which the weights are solved for, zeros for all others, shape (p,): normal equations would square the size of an output
+    # far from zero
     origin: np.ndarray
+    # one matrix for each held-out group of samples, and a last one for those that stay in every fit, shape (groups + 1, p + 1, p + 1); the
+    # output, less the response to `origin`, comes last
     grams: np.ndarray
-    counts: np.ndarray
-    roughness: np.ndarray
-    bounded: np.ndarray
-    offsets: np.ndarray
+    counts: np.ndarray  # sum of weights of each group of samples, shape (groups + 1,)
+    roughness: np.ndarray  # matrix of the smoothness penalty, shape (p, p)
+    bounded: np.ndarray  # which weights are >= 0, shape (p,)
+    offsets: np.ndarray  # which weights are offsets of single records, shape (p,), bool
+    # of each block of weights that belong to cells, by its position, columns on rows that reach as far as those of the samples that count,
+    # record after record; shapes (any, p)
     visited: Mapping[int, Sequence[Columns]]
-    size: float
-    scattered: bool = False
+    size: float  # of the output, by which it was divided
+    scattered: bool = False  # whether the groups are samples scattered over the records
+    # solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
@@ -241,13 +225,7 @@ def _far(level: Any) -> Any:
 
 
 def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """Rows of the used samples but those between two neighbors on one branch, along which all cells switch one way.
-
-    Args:
-        columns: of weights that belong to cells, shape (S, p).
-        index: row of each sample, shape (T,).
-        used: which samples count, shape (T,), bool.
-    """
+    """Rows, by `index`, of the used samples but those between two neighbors on one branch, along which all cells switch one way."""
     moves = np.diff((columns @ np.ones(columns.shape[1]))[index])
     ends = used.copy()
     ends[1:-1] &= ~(used[:-2] & used[2:] & (moves[1:] * moves[:-1] > 0))
@@ -259,13 +237,10 @@ def _is_offset(block: Block) -> bool:
 
 
 class _Gram:
-    """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a basis.
+    """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a `basis`.
 
-    Args:
-        basis: of the product; None without one.
-        inside: which columns of A the product is.
-        others: which ones stand for themselves; the output is the last.
-        whole: where the sum is made, zeros at first, shape (p + 1, p + 1).
+    `inside` tells which columns are that product, `others` which stand for themselves, the output last; the sum is made in `whole`, shape
+    (p + 1, p + 1), zeros at first.
     """
 
     def __init__(self, basis: Basis | None, inside: slice, others: np.ndarray, whole: np.ndarray):
@@ -275,12 +250,7 @@ class _Gram:
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
-        """Add samples.
-
-        Args:
-            few: sparse rows of the product on distinct states; None without one.
-            A: columns that stand for themselves, on the same states.
-        """
+        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are columns that stand for themselves there."""
         states, place = np.unique(index, return_inverse=True)
         mass = np.bincount(place, weight)
         mean = np.bincount(place, weight * y) / mass

@@ -22,23 +22,14 @@ from hystfit.quality.reversal_curves import reversal_curves
 
 @dataclasses.dataclass(frozen=True)
 class PreisachFit:
-    """A fitted Preisach model and what the data determine of it.
+    """A fitted Preisach model and what the data determine of it."""
 
-    Attributes:
-        model: with the parameters of the first record.
-        offsets: of every record, shape (R,).
-        nrmse_percent: error on the samples that counted, percent of the output's range.
-        smoothness: strength that blocks left out chose.
-        reach: part of each weight's cells that the data switched, shape (weights,).
-        notes: one sentence each.
-    """
-
-    model: Preisach
-    offsets: np.ndarray
-    nrmse_percent: float
-    smoothness: float
-    reach: np.ndarray
-    notes: tuple[str, ...]
+    model: Preisach  # with the parameters of the first record
+    offsets: np.ndarray  # of every record, shape (R,)
+    nrmse_percent: float  # error on the samples that counted, percent of the output's range
+    smoothness: float  # strength that blocks left out chose
+    reach: np.ndarray  # part of each weight's cells that the data switched, shape (weights,)
+    notes: tuple[str, ...]  # one sentence each
 
     def predict(self, u: np.ndarray) -> np.ndarray:
         """Output of the fitted model on an input, shape (T,)."""
@@ -124,11 +115,7 @@ def fit_forc(
 
 
 def density_of(model: Preisach, *, rising: bool = True) -> ForcDiagram:
-    """The density of a fitted model as a diagram over the middles of its cells.
-
-    Args:
-        rising: the curves rise from their reversals, as those of `forc_diagram` that begin at positive saturation.
-    """
+    """The density of a fitted model over the middles of its cells; `rising` as for curves that begin at positive saturation."""
     levels, (i, j) = np.asarray(model.levels), cells(model.n)
     width, middle = np.diff(levels), 0.5 * (levels[1:] + levels[:-1])
     area = width[:, None] * width[None, :] * np.where(np.eye(model.n, dtype=bool), 0.5, 1.0)

@@ -22,20 +22,14 @@ class PreisachStep(AbstractStepInverse):
 
     The innermost loop that closes beyond the target holds the answer; within it the output is base + 2 E(u, m), m the
     extremum on the other side. Its values at the knots give the interval, in which the output is a quadratic in u.
-
-    Attributes:
-        model: with cells.
-        memory: its tables, made once.
-        knots: levels, and for a demagnetized start their mirror images and the center: the output is quadratic between them.
-        straight: piecewise linear reversible part at the knots, without the offset.
-        excursion: what a first excursion adds, at the knots and half-way between them.
     """
 
-    model: AbstractPlane
-    memory: CellMemory
+    model: AbstractPlane  # with cells
+    memory: CellMemory  # its tables, made once
+    # levels, and for a demagnetized start their mirror images and the center: the output is quadratic between them
     knots: Float[Array, " k"]
-    straight: Float[Array, " k"]
-    excursion: Float[Array, " dense"]
+    straight: Float[Array, " k"]  # piecewise linear reversible part at the knots, without the offset
+    excursion: Float[Array, " dense"]  # what a first excursion adds, at the knots and half-way between them
     needs_limits: ClassVar[bool] = True
 
     @classmethod

@@ -28,23 +28,14 @@ _FEW = 64  # reversals left to the stack
 
 @dataclasses.dataclass(frozen=True)
 class Staircase:
-    """The tree of states that an input visits.
+    """The tree of states that an input visits."""
 
-    Attributes:
-        node_value: input at each dominant extremum, shape (K,), those that remember least first.
-        node_parent: the extremum before it, shape (K,); -1 where it is the first after the rest state.
-        state_value: input of each distinct state, shape (S,), sorted by parent.
-        state_parent: the last dominant extremum before it, shape (S,), -1 as above.
-        index: state of every sample, shape (T,).
-        depth: most extrema that any state remembers.
-    """
-
-    node_value: np.ndarray
-    node_parent: np.ndarray
-    state_value: np.ndarray
-    state_parent: np.ndarray
-    index: np.ndarray
-    depth: int
+    node_value: np.ndarray  # input at each dominant extremum, shape (K,), those that remember least first
+    node_parent: np.ndarray  # the extremum before it, shape (K,); -1 where it is the first after the rest state
+    state_value: np.ndarray  # input of each distinct state, shape (S,), sorted by parent
+    state_parent: np.ndarray  # the last dominant extremum before it, shape (S,), -1 as above
+    index: np.ndarray  # state of every sample, shape (T,)
+    depth: int  # most extrema that any state remembers
 
     def layers(self) -> list[slice]:
         """The nodes that remember 1, 2, ... extrema (themselves included): each layer's parents are in the layer before."""
@@ -53,15 +44,7 @@ class Staircase:
 
 
 def compile_input(v: np.ndarray, rest: Rest, center: float = 0.0) -> Staircase:
-    """Compile an input into its staircase states.
-
-    Args:
-        v: input, or any rising code of it (numbers of thresholds passed), shape (T,).
-        rest: state before the first sample.
-
-    Returns:
-        The states, in NumPy.
-    """
+    """Compile an input, or a rising code of it (numbers of thresholds passed), shape (T,), into its states, from the rest before it."""
     v = np.asarray(v)
     fresh = np.append(True, v[1:] != v[:-1])
     run, v = np.cumsum(fresh) - 1, v[fresh]
@@ -117,32 +100,18 @@ def turning_points(v: np.ndarray) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Tree:
-    """Extrema, those that remember least first.
+    """Extrema, those that remember least first."""
 
-    Attributes:
-        value: shape (K,).
-        parent: the extremum before it, shape (K,); -1 where there is none.
-        low, high: interval of the inputs that leave it in the memory, open, shapes (K,).
-        of_turn: extremum at every turning point, shape (m,).
-        depth: most extrema on a way to the root.
-    """
-
-    value: np.ndarray
-    parent: np.ndarray
-    low: np.ndarray
+    value: np.ndarray  # shape (K,)
+    parent: np.ndarray  # the extremum before it, shape (K,); -1 where there is none
+    low: np.ndarray  # low, high: interval of the inputs that leave it in the memory, open, shapes (K,)
     high: np.ndarray
-    of_turn: np.ndarray
-    depth: int
+    of_turn: np.ndarray  # extremum at every turning point, shape (m,)
+    depth: int  # most extrema on a way to the root
 
 
 def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: float) -> Tree:
-    """The tree of a sequence of turning points.
-
-    Args:
-        v: turning points, neighbors different, shape (m,).
-        code: whole numbers that tell their values apart, below `codes`, shape (m,).
-        codes: how many there are.
-    """
+    """The tree of turning points v, (m,), neighbors different; whole numbers `code` below `codes` tell their values apart."""
     given, v = v, np.asarray(v, dtype=float)
     parent, level = np.full(v.size, -1), np.ones(v.size, dtype=np.int32)
     low, high = np.empty(v.size), np.empty(v.size)
@@ -159,11 +128,7 @@ def build_tree(v: np.ndarray, code: np.ndarray, codes: int, rest: str, center: f
 
 
 def closed_pairs(v: np.ndarray) -> tuple[np.ndarray, list[tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Take pairs that close a loop out of a sequence of turning points, pass after pass.
-
-    Returns:
-        Positions that are left, and for each pass positions (A, B, C): the pairs B, C, and the last that is left before each.
-    """
+    """Take out pairs B, C that close a loop, pass after pass: positions left, and of each pass (A, B, C), A the last left before each B."""
     kept, passes = np.arange(v.size), []
     while kept.size > _FEW:
         x = v[kept]
@@ -211,14 +176,7 @@ def opposite(v: Any, rest: str, center: float) -> Any:
 def enclosing_nodes(
     v: np.ndarray, node: np.ndarray, parent: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Walk up the tree from given extrema to those whose interval contains inputs v; -1 where none does.
-
-    Args:
-        v: inputs, shape (K,).
-        node: extremum from which each begins, shape (K,); -1 for none.
-        parent: of each node, shape (N,); -1 for none.
-        low, high: interval of each node, shape (N,).
-    """
+    """Walk up the tree from nodes (-1: none) to those whose interval (low, high) contains the inputs v, shape (K,); -1 where none does."""
     node = node.copy()
     active = np.flatnonzero(node >= 0)
     while active.size:

@@ -36,16 +36,11 @@ _FIRST = 1  # reversals that the memory holds on a first-order curve
 
 @dataclasses.dataclass(frozen=True)
 class HigherOrder:
-    """Errors of a Preisach model on states that remember more and more reversals.
+    """Errors of a Preisach model on states that remember more and more reversals."""
 
-    Attributes:
-        held_out: it was identified on the initial and first-order curves alone; else on all samples.
-        known: fraction of the higher orders' states that those curves determine.
-        errors: for each order (samples, root mean square error, largest error), in percent of the output's range.
-    """
-
-    held_out: bool
-    known: float
+    held_out: bool  # it was identified on the initial and first-order curves alone; else on all samples
+    known: float  # fraction of the higher orders' states that those curves determine
+    # for each order (samples, root mean square error, largest error), in percent of the output's range
     errors: dict[int, tuple[int, float, float]]
 
     @property
@@ -98,23 +93,15 @@ def _rest(record: Record) -> Rest:
 
 @dataclasses.dataclass(frozen=True)
 class PreisachCheck:
-    """Result of the Preisach tests on one record.
+    """Result of the Preisach tests on one record."""
 
-    Attributes:
-        record: its name.
-        closures: of its loops.
-        loops: congruency of its minor loops.
-        higher: errors by order of reversal; None where it was not requested, or there are none above the first.
-        outcomes: of "wiping-out", "congruency" and "higher-order".
-        notes: what they mean, one sentence each, in the same order.
-    """
-
-    record: str
-    closures: Closures
-    loops: tuple[Congruency, ...]
+    record: str  # its name
+    closures: Closures  # of its loops
+    loops: tuple[Congruency, ...]  # congruency of its minor loops
+    # errors by order of reversal; None where it was not requested, or there are none above the first
     higher: HigherOrder | None
-    outcomes: dict[str, Outcome]
-    notes: tuple[str, ...]
+    outcomes: dict[str, Outcome]  # of "wiping-out", "congruency" and "higher-order"
+    notes: tuple[str, ...]  # what they mean, one sentence each, in the same order
 
     @property
     def tested(self) -> bool:
@@ -175,12 +162,7 @@ def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
 
 @dataclasses.dataclass(frozen=True)
 class PreisachChecks:
-    """Results of the Preisach tests on all records of a data set.
-
-    Attributes:
-        checks: of the records.
-        family: the first-order reversal curves that the records are; None where they are not.
-    """
+    """Results of the Preisach tests on all records of a data set; `family` are first-order reversal curves, None where these are none."""
 
     checks: tuple[PreisachCheck, ...]
     family: ReversalFamily | None

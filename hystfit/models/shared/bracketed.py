@@ -13,12 +13,7 @@ from hystfit.models.shared.shapes import Scalar
 
 
 class Root(NamedTuple):
-    """Result of a bracketed search.
-
-    Attributes:
-        x: where the function came nearest to zero.
-        rising: no slope met on the way fell.
-    """
+    """Result of a bracketed search: where the function came nearest to zero, and whether no slope met on the way fell."""
 
     x: Scalar
     rising: Bool[Array, ""]
@@ -37,14 +32,11 @@ class _Search(NamedTuple):
 
 
 def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Root:
-    """Root of a rising function by Newton steps from `start`, held in a bracket and halved where they fail.
+    """Root of a rising function by Newton steps from `start`, held in a finite bracket and halved where they fail.
 
     The side of `start` on which the root lies is searched alone: the first trial is a small step into it, because a hysteresis has another
-    slope on each side of its last input. Where no root lies there the end of the bracket, or the nearest miss, is returned.
-
-    Args:
-        function: to be made zero; the slope is taken by forward differentiation, halving needs none.
-        low, high: bracket, finite.
+    slope on each side of its last input. Where no root lies there the end of the bracket, or the nearest miss, is returned. The slope is
+    taken by forward differentiation; halving needs none.
     """
     at_start = function(start)
     up = at_start < 0

@@ -26,29 +26,22 @@ class CPart:
 
     `init` sets the state in equilibrium at the input u0; `step` returns the output at u1, dt after u0, and writes the new state to `next`
     unless that is 0; `next` may be `s`. `legendre(c, n, x)`, a Legendre series, is at hand.
-
-    Attributes:
-        template: C99 text.
-        states: number of doubles of state.
-        numbers: macros @M@_NAME by NAME; a text is written as it is.
-        arrays: static arrays @f@_name by name, of doubles or of whole numbers.
-        parts: of a composition, whose prefixes are @f@0, @f@1, ...
     """
 
-    template: str
-    states: int
+    template: str  # C99 text
+    states: int  # number of doubles of state
+    # macros @M@_NAME by NAME; a text is written as it is
     numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # static arrays @f@_name by name, of doubles or of whole numbers
     arrays: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    parts: tuple[CPart, ...] = ()
+    parts: tuple[CPart, ...] = ()  # of a composition, whose prefixes are @f@0, @f@1, ...
 
     @classmethod
     def of(cls, model: Any, name: str, states: int | None = None, **values: Any) -> CPart:
         """The part of a model whose template names its fields: @M@_TAU is the number `tau`, @f@_w the array `w`, @M@_W_SIZE its length.
 
-        Args:
-            name: of the file of the template, without ".c".
-            states: number of doubles of state; by default that of the model.
-            **values: numbers and arrays that are no fields, or stand for some; only those that the template names are written.
+        `name` is that of the template's file, without ".c". Values that are no fields, or stand for some, are written if the template names
+        them.
         """
         text = template(f"{name}.c")
         fields = {field.name: getattr(model, field.name) for field in dataclasses.fields(model)} | values

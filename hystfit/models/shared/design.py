@@ -22,17 +22,12 @@ FAR = 100.0  # level of an output, over its range, from which normal equations n
 
 @dataclasses.dataclass(frozen=True)
 class Penalty:
-    """Smoothness of weights that belong to cells of a plane, or to intervals of an axis.
+    """Smoothness of weights that belong to cells of a plane, or to intervals of an axis."""
 
-    Attributes:
-        matrix: of the quadratic penalty, shape (p, p).
-        cells: number of cells that share each weight, shape (p,); None where coverage by the data is not reported.
-        label: plural name of a cell.
-    """
-
-    matrix: np.ndarray
+    matrix: np.ndarray  # of the quadratic penalty, shape (p, p)
+    # number of cells that share each weight, shape (p,); None where coverage by the data is not reported
     cells: np.ndarray | None = None
-    label: str = ""
+    label: str = ""  # plural name of a cell
 
 
 @runtime_checkable
@@ -55,12 +50,7 @@ class Basis(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Factored:
-    """Columns as a product, rows @ basis, of rows with few entries and a basis that all inputs share; to NumPy it is that array.
-
-    Attributes:
-        rows: shape (S, q).
-        basis: shape (q, p).
-    """
+    """Columns as a product of sparse rows, (S, q), and a basis, (q, p), that all inputs share; to NumPy it is that array."""
 
     rows: scipy.sparse.csr_array
     basis: Basis
@@ -85,14 +75,7 @@ Columns = np.ndarray | Factored
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """Columns of one array of linear weights.
-
-    Attributes:
-        leaf: number of the array among the leaves of the model.
-        info: its declaration.
-        columns: shape (S, p), for the elements of the array in order.
-        penalty: of weights that are many and smooth.
-    """
+    """Columns, shape (S, p), of one array of linear weights, a leaf of the model; with a penalty if they are many and smooth."""
 
     leaf: int
     info: ParamInfo
@@ -104,10 +87,7 @@ class Block:
 class DesignMatrix:
     """The output of a model as a function of its linear weights: rest + sum over the blocks of columns @ weights.
 
-    Attributes:
-        blocks: one for each array of weights.
-        rest: output where all these weights are zero, shape (S,).
-        index: row of each sample, shape (T,); rows that many samples share are stored once.
+    Rows that many samples share are stored once: `rest` has shape (S,), and `index`, the row of each sample, (T,).
     """
 
     blocks: tuple[Block, ...]
@@ -116,11 +96,7 @@ class DesignMatrix:
 
     @classmethod
     def of(cls, model: Any, columns: Mapping[str, np.ndarray]) -> DesignMatrix:
-        """The output as these columns alone, a row for each sample.
-
-        Args:
-            columns: by the name of the field, shapes (T, p).
-        """
+        """The output as these columns alone, (T, p) by the name of the field, a row for each sample."""
         blocks = [
             Block(leaf.index, leaf.info, columns[leaf.path[-1]])
             for leaf in leaves_of(model)
@@ -142,13 +118,7 @@ class DesignMatrix:
 
 
 def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) -> float:
-    """Number of weights that the data determine: trace of (A + penalty)^-1 A over the weights not held at zero.
-
-    Args:
-        gram: normal matrix A of the weights, shape (p, p).
-        penalty: shape (p, p).
-        free: which weights are not held at zero, shape (p,), bool.
-    """
+    """Number of weights that the data determine: trace of (A + penalty)^-1 A over those not held at zero; A is their normal matrix."""
     at = np.flatnonzero(free)
     own, total = submatrix(gram, at), submatrix(gram + penalty, at)
     total[np.diag_indices_from(total)] += 1e-12 * np.trace(total) / max(at.size, 1)
@@ -161,14 +131,9 @@ def effective_number(gram: np.ndarray, penalty: np.ndarray, free: np.ndarray) ->
 
 
 def with_own_offsets(A: np.ndarray, b: np.ndarray, weights: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Weights of fits, shape (N, p), with the offsets of records that were left out as a whole at their least-squares values.
+    """Weights of fits, shape (N, p), with the offsets `own` of records that were left out as a whole at their least-squares values.
 
-    Only the samples left out determine these offsets.
-
-    Args:
-        A, b: normal equations of the samples left out, shapes (p, p) and (N, p).
-        weights: of fits without them.
-        own: offsets of records that were left out as a whole, shape (p,), bool.
+    Only the samples left out, of normal equations A, (p, p), and b, (N, p), determine these offsets.
     """
     at = np.flatnonzero(own & (np.diag(A) > 0))
     if not at.size:

@@ -28,12 +28,7 @@ def even_step(dt: Any, xp: Any = jnp) -> tuple[Any, Any]:
 
 
 class Clock(NamedTuple):
-    """Even time steps on the host, where a recursion needs no program.
-
-    Attributes:
-        interval: of all steps but those of 0 [s].
-        moved: the samples after such a step, shape (T,), bool.
-    """
+    """Even time steps on the host, where a recursion needs no program; steps of 0 have not `moved`."""
 
     interval: float
     moved: np.ndarray
@@ -63,14 +58,9 @@ def scan_in_time(
 ) -> tuple[Any, Any]:
     """`jax.lax.scan` of a body whose third argument depends on the time step alone.
 
-    Args:
-        body: (carry, row of samples, factors) -> (carry, output).
-        carry: before the first sample.
-        samples: arrays of leading length T.
-        factors: of a time step.
-        dt: time since the sample before, shape (T,) [s].
-        unroll: samples of even steps in one pass of the loop. Two pass a third faster where the carry is two numbers, and their derivatives
-            no slower; four make a Jacobian half as fast, and arrays in the carry gain nothing.
+    The body takes (carry, row of samples, factors) to (carry, output); `factors` makes them from a time step; dt has shape (T,) [s]. One
+    pass of the loop takes `unroll` samples of even steps. Two pass a third faster where the carry is two numbers, and their derivatives no
+    slower; four make a Jacobian half as fast, and arrays in the carry gain nothing.
     """
     even, longest = even_step(jax.lax.stop_gradient(dt))
 
@@ -108,13 +98,7 @@ def relaxed(
     x: Signal,
     dt: Signal,
 ) -> tuple[Float[Array, " modes"], Signal]:
-    """Relaxations tau dz/dt = gain x - z, exact for steps of x: the last state, and their weighted sum at each sample.
-
-    Args:
-        tau: time constants [s].
-        gain: of each relaxation, or one for all.
-        weight: of each relaxation in the sum, or one for all.
-    """
+    """Relaxations tau dz/dt = gain x - z, exact for steps of x, times in s: the last state, and their weighted sum at each sample."""
 
     def body(state: Array, x: Array, part: Array) -> tuple[Array, Array]:
         state = state + part * (gain * x - state)

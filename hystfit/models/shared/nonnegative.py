@@ -18,16 +18,9 @@ _LIMIT = 50  # exchanges: those that end need a dozen, the others go in circles
 def solve_nonnegative(
     A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimize w'Aw / 2 - b'w with w >= 0 where `bounded`.
+    """Minimize w'Aw / 2 - b'w with w >= 0 where `bounded`; A is positive definite, shape (p, p).
 
-    Args:
-        A: positive definite, shape (p, p).
-        b: shape (p,).
-        bounded: which unknowns are >= 0, shape (p,), bool.
-        start: which unknowns are positive at a neighboring solution, shape (p,), bool; None for none.
-
-    Returns:
-        w, shape (p,), and which unknowns are not held at zero, shape (p,), to start a similar problem from.
+    With w it returns which unknowns are not held at zero, shape (p,), to `start` a similar problem from; None for none.
     """
     try:
         if b.size and not bounded.any():
@@ -40,17 +33,7 @@ def solve_nonnegative(
 def solve_several(
     A: np.ndarray, b: np.ndarray, bounded: np.ndarray, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solutions of several small problems with the same bounds, pivoted side by side: the calls take longer than their arithmetic.
-
-    Args:
-        A: positive definite, shape (K, p, p), or (p, p) where all problems share it.
-        b: shape (K, p).
-        bounded: which unknowns are >= 0, shape (p,), bool.
-        start: which unknowns are positive at neighboring solutions, shape (K, p), bool; None for none.
-
-    Returns:
-        Solutions, and which unknowns are not held at zero, shapes (K, p).
-    """
+    """`solve_nonnegative` for b of shape (K, p) and A, (K, p, p) or one for all: side by side, as calls take longer than arithmetic."""
     A = np.broadcast_to(A, (len(b), *A.shape[-2:]))
     active = np.tile(~bounded, (len(b), 1)) if start is None else start | ~bounded
     found, waiting = np.zeros_like(b), np.arange(len(b))

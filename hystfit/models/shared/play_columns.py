@@ -34,11 +34,7 @@ def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
 def play_columns(
     e: Float[np.ndarray, " T"], r: Float[np.ndarray, " plays"], rest: float | Float[np.ndarray, " plays"]
 ) -> Float[np.ndarray, "T plays"]:
-    """Plays of half widths r driven by e: between two turning points a play is max(e - r, last) or min(e + r, last).
-
-    Args:
-        rest: where the plays are before the first sample.
-    """
+    """Plays of half widths r driven by e, first at rest: between two turning points a play is max(e - r, last) or min(e + r, last)."""
     return play_positions(e, r, np.maximum(e[0] - r, np.minimum(e[0] + r, rest)))
 
 

@@ -203,11 +203,7 @@ def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) ->
 
 
 def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
-    """State after each sample of a run, shape (T, states); in some models the linear weights multiply it.
-
-    Args:
-        model: any whose `step` needs no later sample.
-    """
+    """State after each sample of a run of a causal model, shape (T, states); in some models the linear weights multiply it."""
     u, dt = (np.asarray(values) for values in checked_drive(model, u, dt))
     extra = bucket(u.size) - u.size  # records of similar length share one program
     return np.asarray(_states(model, np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))))[: u.size]

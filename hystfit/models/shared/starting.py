@@ -145,11 +145,7 @@ class BestOfGrid(NamedTuple):
 
 
 def grid_columns(plain: Any, grid: Mapping[str, np.ndarray], records: Sequence[Record]) -> np.ndarray:
-    """`simulated_grid` over the samples of records that count, record after record, shape (n, K).
-
-    Args:
-        grid: values of a field at each point, shape (K, ...), by the name of the field.
-    """
+    """`simulated_grid` over the samples that count, record after record, (n, K), at values of fields by their names, (K, ...)."""
     # Inputs are held at their ends, so that records of similar length share one program where later samples change no output.
     extra = [bucket(len(record)) - len(record) if plain.causal else 0 for record in records]
     inputs = [np.pad(record.u, (0, more), mode="edge") for record, more in zip(records, extra, strict=True)]
@@ -164,10 +160,7 @@ def best_of_grid(columns: np.ndarray, fixed: np.ndarray, y: np.ndarray) -> BestO
 
 
 def best_column(fixed: np.ndarray, candidates: np.ndarray, y: np.ndarray) -> int:
-    """Which candidate column, in addition to the fixed ones, leaves the smallest sum of squared residuals.
-
-    Columns have shapes (n, q) and (n, k).
-    """
+    """Which candidate column, (n, k), in addition to the fixed ones, (n, q), leaves the smallest sum of squared residuals."""
     Q = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
     rest, others = y - Q @ (Q.T @ y), candidates - Q @ (Q.T @ candidates)
     size = np.sum(others**2, axis=0)

@@ -21,11 +21,7 @@ COMES_LATER = (
 
 
 class AbstractStepInverse(eqx.Module):
-    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1.
-
-    Attributes:
-        model: what is inverted.
-    """
+    """Solves `model.step(state, u0, u1, dt)[1] == target` for u1."""
 
     model: eqx.AbstractVar[Any]
 
@@ -36,13 +32,7 @@ class AbstractStepInverse(eqx.Module):
 
     @abc.abstractmethod
     def solve(self, state: State, u0: Scalar, target: Scalar, dt: Scalar, low: Scalar, high: Scalar) -> Root:
-        """The input, which a closed form may put outside the limits, and whether the output rises on the way to it.
-
-        Args:
-            state: of the model after the last sample.
-            u0: input of the last sample.
-            dt: time since the last sample [s].
-        """
+        """The input that a time dt [s] after u0 gives the target, maybe outside the limits; and whether the output rises on the way."""
 
     # Optional, as those of a model:
 
@@ -57,12 +47,7 @@ class AbstractStepInverse(eqx.Module):
 
 
 class SearchStep(AbstractStepInverse):
-    """Bracketed search on the model's own step: for every model whose output rises, or falls, with its input.
-
-    Attributes:
-        model: any model.
-        sign: -1 where the output falls with the input, else 1.
-    """
+    """Bracketed search on the model's own step, for every model whose output rises with its input, or falls (sign -1)."""
 
     model: Any
     sign: float = eqx.field(static=True, default=1.0)

@@ -1,4 +1,4 @@
-"""A model as a `uniaxialMaterial` of OpenSees (see `hystfit.control.opensees`)."""
+"""A model as a `uniaxialMaterial` of OpenSees (see `hystfit.control.export`)."""
 
 from __future__ import annotations
 
@@ -7,19 +7,13 @@ import dataclasses
 
 @dataclasses.dataclass(frozen=True)
 class UniaxialMaterial:
-    """The command that makes a material of OpenSees, without its tag.
+    """The command that makes a material of OpenSees, without its tag."""
 
-    Attributes:
-        kind: name of the material.
-        arguments: after the tag, in order.
-        lost: what the material lacks that the model has, in words that stand as comments: a constant force, a state before the record.
-        notes: what to know about its numerical solution.
-    """
-
-    kind: str
-    arguments: tuple[float | int, ...]
+    kind: str  # name of the material
+    arguments: tuple[float | int, ...]  # after the tag, in order
+    # what the material lacks that the model has, in words that stand as comments: a constant force, a state before the record
     lost: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what to know about its numerical solution
 
     def words(self, tag: int) -> tuple[str, ...]:
         """The words of the command: "uniaxialMaterial", kind, tag and arguments with eight digits."""

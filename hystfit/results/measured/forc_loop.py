@@ -14,19 +14,14 @@ from hystfit.results.measured.loop_values import LoopValues, quantities
 
 @dataclasses.dataclass(frozen=True)
 class ForcLoop:
-    """What reversal curves say without a density.
+    """What reversal curves say without a density."""
 
-    Attributes:
-        loop: from saturation along the first curve, the reversal points and the last curve: the major loop.
-        quantities: of the loop.
-        reversal, remanence: reversal fields of the curves that pass zero field from the other side [u], and their outputs there [y].
-        remanent_coercivity: the field from which the remanence is half way between those of both saturations [u]; None without one.
-    """
-
-    loop: Record
-    quantities: LoopValues
+    loop: Record  # from saturation along the first curve, the reversal points and the last curve: the major loop
+    quantities: LoopValues  # of the loop
+    # reversal, remanence: reversal fields of the curves that pass zero field from the other side [u], and their outputs there [y]
     reversal: np.ndarray
     remanence: np.ndarray
+    # the field from which the remanence is half way between those of both saturations [u]; None without one
     remanent_coercivity: float | None
 
     def value(self, name: str) -> float | None:

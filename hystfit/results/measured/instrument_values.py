@@ -17,11 +17,7 @@ Levels = Callable[[list[Branch]], Iterable[LoopValue]]
 
 
 def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches: list[Branch]) -> Iterator[LoopValue]:
-    """The quantities with those that the instrument states; after its slope correction, where it made one, in rows of their own.
-
-    Args:
-        levels: gives those that a slope changes, of corrected branches.
-    """
+    """The quantities with those that the instrument states; those that its slope correction changes (`levels`) in rows of their own."""
     stated = {_name_of(one): one for one in record.stated if one.quantity}
     if any(row.name == "remanence_end" for row in found):
         u = record.u[record.used]

@@ -118,27 +118,18 @@ def _thinned(branch: Branch) -> Branch:
 
 
 def area_error(pair: Pair, sigma: float, correlated: float = 0.0) -> float:
-    """Standard error of the area of a loop by noise.
-
-    Args:
-        sigma: standard deviation of the noise.
-        correlated: over which stretch of the input the noise is correlated; 0 for white noise.
-    """
+    """Standard error of the area of a loop by noise sigma that is correlated over a stretch of the input, 0 for white noise."""
     steps = np.abs(np.gradient(np.append(pair[0].u, pair[1].u)))
     together = max(1.0, 2.0 * correlated / max(float(np.median(steps)), 1e-300) - 1.0)  # sum of the autocorrelation
     return sigma * float(np.sqrt(together * np.sum(steps**2)))
 
 
 def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[float, float, int]:
-    """Median area of closed loops, its standard error and their number.
+    """Median area of closed loops in the order of time, its standard error and their number; the noise as for `area_error`.
 
     Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
     comes that of straight lines between the samples: the areas of every second and of every fourth sample show how fast it falls with their
     distance (Richardson and Aitken). Where the input does not come back, it is at least the strip that is missing.
-
-    Args:
-        pairs: branches of each loop, in the order of time.
-        sigma, correlated: see `area_error`.
     """
     areas = [abs(area(*pair)) for pair in pairs]
     separate = [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
@@ -236,13 +227,10 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
 
 
 def asymmetry(branches: list[Branch]) -> tuple[float, float]:
-    """How far a loop is no reflection of itself in its center; zeros without both branches.
+    """How far a loop is no reflection of itself in its center: standard deviation of an output, and the stretch of its correlation.
 
-    Shifts of the loop in both directions are left out. It contains noise that is correlated over many samples, which their differences do
-    not show.
-
-    Returns:
-        The standard deviation of an output, and the stretch of the input over which it is correlated.
+    Shifts of the loop in both directions are left out; zeros without both branches. It contains noise that is correlated over many samples,
+    which their differences do not show.
     """
     falling, rising = (next((b for b in branches if b.rises == rises), None) for rises in (False, True))
     if falling is None or rising is None:

@@ -48,16 +48,13 @@ _NEAR = 3.0  # standard deviations of the noise below the largest output, within
 
 @dataclasses.dataclass(frozen=True)
 class LoopValues:
-    """The quantities of measured loops, record by record.
+    """The quantities of measured loops, record by record."""
 
-    Attributes:
-        rows: for the name of each record its quantities; empty for records without a loop.
-        corrections: of magnetic loops, in their order.
-        notes: why a quantity is not given, and where the instrument's definition is another one.
-    """
-
+    # for the name of each record its quantities; empty for records without a loop
     rows: dict[str, tuple[LoopValue, ...]]
+    # of magnetic loops, in their order
     corrections: dict[str, tuple[Correction, ...]] = dataclasses.field(default_factory=dict)
+    # why a quantity is not given, and where the instrument's definition is another one
     notes: dict[str, tuple[Note, ...]] = dataclasses.field(default_factory=dict)
 
     def table(self) -> Table:

@@ -114,11 +114,7 @@ def _lengths(size: Sequence[float]) -> str:
 
 
 def prism_factor(size: Sequence[float]) -> float:
-    """Magnetometric demagnetizing factor of a rectangular prism along its last length (Aharoni 1998, eq. 1).
-
-    Args:
-        size: three lengths, in any unit.
-    """
+    """Magnetometric demagnetizing factor of a rectangular prism along the last of its three lengths (Aharoni 1998, eq. 1)."""
     a, b, c = (float(length) for length in size)
     ab, bc, ca, abc = np.hypot(a, b), np.hypot(b, c), np.hypot(c, a), np.sqrt(a**2 + b**2 + c**2)
     log = lambda root, edge: np.log((root + edge) / (root - edge))

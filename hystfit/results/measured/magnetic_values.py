@@ -33,12 +33,8 @@ _LOCAL = 0.01  # of the samples of a branch, that such a quadratic takes at leas
 class _Row:
     """A quantity of one falling branch.
 
-    Attributes:
-        name, label: of the row.
-        kind: "field", "induction", "energy product" or "" for a ratio, which tells its unit.
-        of_branch: value and standard error, from the branch and the noise.
-        hard: whether only hard materials have it.
-        absolute: whether it needs the polarization in T.
+    `kind` is "field", "induction", "energy product" or "" for a ratio, and tells its unit; `of_branch` gives value and standard error from
+    the branch and the noise; only hard materials have a `hard` one, and an `absolute` one needs the polarization in T.
     """
 
     name: str
@@ -81,12 +77,7 @@ def _knee_ratio(b: Branch, noise: float) -> Found:
 
 
 def energy_product(b: Branch, noise: float) -> Found:
-    """(BH)max [J/m^3]: the top of a parabola through the largest product in the second quadrant and its neighbors.
-
-    Args:
-        b: falling branch, field [A/m] and polarization [T].
-        noise: of the polarization [T].
-    """
+    """(BH)max [J/m^3] of a falling branch in A/m and T: top of a parabola through the largest product in the second quadrant."""
     order = np.argsort(-b.u, kind="stable")
     field, flux = -b.u[order], b.y[order] + MU0 * b.u[order]
     inside = (field >= 0) & (flux >= 0)
@@ -137,10 +128,7 @@ _ROWS = (
 
 
 def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
-    """The rows of the data sheet of a loop, or of a curve in one direction: half a loop, or a demagnetization curve.
-
-    Fields are in the unit of the file, or in kA/m where that is Oe or G.
-    """
+    """The rows of the data sheet of a loop, or of a curve in one direction; fields in the unit of the file, or kA/m for Oe or G."""
     mirrored = [b.rises for b in loop.branches] or [False]
     falling = [Branch(-b.u, -b.y) if b.rises else b for b in loop.branches]
     if not falling:

@@ -9,29 +9,21 @@ from hystfit.outcome.table import or_none
 
 @dataclasses.dataclass(frozen=True)
 class LoopValue:
-    """One quantity of a measured loop; a `stderr`, `spread` or `scale` of NaN becomes None.
+    """One quantity of a measured loop; a `stderr`, `spread` or `scale` of NaN becomes None."""
 
-    Attributes:
-        name, label: what it is; `name` is that of `hystfit.results.measured.quantities` where it is one of them.
-        value: median over the loops of the record.
-        stderr: standard error, from the noise about the place where it is read, or from the repeats of the loop where these
-            scatter more; None where the noise is unknown.
-        unit: "" where unknown.
-        count: number of branches or loops from which it was read.
-        spread: half the difference of both branches, or half the range over the laws from which it can be computed; None where there
-            is one.
-        scale: standard error by the size of the sample, common to all values of the sample; None where it is unknown.
-        stated: what the instrument wrote into the file; None where it states nothing.
-    """
-
+    # name, label: what it is; `name` is that of `hystfit.results.measured.quantities` where it is one of them
     name: str
     label: str
-    value: float
+    value: float  # median over the loops of the record
+    # standard error, from the noise about the place where it is read, or from the repeats of the loop where these scatter more; None where
+    # the noise is unknown
     stderr: float | None
-    unit: str
-    count: int = 1
-    stated: float | None = None
+    unit: str  # "" where unknown
+    count: int = 1  # number of branches or loops from which it was read
+    stated: float | None = None  # what the instrument wrote into the file; None where it states nothing
+    # half the difference of both branches, or half the range over the laws from which it can be computed; None where there is one
     spread: float | None = None
+    # standard error by the size of the sample, common to all values of the sample; None where it is unknown
     scale: float | None = None
 
     def __post_init__(self) -> None:

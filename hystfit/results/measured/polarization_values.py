@@ -44,11 +44,7 @@ def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
 
 
 def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
-    """The rows besides those of every loop.
-
-    Args:
-        record: input a voltage or an electric field, output a charge or polarization.
-    """
+    """The rows besides those of every loop, of a charge or polarization over a voltage or an electric field."""
     yield from offset_of(rows, "offset (half sum of Vc+ and Vc-)")
     u, y = record.u[record.used], record.y[record.used]
     tips = {"rising": float(y[u.argmax()]), "falling": float(y[u.argmin()])}

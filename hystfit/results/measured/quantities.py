@@ -22,27 +22,19 @@ _APART, _VISIBLE = 2.0, 0.02
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """The definition of a quantity.
+    """The definition of a quantity."""
 
-    Attributes:
-        label: its name in a report.
-        named: kinds of loops that have a name of their own for it, and this name.
-        doc: what it is.
-        unit: with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop.
-        of_loops: its value for each loop; None for the creep, which follows from a step.
-        kinds: of loops for which it is defined; None for all.
-        leads: kinds in whose reports it comes first, in the order of the registry.
-        at_middle: whether it is read at the middle of the loop, where instruments read it at zero.
-    """
-
-    label: str
-    doc: str
+    label: str  # its name in a report
+    doc: str  # what it is
+    # with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop
     unit: str
+    # its value for each loop; None for the creep, which follows from a step
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
-    kinds: frozenset[LoopKind] | None = None
-    leads: frozenset[LoopKind] = frozenset()
+    kinds: frozenset[LoopKind] | None = None  # of loops for which it is defined; None for all
+    leads: frozenset[LoopKind] = frozenset()  # kinds in whose reports it comes first, in the order of the registry
+    # kinds of loops that have a name of their own for it, and this name
     named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
-    at_middle: bool = False
+    at_middle: bool = False  # whether it is read at the middle of the loop, where instruments read it at zero
 
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
@@ -98,11 +90,7 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
-    """Names of the quantities that records of these units have; those of a loop not where the input is switched between two values.
-
-    Args:
-        timed: whether the model creeps.
-    """
+    """Names of the quantities that records of these units have, `timed` if the model creeps; no loop where the input has two levels."""
     kind = LoopKind.of(data)
     looped = not (min(map(len, data)) >= FEWEST and is_switched([record.u for record in data]))
     return tuple(
@@ -166,9 +154,7 @@ class QuantityEstimate:
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def vaguer_than(self, stderr: float | None) -> bool:
-        """Whether its error is visible, and larger than that of the measured loop or, where none covers the fitted range, than this one of
-        a value that was read off other loops.
-        """
+        """Whether its error is visible, and larger than that of the measured loop, or without one than `stderr`, read off other loops."""
         stderr = stderr if self.measured is None else self.measured_stderr
         if None in (self.value, self.stderr, stderr):
             return False

@@ -37,20 +37,13 @@ _AT_1S, _AT_10S = (1 + round(seconds / _STEP) for seconds in (1, 10))  # samples
 
 @dataclasses.dataclass(frozen=True)
 class SteadyLoops:
-    """Steady loops.
+    """Steady loops."""
 
-    Attributes:
-        inputs: rising, of all loops, shape (P,), or of each, shape (count, P).
-        rising, falling: outputs of each loop at these inputs, shape (count, P).
-        force_driven: whether the input is the force.
-        energy: that of a unit of area, in the unit of `loop_energy`.
-    """
-
-    inputs: np.ndarray
-    rising: np.ndarray
+    inputs: np.ndarray  # rising, of all loops, shape (P,), or of each, shape (count, P)
+    rising: np.ndarray  # rising, falling: outputs of each loop at these inputs, shape (count, P)
     falling: np.ndarray
-    force_driven: bool = False
-    energy: float = 1.0
+    force_driven: bool = False  # whether the input is the force
+    energy: float = 1.0  # that of a unit of area, in the unit of `loop_energy`
 
     @functools.cached_property
     def gap(self) -> Float[np.ndarray, "count P"]:
@@ -128,28 +121,19 @@ def _crossings(
 
 @dataclasses.dataclass(frozen=True)
 class Excitation:
-    """The inputs on which the quantities of a fit are computed.
+    """The inputs on which the quantities of a fit are computed."""
 
-    Attributes:
-        low, high: range of the input; a column of them, shape (count, 1), for `inputs` and `loops` of several that differ in these alone.
-        interval: between the samples of the cycles [s].
-        force_driven: whether the input is the force.
-        sine: whether the cycles of the records are nearer to a sine than to a triangle.
-        points: samples of a cycle, an even number.
-        cycles: the last of which shows the steady loop.
-        lead: samples of the way from the middle to the lower end before them; with 0 no cycle is corrected for what still settles.
-        energy: that of a unit of area of a loop.
-    """
-
+    # low, high: range of the input; a column of them, shape (count, 1), for `inputs` and `loops` of several that differ in these alone
     low: Any
     high: Any
-    interval: float
-    force_driven: bool = False
-    sine: bool = False
-    points: int = POINTS
-    cycles: int = CYCLES
+    interval: float  # between the samples of the cycles [s]
+    force_driven: bool = False  # whether the input is the force
+    sine: bool = False  # whether the cycles of the records are nearer to a sine than to a triangle
+    points: int = POINTS  # samples of a cycle, an even number
+    cycles: int = CYCLES  # the last of which shows the steady loop
+    # samples of the way from the middle to the lower end before them; with 0 no cycle is corrected for what still settles
     lead: int = 0
-    energy: float = 1.0
+    energy: float = 1.0  # that of a unit of area of a loop
 
     @classmethod
     def of(cls, data: Dataset, *, hardens: bool = False, jumps: bool = False) -> Excitation:

@@ -40,21 +40,14 @@ _REMEDIED = (
 
 @dataclasses.dataclass(frozen=True)
 class Wording:
-    """Names of files and options in the commands and the advice of a report.
+    """Names of files and options in the commands and the advice of a report."""
 
-    Attributes:
-        fit: folder of the fit, quoted for a shell.
-        loop: the file that was fitted, with the options for reading it, quoted; default: see `loops_of`.
-        split: options of the fit that choose its samples, quoted; for a comparison of models on the same samples.
-        saved: whether `fit` exists, or will once the report is written.
-        translate: from settings as in Python to the options of the reader.
-    """
-
-    fit: str = "FIT"
-    loop: str = ""
+    fit: str = "FIT"  # folder of the fit, quoted for a shell
+    loop: str = ""  # the file that was fitted, with the options for reading it, quoted; default: see `loops_of`
+    # options of the fit that choose its samples, quoted; for a comparison of models on the same samples
     split: str = ""
-    saved: bool = True
-    translate: Callable[[str], str] = str
+    saved: bool = True  # whether `fit` exists, or will once the report is written
+    translate: Callable[[str], str] = str  # from settings as in Python to the options of the reader
 
     def at(self, folder: str | Path) -> Wording:
         """The same for a fit saved in this folder."""

@@ -112,11 +112,7 @@ def write(
     refit_offset: bool = False,
     wording: Wording | None = None,
 ) -> Path:
-    """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none.
-
-    Raises:
-        HystfitError: the folder cannot be made or written.
-    """
+    """Write report.html, report.txt and the pictures (.png, .svg) into a folder; all of them or none."""
     from hystfit.results.saving.folders import writing
 
     with writing(folder) as scratch:

@@ -7,9 +7,9 @@ import math
 from hystfit.data.dataset import Dataset
 from hystfit.outcome import Column, Table
 from hystfit.outcome.table import number, rounded
+from hystfit.results.accuracy import Metrics
 from hystfit.results.estimates import ParameterEstimate, grouped
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate
-from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 
 

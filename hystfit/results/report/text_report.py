@@ -146,11 +146,7 @@ def _columns_of(record: Record) -> list[str]:
 
 
 def text_report(result: FitResult, wording: Wording | None = None, width: int = PROSE) -> str:
-    """The report as text.
-
-    Args:
-        width: columns of a line; only commands, and tables of many numbers, may be wider.
-    """
+    """The report as text in lines of `width` columns; only commands, and tables of many numbers, may be wider."""
     wording = wording or Wording()
     title = headline(result)
     lines = [title, "=" * min(len(title), width)]

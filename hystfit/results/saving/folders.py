@@ -128,11 +128,7 @@ class writing:
 
 @contextlib.contextmanager
 def writing_file(path: str | Path) -> Iterator[Path]:
-    """The place of a file or Zarr store within a scratch folder, from which it is moved when it is written.
-
-    Raises:
-        HystfitError: as `writing`.
-    """
+    """The place of a file or Zarr store within a scratch folder, from which it is moved when it is written; errors as for `writing`."""
     path = Path(path)
     if not path.parent.is_dir():
         raise DataError(f"cannot write {str(path)!r}: the folder {str(path.parent)!r} does not exist; make it first")
@@ -196,11 +192,7 @@ def _move(source: Path, target: Path) -> None:
 
 
 def check_writable(target: str | Path) -> None:
-    """Refuse a folder that could not be written later, before long work begins; nothing is left behind.
-
-    Raises:
-        HystfitError: as `writing`.
-    """
+    """Refuse a folder that could not be written later, before long work begins, as `writing` does; nothing is left behind."""
     attempt = writing(target)
     attempt.__enter__()
     shutil.rmtree(attempt.scratch, ignore_errors=True)

@@ -19,12 +19,7 @@ _ATTEMPTS, _PAUSE = 4, 0.05  # to read a folder while another process writes it,
 
 
 class Files(NamedTuple):
-    """Files of one result.
-
-    Attributes:
-        contents: bytes by name.
-        edited: names of those that differ from what hystfit saved; empty unless edits were allowed.
-    """
+    """Files of one result as bytes by name, and names of those that differ from what hystfit saved, where edits were allowed."""
 
     contents: dict[str, bytes]
     edited: tuple[str, ...]
@@ -36,21 +31,13 @@ def digest(content: bytes) -> str:
 
 
 def seal(folder: Path, names: Sequence[str]) -> None:
-    """Write the manifest of a folder whose files are complete.
-
-    Args:
-        names: files that opening reads; the manifest of a folder within stands for its files.
-    """
+    """Write the manifest of a folder whose files that opening reads are complete; the manifest of a folder within stands for its files."""
     files = {name: digest((folder / name).read_bytes()) for name in names}
     (folder / MANIFEST).write_text(json.dumps({"schema": _SCHEMA, "files": files}, indent=1) + "\n", encoding="utf-8")
 
 
 def read_files(folder: Path, names: Sequence[str], *, allow_edits: bool = False) -> Files:
-    """The files of a sealed folder, each compared with the manifest, as bytes.
-
-    Args:
-        names: files that must be there.
-    """
+    """The files of a sealed folder that must be there, each compared with the manifest, as bytes."""
     for attempt in range(_ATTEMPTS):
         places = _places(folder)
         try:

@@ -16,9 +16,8 @@ from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
 from hystfit.outcome.table import ROUNDING
 from hystfit.quality.baselines import Baselines
-from hystfit.results.accuracy import verdict_dict
+from hystfit.results.accuracy import Metrics, verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
-from hystfit.results.metrics import Metrics
 from hystfit.results.result import FitResult
 from hystfit.results.saving.stored_values import Stored, is_number
 from hystfit.results.saving.user_code import allow, noise_file

@@ -19,11 +19,7 @@ _KINDS = {dict: "an object", list: "a list", str: "text", bool: "true or false",
 
 
 def parse(content: bytes | str, place: str, *, finite: bool = True) -> Stored:
-    """The object of a JSON file.
-
-    Args:
-        finite: refuse NaN and infinity.
-    """
+    """The object of a JSON file, without NaN and infinity where it must be finite."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         if len(dict(pairs)) != len(pairs):

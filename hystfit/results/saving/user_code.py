@@ -33,12 +33,9 @@ def noise_file(noise: str) -> str | None:
 
 
 def allow(files: Iterable[str], stored: Mapping[str, str | None], trust: bool) -> tuple[frozenset[str], list[Note]]:
-    """Files that may be run to open a fit, with a note on each that has changed since it was saved.
+    """Files that may be run to open a fit, with a note on each whose SHA-256 has changed since it was saved.
 
     A file that this process has run already needs no request.
-
-    Args:
-        stored: their SHA-256 when the fit was saved.
     """
     notes = []
     for file in sorted(files):
