@@ -22,8 +22,8 @@ import hystfit as hf
 from hystfit.cli import run
 from hystfit.errors import HystfitError
 from hystfit.explorer import session as sessions
+from hystfit.explorer.server import Server
 from hystfit.explorer.session import Session, chunks, visible
-from hystfit.explorer.widget import Server
 
 from .conftest import ROOT
 
@@ -102,7 +102,7 @@ def test_the_page_is_served_on_this_machine_alone_and_loads_nothing_else(server)
 
 def test_the_name_of_a_record_cannot_become_markup(record):
     scene = Session(record.replace(name="</script><script>alert(1)</script>"), "bouc-wen").scene()
-    page = importlib.import_module("hystfit.explorer.widget").document(scene)
+    page = importlib.import_module("hystfit.explorer.server").document(scene)
     assert "<script>alert" not in page
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import hystfit as hf
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.comparison.compared_models import Row
-from hystfit.fitting.data_check import traits
+from hystfit.fitting.comparison.traits import traits
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Trait, examine
 

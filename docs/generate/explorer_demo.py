@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import hystfit as hf
+from hystfit.explorer.server import document
 from hystfit.explorer.session import Session, Source
-from hystfit.explorer.widget import document
 
 RECORD, MODEL = "stage-sweep", "bouc-wen"
 
