@@ -11,8 +11,11 @@ import pytest
 
 from hystfit.data import Dataset
 from hystfit.errors import DataError
+from hystfit.outcome import Code
 from hystfit.reading import read
-from tests.loop_files import N, U, Y, is_pair, one, rows, written
+
+from .conftest import examined
+from .loop_files import N, U, Y, is_pair, one, rows, written
 
 T = np.round(0.1 * np.arange(N), 1)
 
@@ -213,3 +216,54 @@ def test_records_of_json_are_named_by_what_tells_them_apart(tmp_path: Path) -> N
     tests = [{"lab": "X", "specimen": f"W{k}", "drift": (k * U).tolist(), "shear": Y.tolist()} for k in (1, 2)]
     data = read(written(tmp_path, json.dumps({"tests": tests}), "walls.json"))
     assert [record.name for record in Dataset.of(data)] == ["W1", "W2"]
+
+
+# Columns without names ----------------------------------------------------------------------------------------------------------
+
+S = 0.01 * np.arange(600)
+STROKE = np.clip(19.0 - 19.0 * np.cos(np.pi * np.arange(600) / 150.0), 0.0, 38.0)  # [mm], four of them
+
+
+def _friction(position: np.ndarray) -> np.ndarray:
+    """Force [N] of an elastic bristle that slips at 6 N, as a plain loop."""
+    force, values = 0.0, []
+    for step in np.diff(position, prepend=position[0]):
+        force = min(max(force + 12.0 * step, -6.0), 6.0)
+        values.append(50.0 + force)
+    return np.array(values)
+
+
+def test_signals_in_volts_beside_the_same_in_their_units_are_no_further_columns(tmp_path: Path) -> None:
+    """A logger without names writes each sensor as it was sampled and as it was calibrated, both with three decimals."""
+    force = _friction(STROKE)
+    columns = (1000.0 * S, 4.563 + STROKE / 13.33, force / 46.16, STROKE, force)
+    record = one(tmp_path, "\n".join("\t".join(f"{x:.3f}" for x in row) for row in zip(*columns, strict=True)))
+    np.testing.assert_allclose(record.u, STROKE, atol=1e-3)
+    np.testing.assert_allclose(record.y, force, atol=1e-3)
+
+
+def test_a_narrow_loop_over_coarse_steps_is_no_copy_of_its_input(tmp_path: Path) -> None:
+    """A piezo actuator of which the loop is less than a step of its voltage wide, beside the drift of a second sensor."""
+    volts = np.concatenate([np.arange(0.0, 100.0), np.arange(100.0, -1.0, -1.0)] * 2)
+    drive = np.diff(volts, prepend=0.0)
+    stroke = 0.12 * volts + 0.1 * np.sin(np.pi * volts / 100.0) * (drive < 0)
+    columns = (0.1 * np.arange(volts.size), volts, stroke, 3.0 + 0.5 * np.sin(0.1 * np.arange(volts.size)))
+    record = one(tmp_path, "\n".join(",".join(f"{x:.4f}" for x in row) for row in zip(*columns, strict=True)))
+    np.testing.assert_allclose(record.y, stroke, atol=1e-4)
+
+
+def test_rows_under_a_key_have_no_more_names_than_rows_alone(tmp_path: Path) -> None:
+    """Channels of a damper at 1000 samples per s: time, displacement, force and its two load cells."""
+    force = _friction(STROKE) - 50.0
+    rows_ = np.column_stack([S, STROKE, force, 22.0 - 0.56 * force, 6.0 + 0.44 * force + 0.01 * np.sin(S)]).tolist()
+    for content in (rows_, {"data": rows_}):
+        (tmp_path / "damper.json").write_text(json.dumps(content))
+        with pytest.raises(DataError, match="--input 1 --output 2 or --input 2 --output 1"):
+            read(tmp_path / "damper.json")
+
+
+def test_a_clock_is_no_output_of_the_signal_beside_it(tmp_path: Path) -> None:
+    """The recorder of a node writes the time of the analysis and a displacement: half of a pair, and no loop."""
+    record = one(tmp_path, rows(" ", S, STROKE), "Disp.out")
+    np.testing.assert_allclose(record.u, S)
+    assert any(note.code is Code.NO_LOOP for note in examined(record).findings)

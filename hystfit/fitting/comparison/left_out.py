@@ -22,6 +22,9 @@ from hystfit.results.result import FitResult
 # Part of the effect of a parameter on all samples, below which the others do not determine it, such as an initial state that they have
 # forgotten: its standard error would be a hundred times as large.
 _LOST = 0.01
+# Distance from the minimum, in standard errors, at which a refit has converged. Models in error approach it slowly: five refits of
+# `steel-02` to a coupon took 221 linearizations, 453 to 0.001, for an error on the held-out samples that differs by 4e-5 of it.
+_WITHIN = 0.1
 LeftOut = Literal["auto", "future"]
 CHOICES: tuple[str, ...] = get_args(LeftOut)
 
@@ -89,7 +92,7 @@ def _refitted(
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         if descends:
             lost = _effects(training, x) < _LOST * effects
-            fitted = training.space.physical(polish(training, z, STEPS, held=lost).z)
+            fitted = training.space.physical(polish(training, z, STEPS, _WITHIN, held=lost).z)
         else:
             fitted = ESTIMATORS.make(method).estimate(training, z[None]).x
         predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))

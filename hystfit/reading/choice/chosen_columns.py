@@ -12,19 +12,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.data.circulation import OPEN, circulation
-from hystfit.data.preparation import CoarseClock
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.arrangements.specimens import names_objects
 from hystfit.reading.choice.pair_score import TIE, Reading, readings
 from hystfit.reading.choice.quantities_by_others import tell_by_others
-from hystfit.reading.limits import FEWEST, RARE
+from hystfit.reading.choice.time_column import guess_time, is_clock
+from hystfit.reading.limits import RARE
 from hystfit.reading.names.column_names import column_quantity, column_role
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import computed, proportional, same_loop
+from hystfit.reading.table.signal_evidence import computed, proportional, rounded, same_loop
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
@@ -126,11 +126,11 @@ def choose(
     elif time is not None and not isinstance(time, bool):
         clock = _numeric(table, find(table, time, "time"), "time")
     else:
-        clock = _guess_time(table, free, kinds, len(given), notes)
+        clock = guess_time(table, free, kinds, len(given), notes)
     if clock is not None and clock in given.values():
         raise DataError(f"{table.source}: column {table.names[clock]!r} cannot be time and input or output at once")
     free = [k for k in free if k != clock and k not in table.stamps]
-    kinds.update({k: "" for k in free if clock is not None and kinds[k] == "time" and not _is_clock(table, k)})  # T_in
+    kinds.update({k: "" for k in free if clock is not None and kinds[k] == "time" and not is_clock(table, k)})  # T_in
     numbers = lambda k: table.names[k] == f"column {k}" and table.counts(k)
     if table.named and clock is not None:  # that which a program wrote before the columns that it had names for
         free = [k for k in free if not numbers(k)]
@@ -162,56 +162,6 @@ def _of_results(table: Table) -> dict[str, str]:
         return {}
     titles = [table.names[k] for k, label in table.labels.items() if len({*map(str, label)}) == table.rows]
     return {title: f"every row has a {title!r} of its own: a table of results has no loop" for title in titles}
-
-
-def _guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
-    # A duration that goes up and down is no clock, unless its name is that of a time.
-    named = [k for k in free if k in table.stamps or (kinds[k] == "time" and _is_clock(table, k))]
-    named.sort(key=lambda k: k not in table.stamps)
-    if not named and len(free) + given > 2:
-        # The abscissa of a report of Abaqus is its X; of an oscilloscope, whose file states the interval, X numbers the samples.
-        numbers = lambda k: table.interval is not None and table.counts(k)
-        rises = lambda k: bool((np.diff(table.columns[k]) > 0).all()) and not numbers(k)
-        named = [k for k in free[:2] if table.names[k] in ("s", "X") and rises(k)]
-    if named:
-        back = lambda k: int(
-            (np.diff(table.columns[k]) < 0).sum()
-        )  # the time of a step starts again where the next begins
-        clock = min(named, key=lambda k: (0 < back(k) < table.rows - 1, named.index(k)))
-        notes.append(Note(Code.COLUMN_CHOICE, f"time: column {clock}, {table.names[clock]!r}"))
-        return clock
-    if len(free) + given < 3:
-        return None
-    matrices = {re.sub(r"\[\d+\]$", "", table.names[k]) for k in free}
-    named = table.named and not (len(matrices) == 1 and {kinds[k] for k in free} <= {"", "index"})
-    known = any(kind not in ("", "index") or column_role(table.names[k]) for k, kind in kinds.items())
-    for k in free[:2]:
-        steps = np.diff(table.columns[k])
-        if named and table.names[k] != f"column {k}":
-            even = bool((steps > 0).all()) and np.ptp(steps) <= 0.01 * steps[0]
-            if known or not even:  # of names without a known word, one may be that of an evenly sampled time
-                return None
-        if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
-            return None
-        uneven = not named and np.ptp(steps) > np.median(steps)
-        if uneven and all((np.diff(table.columns[other]) > 0).all() for other in free):
-            return None  # of several curves over each other, none is that of time
-        if not table.counts(k):
-            reason = "always increases" if (steps > 0).all() else "never decreases"
-            notes.append(Note(Code.COLUMN_CHOICE, f"time: column {k}, because it {reason}"))
-            return k
-        text = f"column {k} numbers the rows and is not used; if it is the time, choose --time {k} (time={k})"
-        notes.append(Note(Code.LEFT_OUT, text))
-        kinds[k] = "index"
-    return None
-
-
-def _is_clock(table: Table, k: int) -> bool:
-    """Whether a column of times never decreases, or always, or has the name of a time and starts again after rows of a table at least."""
-    ways = np.sign(np.diff(table.columns[k]))
-    rises, falls = (ways > 0).sum(), (ways < 0).sum()
-    named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
-    return bool((named and rises >= (FEWEST - 1) * (falls - 1)) or not (rises and falls))
 
 
 def _guess_pair(
@@ -358,7 +308,7 @@ def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[
 
 
 def _without_copies(table: Table, free: list[int], given: dict[str, int], notes: list[Note]) -> list[int]:
-    """The columns that do not repeat an earlier one, as they are or with the other sign, and were not computed from it."""
+    """The columns that repeat no earlier one, with whichever sign; of two computed from each other, the one of more digits."""
     kept: list[int] = []
     for k in free:
         source = next((j for j in (*given.values(), *kept) if _repeats(table.columns[j], table.columns[k])), None)
@@ -372,10 +322,13 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
             f"an output; {_half_of_pair(table)}"
         )
     for k in [*kept]:
-        earlier = (j for j in (*given.values(), *kept) if j < k and computed(table.columns[j], table.columns[k]))
+        alike = lambda j, k=k: any(same(table.columns[j], table.columns[k]) for same in (computed, rounded))
+        earlier = (j for j in (*given.values(), *kept) if j < k and alike(j))
         if len(kept) + len(given) > 2 and (source := next(earlier, None)) is not None:
-            kept.remove(k)
-            notes.append(Note(Code.LEFT_OUT, f"column {k} is column {source} in another unit and is not used"))
+            levels = [np.unique(table.columns[j]).size for j in (source, k)]
+            coarse, fine = (source, k) if source in kept and levels[0] < levels[1] else (k, source)
+            kept.remove(coarse)
+            notes.append(Note(Code.LEFT_OUT, f"column {coarse} is column {fine} in another unit and is not used"))
     return kept
 
 

@@ -104,7 +104,9 @@ def readings(
     alone = len({*inputs, *outputs}) == 2  # there is no other column to choose
     evidence = _Evidence(ColumnFacts.of(table, free, kinds, alone=alone, named=named))
     found = [evidence.reading(i, o) for i, o in itertools.product(inputs, outputs) if i != o]
-    if not alone:
+    if alone:
+        found = [dataclasses.replace(one, points=one.points + evidence.of_clock(one)) for one in found]
+    else:
         found = evidence.related(found)
     return sorted(found, key=lambda reading: (-reading.points, reading.input, reading.output))
 
@@ -157,9 +159,8 @@ class _Evidence:
 
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
-            # An output that rises as a clock does, such as the angle of a crank
-            if rises_evenly(y) and not rises_evenly(u) and (np.diff(u) < 0).any():
-                return _UNRELATED
+            if clocked := self.of_clock(reading):
+                return clocked
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
@@ -179,6 +180,11 @@ class _Evidence:
             )
             for reading in found
         ]
+
+    def of_clock(self, reading: Reading) -> float:
+        """Points of an output that rises as a clock does, such as the angle of a crank, while its input does not."""
+        u, y = (self.facts.table.columns[k] for k in (reading.input, reading.output))
+        return _UNRELATED * (rises_evenly(y) and not rises_evenly(u) and bool((np.diff(u) < 0).any()))
 
     def _is_induced(self, i: int, o: int) -> bool:
         """Whether an output is the rate of its input, as the current of a capacitor and the voltage of a coil are."""

@@ -262,8 +262,12 @@ def _with_units(arrays: Mapping[str, np.ndarray], known: Collection[tuple[str, s
 
 
 def _table(file: TextFile | FileBytes, arrays: Mapping[str, np.ndarray], note: Note) -> Table:
+    bare = [name.rpartition(".")[2] for name in arrays]  # of the only rows, whatever they are called
+    nameless = all(name.startswith("column ") for name in bare) and len({*bare}) == len(bare)
+    if nameless:
+        arrays = dict(zip(bare, arrays.values(), strict=True))
     table = table_of_arrays(arrays, file.source, file.sha256, (*file.notes, note))
-    return dataclasses.replace(table, named=not all(name.startswith("column ") for name in table.names))
+    return dataclasses.replace(table, named=not nameless)
 
 
 def _part(name: str, scalars: Mapping[str, Any]) -> Part:

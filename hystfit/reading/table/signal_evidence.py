@@ -10,6 +10,10 @@ _PROPORTIONAL = 2e-4
 # The same of a column that was computed from the other one: numbers of five digits are rounded by 1e-10 of the variance, and sensors of 16
 # bits leave more.
 _COMPUTED = 1e-9
+# Part of the range of which digits written for two columns may be, where they differ by such digits alone: the hysteresis of a piezo
+# actuator moves its loop by 0.02 of the range and more.
+_DIGITS = 5e-3
+_WHOLE = 1.1  # by how much the straight line through rounded numbers may be off, in half a digit of each column
 _SMALL = 0.01  # range of a column over its size, below which it is held at a value far from zero
 _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are at most that many units of their last digit, or steps of their converter; two numbers
@@ -103,6 +107,23 @@ def computed(u: np.ndarray, y: np.ndarray) -> bool:
     return _beside_a_line(u, y, _FEWEST_COMPUTED) < _COMPUTED
 
 
+def rounded(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether no number is farther from a straight line than half a digit of either column: the volts of a sensor beside its mm."""
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y = u[both], y[both]
+    if u.size < _FEWEST or np.ptp(u) == 0 or not _beside_a_line(u, y, _FEWEST) < _PROPORTIONAL:
+        return False
+    slope, offset = np.polyfit(u, y, 1)
+    half_digits = 0.5 * (abs(slope) * _digit(u) + _digit(y))
+    return float(np.abs(y - slope * u - offset).max()) <= min(_WHOLE * half_digits, _DIGITS * float(np.ptp(y)))
+
+
+def _digit(values: np.ndarray) -> float:
+    """The smallest step between two values of a column without missing numbers."""
+    steps = np.diff(np.unique(values))
+    return float(steps[steps > _SAME * np.ptp(values)].min(initial=np.inf))
+
+
 def same_loop(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two outputs over one input differ by their scale and a multiple of the input, as J and B = J + mu0 H do."""
     both = np.isfinite(u) & np.isfinite(one) & np.isfinite(other)
@@ -140,8 +161,7 @@ def roughness(values: np.ndarray) -> float:
     if values.size <= 3 or not np.ptp(values) > 0:
         return 0.0
     third = float(np.median(np.abs(np.diff(values, 3))))
-    steps = np.diff(np.unique(values))
-    digits = steps / (least := float(steps[steps > _SAME * np.ptp(values)].min()))
+    digits = np.diff(np.unique(values)) / (least := _digit(values))
     whole = float(np.median(np.abs(digits - np.round(digits)))) < _SAME_DIGIT
     return 0.0 if whole and third <= _CUT_OFF * least * (1 + _SAME_DIGIT) else third / float(np.ptp(values))
 
