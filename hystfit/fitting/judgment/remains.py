@@ -6,7 +6,7 @@ import numpy as np
 
 from hystfit.fitting.judgment.verdict import are_white, residuals_are_white, stands_out
 from hystfit.quality.held_out import correlation_length
-from hystfit.results.accuracy import is_noise
+from hystfit.results.accuracy import VISIBLE, is_noise
 from hystfit.results.result import FitResult
 
 
@@ -32,8 +32,9 @@ def without_loop(fit: FitResult, parameters: int) -> bool:
 
 
 def _may_be_noise(fit: FitResult) -> bool:
-    """Whether the residuals are as small as neighboring samples show the noise to be, where that is known.
+    """Whether residuals that are visible are as small as neighboring samples show the noise to be, where that is known.
 
-    The few samples of a loop that switches between them leave residuals that a test for whiteness passes.
+    The few samples of a loop that switches between them leave large residuals that a test for whiteness passes.
     """
-    return fit.baselines.noise is None or is_noise(fit.train.rmse, fit.baselines)
+    visible = 100 * fit.train.rmse > VISIBLE * fit.baselines.span
+    return not visible or fit.baselines.noise is None or is_noise(fit.train.rmse, fit.baselines)
