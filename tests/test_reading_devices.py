@@ -705,3 +705,71 @@ def test_charge_without_states_is_the_output_of_a_voltage(tmp_path: Path) -> Non
     record = read(file)
     assert isinstance(record, Record)
     assert (record.u_name, record.y_name) == ("Voltage (V)", "Charge (C)")
+
+
+# Devices of electronics ----------------------------------------------------------------------------------------------------------
+
+
+def test_sweeps_at_levels_of_a_gate_are_curves_of_their_voltage_and_current(tmp_path: Path) -> None:
+    voltage = np.round(np.r_[np.arange(0, 3.3, 0.1), np.arange(3.2, -0.01, -0.1)], 1)
+    rises = np.arange(voltage.size) < 33
+    gates = (0.6, 1.2, 1.8, 2.4)
+    current = [2e-4 * (gate - 0.5) * np.tanh(voltage / 0.6) * np.where(rises, 1.0, 1.12) for gate in gates]
+    gate, swept = np.repeat(gates, voltage.size), np.tile(voltage, 4)
+    data = read(
+        written(
+            tmp_path,
+            "SCAN MODE\n\nGate (V),Voltage (V),Current (A)\n" + rows(",", gate, swept, np.concatenate(current)),
+            "tracer.csv",
+        )
+    )
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == [f"Gate={level:g}" for level in gates]
+    for record, expected in zip(data, current, strict=True):
+        np.testing.assert_allclose(record.u, voltage, atol=1e-9)
+        np.testing.assert_allclose(record.y, expected, rtol=1e-6)
+        assert (record.u_unit, record.y_unit) == ("V", "A")
+
+
+def test_channels_that_easyexpert_names_by_their_kind_have_its_units(tmp_path: Path) -> None:
+    head = "\nSetupTitle, Gate Sweep\nTestParameter, Channel.IName, DrainI, SrcI, GateI\n"
+    head += (
+        "TestParameter, Channel.VName, DrainV, SrcV, GateV\nDimension1, 80, 80, 80\nDataName, GateV, DrainI, GateI\n"
+    )
+    gate = np.r_[np.arange(-20, 20), np.arange(20, -20, -1)]
+    drain = 1e-7 * (1 + np.tanh((gate - np.repeat([4.0, -4.0], 40)) / 5))
+    lines = [
+        f"DataValue, {v}, {i:.6E}, {1e-12 * (k % 3):.3E}\n" for k, (v, i) in enumerate(zip(gate, drain, strict=True))
+    ]
+    record = one(tmp_path, head + "".join(lines))
+    np.testing.assert_allclose(record.y, drain, rtol=1e-5)
+    assert (record.u_unit, record.y_unit) == ("V", "A")
+
+
+@pytest.mark.parametrize("cycles", [1, 3])
+def test_charges_and_discharges_of_a_cell_side_by_side_are_loops(cycles: int, tmp_path: Path) -> None:
+    state, columns, names = np.linspace(0, 1, 40), [], []
+    voltage = 3.2 + 0.1 * np.log((state + 0.05) / (1.05 - state))
+    for cycle in range(1, cycles + 1):
+        charge = (2.5 - 0.1 * cycle) * state
+        columns += [voltage + 0.03 * cycle, charge, voltage[::-1] - 0.03 * cycle, charge]
+        names += [f"{name}_{way}_{cycle}" for way in ("ch", "dch") for name in ("Voltage", "Capacity")]
+    data = Dataset.of(read(written(tmp_path, ",".join(names) + "\n" + rows(",", *columns), "cell.csv")))
+    assert len(data) == cycles
+    for cycle, record in enumerate(data, start=1):
+        charge = (2.5 - 0.1 * cycle) * state
+        np.testing.assert_allclose(record.u, np.r_[charge, charge[::-1]], atol=1e-6)
+        np.testing.assert_allclose(record.y, np.r_[voltage + 0.03 * cycle, (voltage - 0.03 * cycle)[::-1]], atol=1e-6)
+
+
+def test_a_loop_in_volt_seconds_beside_the_same_in_units_of_magnetism_is_that_one(tmp_path: Path) -> None:
+    time = np.arange(200) * 5e-9
+    field = 36.4 * np.cos(2 * np.pi * time / 1e-6)
+    moment = 420 * np.tanh((field - 6 * np.sign(np.gradient(field))) / 9)
+    names = "Tiempo_(s)\tCampo_(Vs)\tMagnetizacion_(Vs)\tCampo_(kA/m)\tMagnetizacion_(A/m)\n"
+    numbers = [time, field * 2.1e-9, moment * 3.3e-11, field, moment]
+    body = "".join("\t".join(f"{value:.6e}" for value in row) + "\n" for row in zip(*numbers, strict=True))
+    record = one(tmp_path, "#Temperatura_=_22.8_°C\n#frecuencia_=_300290.0 Hz\n\n" + names + body)
+    np.testing.assert_allclose(record.u, field, atol=1e-4)
+    np.testing.assert_allclose(record.y, moment, atol=1e-3)
+    assert (record.u_unit, record.y_unit) == ("kA/m", "A/m")

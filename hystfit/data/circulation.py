@@ -10,14 +10,18 @@ SLACK = 0.01  # of a range, which noise and rounding may make up
 PART = 0.5  # of the input's range, which the part of a record that returns covers, and each curve of a family
 GAP = 0.03  # of the input's range: between the ends of a period, and between its turning points and the range
 
+# Size of the correlation of output and input from which the output follows the input, or falls as it rises.
+FOLLOWS = 0.5
+_ENDS = 0.2  # of the input's range at each end, over which a line beneath a loop is seen: a loop that saturates is straight there
+
 _FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lines between samples of a curve enclose as much
 
 
 def circulation(u: np.ndarray, y: np.ndarray) -> float:
     """Area inside the path of a record over that of the box around it: positive where it runs counter-clockwise, as an output that lags.
 
-    Where the output falls as the input rises, the path is mirrored first. Several cycles count several times; what a record does before or
-    after it returns to its input does not count where it has a loop, nor do samples that are NaN.
+    Where the output falls as the input rises (`trend`), the path is mirrored first. Several cycles count several times; what a record does
+    before or after it returns to its input does not count where it has a loop, nor do samples that are NaN.
     """
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
@@ -30,10 +34,43 @@ def circulation(u: np.ndarray, y: np.ndarray) -> float:
     return returned if abs(returned) >= _FLAT else whole
 
 
+def trend(u: np.ndarray, y: np.ndarray) -> float:
+    """Correlation of output and input: negative where the output falls as the input rises; 0 where one of them is constant.
+
+    A loop that rises on a line that falls more, as of a magnetic film on its diamagnetic substrate, counts without the line. It runs
+    counter-clockwise as it was measured; so does a force of the other sign, which does not rise without a line.
+
+    Args:
+        u, y: input and output, shape (T,), without missing samples.
+    """
+    if u.size < 2 or not (np.ptp(u) > 0 and np.ptp(y) > 0):
+        return 0.0
+    u, y = ((x - x.mean()) / np.ptp(x) for x in (u, y))
+    size = float(np.corrcoef(u, y)[0, 1])
+    if size >= 0 or _turning(u, y) < _FLAT:
+        return size
+    rest = y - _line_at_ends(u, y) * u
+    return without if np.ptp(rest) > 0 and (without := float(np.corrcoef(u, rest)[0, 1])) > FOLLOWS else size
+
+
+def _line_at_ends(u: np.ndarray, y: np.ndarray) -> float:
+    """Slope of a line that falls beneath a loop: that of the flatter end, towards which the input runs; 0 where one does not fall."""
+    low, high, way = float(u.min()), float(u.max()), np.gradient(u)
+    reach = _ENDS * (high - low)
+    ends = (u > high - reach) & (way > 0), (u < low + reach) & (way < 0)
+    if any(np.unique(u[end]).size < 2 for end in ends):
+        return 0.0
+    return min(0.0, max(float(np.polyfit(u[end], y[end], 1)[0]) for end in ends))
+
+
+def _turning(u: np.ndarray, y: np.ndarray) -> float:
+    """Area inside a path, scaled to the box around it: positive where it runs counter-clockwise as it was measured."""
+    return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
+
+
 def _area(u: np.ndarray, y: np.ndarray) -> float:
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
-    area = 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
-    return area * float(np.sign(np.sum(u * y)))
+    return _turning(u, y) * float(np.sign(trend(u, y)))
 
 
 def _returning(u: np.ndarray) -> slice:

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Mapping
 
-from hystfit.data.circulation import OF_RATE
+from hystfit.data.circulation import FOLLOWS, OF_RATE
 from hystfit.params.units import quantity
 from hystfit.quality.delay import SHORTEST, PureDelay
 from hystfit.quality.drift import Drift
@@ -26,8 +26,6 @@ SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
 _OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
 _WIDEST = 0.9
-# Size of the correlation of output and input from which the output follows the input, or falls as it rises.
-FOLLOWS = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +120,7 @@ class RecordQuality:
         slow_lag: of the output, where it is longer than the turns of the loops show [samples].
         delay: of the output; all other properties are measured with the input delayed by it.
         area: signed, of the whole record, see `loops.loop_area`.
-        correlation: of output and input; 0 where one of them is constant.
+        correlation: of output and input, see `circulation.trend`.
         of_rate: of the output, see `circulation.of_rate`.
         output_controlled: whether the test controlled the output, see `load_control`.
         flat_ends: samples at level ends of the loop, see `flat_ends`.

@@ -15,6 +15,9 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops
 # Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
 # substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
+# Part of its area by which a loop changes where every second sample is left out, up to which its samples show it however narrow it is: the
+# straight lines between the samples of a curve enclose four times as much then.
+_RESOLVED = 0.25
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
@@ -91,7 +94,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
     between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
     crossing = bool(has_lobes(area, between, stroke * largest) and between > _LOBES * noise * largest)
-    least = NARROWEST * max(bent, NARROWEST * stroke)
+    floor = NARROWEST**2 * stroke
+    resolved = abs(area) > floor * largest and noise > 0 and _is_resolved(u, y, chosen, float(area))
+    least = floor if resolved else NARROWEST * max(bent, NARROWEST * stroke)
     # By area, and by the samples: with a last point far in saturation the box around the loop is nearly empty.
     by_chance = 2 * noise / np.sqrt(sum(b - a for a, b in chosen))
     is_open = abs(area) > max(CLEAR * chance, least * largest) or apart > max(CLEAR * by_chance, least)
@@ -114,6 +119,13 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         crossing=crossing,
         loops=len(chosen),
     )
+
+
+def _is_resolved(u: np.ndarray, y: np.ndarray, chosen: list[tuple[int, int]], area: float) -> bool:
+    """Whether loops have nearly the same area where every second sample is left out."""
+    halves = [slice(a, b + 1, 2) for a, b in chosen if _is_loop(u[::2], y[::2], (a + 1) // 2, b // 2)]
+    rest = float(np.median([_Measures.of(u[half], y[half])[0] for half in halves])) if halves else 0.0
+    return abs(rest - area) < _RESOLVED * abs(area)
 
 
 def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[tuple[int, int, float]], bool]:

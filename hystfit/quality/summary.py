@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from hystfit.data.circulation import of_rate
+from hystfit.data.circulation import of_rate, trend
 from hystfit.data.preparation import EVEN, CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
@@ -160,7 +160,7 @@ def _summarize(record: Record) -> RecordQuality:
         y=y_column,
         motion=motion,
         area=geometry.loop_area(u[record.used], y[record.used]) if record.used.any() else 0.0,
-        correlation=_correlation(u[record.used], y[record.used]),
+        correlation=trend(u[record.used], y[record.used]),
         of_rate=of_rate(u, y),
         flat_ends=int(flat_ends(u, y, y_column.known_noise).sum()),
         shape=shape,
@@ -177,13 +177,6 @@ def _summarize(record: Record) -> RecordQuality:
         slow_lag=slow_lag,
         output_controlled=controls_output(u, y, turns),
     )
-
-
-def _correlation(u: np.ndarray, y: np.ndarray) -> float:
-    if u.size < 2 or not (np.ptp(u) > 0 and np.ptp(y) > 0):
-        return 0.0
-    scaled = lambda x: (x - x.mean()) / np.ptp(x)
-    return float(np.corrcoef(scaled(u), scaled(y))[0, 1])
 
 
 def _column(values: np.ndarray) -> Column:

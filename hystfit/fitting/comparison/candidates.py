@@ -7,20 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.circulation import circulation
+from hystfit.data.circulation import FOLLOWS, circulation, trend
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.data.two_levels import has_two_levels
 from hystfit.errors import HystfitError
 from hystfit.fitting.judgment.verdict import turns_back
-from hystfit.fitting.structure.model_structure import Structure, falls
+from hystfit.fitting.structure.model_structure import Structure, falls, on_falling_line
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.faults import CLEAR, noise_rms
 from hystfit.quality.loops import distinct
 from hystfit.quality.needs import Needs
-from hystfit.quality.record_quality import FOLLOWS, SPEEDS_APART
+from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of
 from hystfit.results.measured.loop_kinds import LoopKind, may_be_force
@@ -101,9 +101,10 @@ def candidates(data: Dataset) -> Candidates:
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
     either = lambda name, model: model.either_way or not model.has_inverse or name in both_ways
     before = lambda name, model: "negate+" if falls(data) and not either(name, model) else ""
+    line = lambda model: "+linear" if on_falling_line(data) and not model.either_way else ""
     late = tuple(name for name in able if speeds < _speeds_needed(name))
     closed = {
-        name: before(name, model) + name
+        name: before(name, model) + name + line(model)
         for name, model in able.items()
         if model.estimator in ("preisach", "convex", "switching") and name not in late
     }
@@ -137,7 +138,7 @@ def _contrary(data: Dataset) -> str:
 def _way(record: Record) -> float:
     """Which way a loop runs: positive for an output that lags, 1 or more where noise cannot turn it."""
     u, y = record.u[record.used], record.y[record.used]
-    if not (np.ptp(u) > 0 and np.ptp(y) > 0) or abs(np.corrcoef(u, y)[0, 1]) < FOLLOWS:
+    if abs(trend(u, y)) < FOLLOWS:
         return 0.0
     # The area is a sum of outputs, each weighed by the step of the input around it.
     error = (noise_rms(y)[0] or 0.0) / np.ptp(y) * np.sqrt(np.sum(np.gradient(u) ** 2)) / np.ptp(u)

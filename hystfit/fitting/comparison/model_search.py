@@ -11,7 +11,7 @@ from hystfit.fitting.comparison.compared_models import MARGIN
 from hystfit.fitting.comparison.comparison_run import WHITE, ComparisonRun
 from hystfit.fitting.comparison.contender import Candidate
 from hystfit.fitting.judgment.remains import correlation_of
-from hystfit.fitting.structure.model_structure import Structure, falls, structure_of
+from hystfit.fitting.structure.model_structure import Structure, falls, on_falling_line, structure_of
 from hystfit.models.registry import SEARCH
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.equal_inputs import none_describes
@@ -84,7 +84,7 @@ def _terms(run: ComparisonRun) -> tuple[Structure, bool]:
     """What the search found before and beside its plays, and whether it took a pure delay."""
     fits = run.standings.fits
     found, delay = structure_of(fits[SEARCH].model) if SEARCH in fits else (Structure(), False)
-    return dataclasses.replace(found, falls=falls(run.data)), delay
+    return dataclasses.replace(found, falls=falls(run.data), line=found.line or on_falling_line(run.data)), delay
 
 
 def _after_closed_forms(run: ComparisonRun, chosen: Candidates, *, rings: bool, at_one_pace: bool) -> Candidates:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from hystfit.data.batch import bucket
+from hystfit.data.circulation import trend
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Rest
@@ -123,8 +124,15 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
 
 
 def falls(data: Dataset) -> bool:
-    """Whether the output falls as the input rises."""
-    return bool(sum(np.cov(record.u[record.used], record.y[record.used])[0, 1] for record in data) < 0)
+    """Whether the output falls as the input rises, apart from a line that falls beneath a loop that rises."""
+    used = ((record.u[record.used], record.y[record.used]) for record in data)
+    return bool(sum(trend(u, y) * np.std(u) * np.std(y) for u, y in used) < 0)
+
+
+def on_falling_line(data: Dataset) -> bool:
+    """Whether a loop that rises stands on a line that falls more, as that of a film on its diamagnetic substrate does."""
+    used = ((record.u[record.used], record.y[record.used]) for record in data)
+    return bool(sum(np.cov(u, y)[0, 1] for u, y in used) < 0) and not falls(data)
 
 
 def interval_of(data: Dataset) -> float:

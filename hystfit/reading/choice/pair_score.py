@@ -21,6 +21,7 @@ from hystfit.reading.table.signal_evidence import (
     computed,
     explained,
     extent,
+    levels_in_turn,
     proportional,
     repeats,
     rises_evenly,
@@ -155,12 +156,12 @@ class _Evidence:
         """The readings, those that could be the best with the points of how the two columns are related."""
         reach = max(reading.points for reading in found) + _UNRELATED - TIE
         columns = self.facts.table.columns
-        part = self.facts.table.curve if self.facts.table.part is None else self.facts.table.part
 
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
             if clocked := self.of_clock(reading):
                 return clocked
+            part = self._parts(reading)
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
@@ -185,6 +186,20 @@ class _Evidence:
         """Points of an output that rises as a clock does, such as the angle of a crank, while its input does not."""
         u, y = (self.facts.table.columns[k] for k in (reading.input, reading.output))
         return _UNRELATED * (rises_evenly(y) and not rises_evenly(u) and bool((np.diff(u) < 0).any()))
+
+    def _parts(self, reading: Reading) -> np.ndarray:
+        """Number of the record of each row, and of the level to which another column is set there, such as the voltage of a gate."""
+        table = self.facts.table
+        part = table.curve if table.part is None else table.part
+        for k, values in enumerate(table.columns):
+            if k in self.facts.kinds and k not in (reading.input, reading.output) and self._in_turn[k]:
+                part = np.unique(np.column_stack([part, values]), axis=0, return_inverse=True)[1].ravel()
+        return part
+
+    @functools.cached_property
+    def _in_turn(self) -> ByColumn:
+        """Whether a column is set to levels in turn while others are measured."""
+        return ByColumn(lambda k: bool(levels_in_turn(self.facts.table.columns[k])))
 
     def _is_induced(self, i: int, o: int) -> bool:
         """Whether an output is the rate of its input, as the current of a capacitor and the voltage of a coil are."""

@@ -18,14 +18,12 @@ from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
-from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, MOST_LABELS, NEAR
+from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, NEAR
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on
+from hystfit.reading.table.signal_evidence import clock_goes_on, levels_in_turn
 
-_ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
-_APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _CLEARLY = 4.0  # times the range of a condition within a curve, by which it differs from curve to curve
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
@@ -326,7 +324,7 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
             continue
         elif _is_direction(table.columns[position], table.columns[choice.input]):
             continue
-        elif levels := _levels(table.columns[position]):
+        elif levels := levels_in_turn(table.columns[position]):
             shown_levels = ", ".join(f"{level:g}" for level in levels)
             text = (
                 f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "
@@ -341,16 +339,6 @@ def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:
     rising, high = step[step != 0] > 0, values[1:][step != 0] > values.min()
     agree = float(np.mean(rising == high)) if high.size else 0.5
     return np.unique(values).size == 2 and max(agree, 1.0 - agree) > _AGREES
-
-
-def _levels(values: np.ndarray) -> list[float]:
-    """Levels to which a column is set in turn while others are measured; none for a column of another kind."""
-    levels = np.unique(values)
-    runs = 1 + np.count_nonzero(np.diff(values))
-    few = (
-        1 < levels.size <= MOST_LABELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
-    )
-    return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 
 
 def divider_of(table: Table, line: np.ndarray, begins: np.ndarray) -> str | None:

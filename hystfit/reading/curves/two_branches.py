@@ -18,10 +18,11 @@ from hystfit.reading.limits import FEWEST, NEAR
 from hystfit.reading.names.column_names import column_quantity, is_channel
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import FALLING, RISING
-from hystfit.reading.table.raw_table import Table
+from hystfit.reading.table.raw_table import Part, Table
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, also beside a column without such a word
+_SHORT = {"ch": "charge", "dch": "discharge"}
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
 _OF_MATRIX = re.compile(r"\[\d+\]$")  # column of a matrix
@@ -49,7 +50,9 @@ def unfolded(table: Table) -> Table | None:
     """
     if not table.named:
         return None
-    if (loop := _joined(table, _pairs(table))) is not None:
+    table = _spelled(table)
+    pairs = _pairs(table)
+    if (loop := _cycles_of_own_inputs(table, pairs) or _joined(table, pairs)) is not None:
         return loop
     alike = _named_alike(table)
     if (loop := _joined(table, alike)) is None:
@@ -57,6 +60,40 @@ def unfolded(table: Table) -> Table | None:
     first, second = (table.names[k] for k in alike[-1].columns)
     text = f"{first!r} and {second!r} meet at both ends and are read as the branches of a loop; --input and --output read one of them"
     return loop.noted(warn(Code.CURVES, text))
+
+
+def _spelled(table: Table) -> Table:
+    """The table with the words of the branches of a battery in full, where the names have both "ch" and "dch"."""
+    words = [set(_TOKEN.findall(name.lower())) for name in table.names]
+    if not all(any(word in of for of in words) for word in _SHORT):
+        return table
+    full = lambda name: re.sub(r"(?<![^\W_])d?ch(?![^\W_])", lambda word: _SHORT[word[0]], name)
+    return dataclasses.replace(table, names=tuple(map(full, table.names)))
+
+
+def _cycles_of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
+    """Loops of numbered cycles whose branches have an input and an output each, a record of each; None for other tables."""
+    cycles: dict[str, list[_Pair]] = {}
+    for pair in pairs:
+        cycles.setdefault(" ".join(re.findall(r"\d+", pair.base)), []).append(pair)
+    titles = [{re.sub(r"\d", "", pair.base).strip() for pair in of} for of in cycles.values()]
+    if len(cycles) < 2 or "" in cycles or len(titles[0]) != 2 or any(title != titles[0] for title in titles):
+        return None
+    if not all(len(of) == 2 and all(pair.directed for pair in of) for of in cycles.values()):
+        return None
+    loops = [loop for of in cycles.values() if (loop := _of_own_inputs(table, of)) is not None]
+    if len(loops) < len(cycles):
+        return None
+    part = np.repeat(np.arange(len(loops)), [loop.rows for loop in loops])
+    first = loops[0]
+    return dataclasses.replace(
+        first.take(np.zeros(part.size, dtype=int)),
+        names=tuple(re.sub(r"[ _.#-]*\d+$", "", name) for name in first.names),
+        columns=tuple(np.concatenate(side) for side in zip(*(loop.columns for loop in loops), strict=True)),
+        line=np.concatenate([loop.line for loop in loops]),
+        part=part,
+        parts=tuple(Part(name=f"cycle {cycle}") for cycle in cycles),
+    )
 
 
 def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
@@ -147,6 +184,13 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     first, second = (values(branch, kept) for branch, kept in enumerate(rows))
     if pairs[0].word not in _NEUTRAL and pairs[0].directed and first[0, 0] > first[-1, 0]:
         first, rows[0] = first[::-1], rows[0][::-1]
+    for side, pair in enumerate(
+        pairs
+    ):  # a battery discharges that with which it was charged, and both are counted from zero
+        kind = column_quantity(table.names[pair.columns[0]], table.units[pair.columns[0]])
+        ends = [(abs(branch[0, side]), branch[-1, side]) for branch in (first, second)]
+        if pair.directed and kind in ("state of charge", "charge") and all(a <= NEAR * b for a, b in ends):
+            second[:, side] = first[-1, side] - second[:, side]
     apart = [_apart(first, second, order) for order in (1, -1)]
     if not pairs[0].directed and (min(apart) > 2 * NEAR or not (_is_branch(first[:, 0]) and _is_branch(second[:, 0]))):
         return None

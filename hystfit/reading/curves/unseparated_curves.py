@@ -1,4 +1,4 @@
-"""Curves below each other without anything between them: at temperatures that are held in turn, or each from where the first one began."""
+"""Curves below each other without anything between them: at conditions that are held in turn, or each from where the first one began."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
+from hystfit.reading.table.signal_evidence import levels_in_turn
 
 _MOST = 100  # curves at temperatures of their own
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
+_FIELDS = ("field", "induction")  # which are held while the temperature is swept
 _RESTS = 1e-4  # of the range of a field, up to which its steps are those of one that is held
 
 Curves = list[tuple[str, np.ndarray]]
@@ -29,13 +31,14 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
     if not np.isfinite(u).all() or u.size < 2 * OF_RECORD:
         return None
     for position, name in enumerate(table.names):
-        if position in (choice.input, choice.output) or column_quantity(name, table.units[position]) != "temperature":
+        values, kind = table.columns[position], column_quantity(name, table.units[position])
+        if position in (choice.input, choice.output, *table.labels) or not np.isfinite(values).all():
             continue
-        values = table.columns[position]
-        if not np.isfinite(values).all():
+        is_set = choice.time is None and kind not in ("index", "status") and levels_in_turn(values)  # as of a gate
+        if not (kind == "temperature" or is_set):
             continue
         rows = np.arange(u.size)
-        if column_quantity(table.names[choice.input], table.units[choice.input]) in ("field", "induction"):
+        if not is_set and column_quantity(table.names[choice.input], table.units[choice.input]) in _FIELDS:
             rows = np.flatnonzero(~_heated(u, values))
         begins = _steps_of_plateaus(values[rows])
         pieces = np.split(rows, begins)
@@ -49,7 +52,9 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
             if one:
                 return [("", rows)]
             title = split_unit(name)[0]
-            notes.append(Note(Code.CURVES, f"{len(pieces)} curves, each at a temperature that is held ({name!r})"))
+            notes.append(
+                Note(Code.CURVES, f"{len(pieces)} curves, each at a {kind or 'value'} that is held ({name!r})")
+            )
             return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
     begins = _returns(u, None if choice.time is None else table.columns[choice.time])
     pieces = [piece for piece in np.split(np.arange(u.size), begins) if piece.size > 1]

@@ -11,10 +11,15 @@ from hystfit.reading.table.raw_table import Table
 from hystfit.reading.text.plain_text import plain_text
 
 _MEASURED = {"Vmeas": "V", "Imeas": "A"}  # end of the operation mode of a channel
+_NAMED = {
+    "Channel.VName": "V",
+    "Channel.IName": "A",
+    "Channel.TName": "s",
+}  # parameters that name what the channels measure
 
 
 def read_easyexpert(text: TextFile) -> Table | None:
-    """CSV of Keysight EasyEXPERT: channels in the unit of their operation mode."""
+    """CSV of Keysight EasyEXPERT: channels in the unit of their operation mode, or of the parameter that names them."""
     if not any(line.startswith("TestParameter") for line in text.head):
         return None
     table = plain_text(text)
@@ -31,7 +36,8 @@ def _units(above: Sequence[str], names: Sequence[str]) -> list[str]:
     rows = [[cell.strip() for cell in line.split(",")] for line in above if line.startswith("TestParameter")]
     titles, values = ([row for row in rows if row[1:2] == [kind]] for kind in ("Name", "Value"))
     modes = dict(zip(titles[0], values[0], strict=False)) if titles and values else {}
-    return [_unit(name, modes) for name in names]
+    named = {name: _NAMED[row[1]] for row in rows if row[1:2] and row[1] in _NAMED for name in row[2:]}
+    return [named.get(name, "") or _unit(name, modes) for name in names]
 
 
 def _unit(name: str, modes: Mapping[str, str]) -> str:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from hystfit.reading.limits import MOST_LABELS
+
 # Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
 # leave 0.001 to 0.02 to their hysteresis.
+_ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
+_APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
 _PROPORTIONAL = 2e-4
 # The same of a column that was computed from the other one: numbers of five digits are rounded by 1e-10 of the variance, and sensors of 16
 # bits leave more.
@@ -49,6 +53,16 @@ def is_near_median(values: np.ndarray) -> np.ndarray:
     """The rows in which a column stays near one value far from zero, shape (rows,)."""
     median = float(np.nanmedian(values)) if np.isfinite(values).any() else np.nan
     return np.abs(values - median) < _SMALL * abs(median)
+
+
+def levels_in_turn(values: np.ndarray) -> list[float]:
+    """Levels to which a column is set in turn while others are measured; none for a column of another kind."""
+    levels = np.unique(values)
+    runs = 1 + np.count_nonzero(np.diff(values))
+    few = (
+        1 < levels.size <= MOST_LABELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
+    )
+    return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 
 
 def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
