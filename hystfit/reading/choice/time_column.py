@@ -30,9 +30,8 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
         rises = lambda k: bool((np.diff(table.columns[k]) > 0).all()) and not numbers(k)
         named = [k for k in free[:2] if table.names[k] in ("s", "X") and rises(k)]
     if named:
-        back = lambda k: int(
-            (np.diff(table.columns[k]) < 0).sum()
-        )  # the time of a step starts again where the next begins
+        # The time of a step starts again where the next one begins.
+        back = lambda k: int((np.diff(table.columns[k]) < 0).sum())
         clock = min(named, key=lambda k: (0 < back(k) < table.rows - 1, named.index(k)))
         notes.append(Note(Code.COLUMN_CHOICE, f"time: column {clock}, {table.names[clock]!r}"))
         return clock

@@ -184,9 +184,8 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     first, second = (values(branch, kept) for branch, kept in enumerate(rows))
     if pairs[0].word not in _NEUTRAL and pairs[0].directed and first[0, 0] > first[-1, 0]:
         first, rows[0] = first[::-1], rows[0][::-1]
-    for side, pair in enumerate(
-        pairs
-    ):  # a battery discharges that with which it was charged, and both are counted from zero
+    for side, pair in enumerate(pairs):
+        # A battery discharges that with which it was charged, and both are counted from zero.
         kind = column_quantity(table.names[pair.columns[0]], table.units[pair.columns[0]])
         ends = [(abs(branch[0, side]), branch[-1, side]) for branch in (first, second)]
         if pair.directed and kind in ("state of charge", "charge") and all(a <= NEAR * b for a, b in ends):

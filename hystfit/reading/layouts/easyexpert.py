@@ -11,11 +11,8 @@ from hystfit.reading.table.raw_table import Table
 from hystfit.reading.text.plain_text import plain_text
 
 _MEASURED = {"Vmeas": "V", "Imeas": "A"}  # end of the operation mode of a channel
-_NAMED = {
-    "Channel.VName": "V",
-    "Channel.IName": "A",
-    "Channel.TName": "s",
-}  # parameters that name what the channels measure
+# Parameters that name what the channels measure
+_NAMED = {"Channel.VName": "V", "Channel.IName": "A", "Channel.TName": "s"}
 
 
 def read_easyexpert(text: TextFile) -> Table | None:

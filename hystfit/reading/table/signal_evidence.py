@@ -6,10 +6,10 @@ import numpy as np
 
 from hystfit.reading.limits import MOST_LABELS
 
-# Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
-# leave 0.001 to 0.02 to their hysteresis.
 _ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
+# Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
+# leave 0.001 to 0.02 to their hysteresis.
 _PROPORTIONAL = 2e-4
 # The same of a column that was computed from the other one: numbers of five digits are rounded by 1e-10 of the variance, and sensors of 16
 # bits leave more.
