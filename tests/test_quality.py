@@ -689,6 +689,30 @@ def damaged(u):
     return steel(u) * np.exp(-np.cumsum(np.abs(np.diff(u, prepend=u[0]))) / 60)
 
 
+def slipping(period: float, lead: float, lost: float) -> Record:
+    """Ten strokes of a spring and of friction, by a plain loop between the samples; the force is taken `lead` samples later.
+
+    The friction of the last strokes is less by the part `lost`.
+    """
+    finer, count = 50, int(10 * period)
+    t = np.arange((count + 2) * finer) / finer
+    position = 37.5 * (1 - np.abs(2 * ((t / period) % 1) - 1))
+    friction, forces = 0.0, []
+    for step, now in zip(np.diff(position, prepend=position[0]), t, strict=True):
+        limit = 6.0 * (1 - lost * now / t[-1])
+        friction = min(max(friction + 12.0 * step, -limit), limit)
+        forces.append(friction)
+    force = 50.0 + 0.2 * position + np.array(forces)
+    samples = np.arange(count) * finer
+    return Record(position[samples], force[samples + int(lead * finer)])
+
+
+@pytest.mark.parametrize(("period", "lead"), [(60.0, 0.0), (60.3, 0.0), (60.3, 0.3), (61.13, 0.9), (301.3, 0.6)])
+def test_friction_that_changes_its_sign_between_samples_is_no_lost_stiffness(period, lead):
+    assert not examined(slipping(period, lead, 0.0)).records[0].degrading
+    assert examined(slipping(period, lead, 0.8)).records[0].degrading
+
+
 def test_lost_stiffness_is_reported_for_damaged_loops_only():
     repeats = [signals.sine(3, 200, low=-a, high=a)[1] for a in (0.4, 0.7, 1.0)]
     u = np.concatenate([*repeats, repeats[0]])

@@ -27,7 +27,7 @@ VERBS = {
     ),
     "explore": ("explore:explore", "Open a page with a slider for each parameter of a model over the measured loop."),
     "batch": ("batches:batch", "Fit a model to each of many loops and tabulate the parameters."),
-    "map": ("batches:fit_loops", "Fit a model to every loop of an array, such as that of a scan, and draw the maps."),
+    "map": ("maps:fit_loops", "Fit a model to every loop of an array, such as that of a scan, and draw the maps."),
     "population": ("populations:population", "Fit a model to many devices and find how much they differ."),
     "forc": ("reversals:forc", "Compute the FORC diagram of first-order reversal curves and its key numbers."),
     "predict": ("predict:predict", "Simulate a fitted model on another record and report its error."),

@@ -18,6 +18,9 @@ NARROWEST = 1e-3
 # Part of its area by which a loop changes where every second sample is left out, up to which its samples show it however narrow it is: the
 # straight lines between the samples of a curve enclose four times as much then.
 _RESOLVED = 0.25
+_LATE_BY = (
+    2  # samples by which a recorded turning point may be late: one between samples, and one by which the output leads
+)
 _LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 _UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
@@ -253,7 +256,9 @@ def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float | Non
     return float(100 * (end - y[start]) / largest)
 
 
-def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
+def stiffness_left(
+    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray, noise: float = 0.0
+) -> float | None:
     """Secant stiffness of late branches over that of the first branch of the same stroke.
 
     Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
@@ -267,13 +272,14 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
         y: output, shape (T,).
         t: time, shape (T,); None where there is none, so that samples are counted.
         cycles: see `loops.cycles`, shape (C, 3).
+        noise: change of the input that noise may make.
 
     Returns:
         The median of the last four ratios; None with fewer.
     """
     turns = np.unique(cycles)
     turns = turns[np.isfinite(y[turns])]
-    stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(y[turns]))
+    stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(_reached(u, y, turns, noise)))
     middle = 0.5 * (u[turns][1:] + u[turns][:-1])
     farthest = np.maximum.accumulate(stroke)
     first = (stroke > 0) & np.concatenate([[True], stroke[1:] > (1 + SAME_LEVEL) * farthest[:-1]])
@@ -291,6 +297,23 @@ def stiffness_left(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: n
         return None
     left = change[repeated] / stroke[repeated] / before
     return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
+
+
+def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> np.ndarray:
+    """The outputs that the branches reach at their turning points, shape (turns,).
+
+    Friction changes its sign within a sample, so that a sample taken just after the turning point has the output of the next branch: the
+    largest output, in the direction of a branch, of its last samples is that which it reached.
+    """
+    known = np.isfinite(y)
+    follows = np.cov(u[known], y[known])[0, 1]
+    reached = y[turns].copy()
+    for k, (a, b) in enumerate(itertools.pairwise([0, *turns])):
+        if a < b:
+            apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
+            near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
+            reached[k] = np.nanmax(near) if follows * (u[b] - u[a]) > 0 else np.nanmin(near)
+    return reached
 
 
 def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
@@ -312,7 +335,7 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
     return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
 
 
-def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: float = 0.0) -> float | None:
     """Slope just after reversals of late branches over that of the first ones, of branches as long as all before.
 
     Hysteresis without damage unloads with the stiffness that it had at first, however long the branches have become. Arguments as in
@@ -328,12 +351,14 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | 
         return None
     growing = (stroke > _SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
     reach = _UNLOADING * stroke[growing].min()
+    reached = dict(zip(turns, _reached(u, y, turns, noise), strict=True))
     slopes = []
     for a, b in itertools.compress(branches, growing):
         near = slice(a, a + int(np.argmax(np.abs(u[a : b + 1] - u[a]) > reach)) + 1)
         if near.stop - a < SEVERAL + 1:
             return None
-        slopes.append(float(np.polyfit(u[near], y[near], 1)[0]))
+        end = slice(near.stop - max(1, (near.stop - a) // 4), near.stop)
+        slopes.append(float((y[end].mean() - reached[a]) / (u[end].mean() - u[a])))
     first = float(np.median(slopes[:2]))
     return float(np.median(slopes[-_LATE:])) / first if len(slopes) > _LATE and first > 0 else None
 

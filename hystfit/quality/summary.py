@@ -83,9 +83,9 @@ def may_change(record: Record) -> bool:
     threshold = _threshold(_column(u))
     turns, cycles = geometry.reversals(u, threshold), geometry.cycles(u, threshold)
     parts = (
-        (stiffness_left(u, y, t, cycles), WHOLE),
+        (stiffness_left(u, y, t, cycles, threshold), WHOLE),
         (strength_left(u, y, cycles), WEAKER),
-        (unloading_left(u, y, cycles), SOFTER),
+        (unloading_left(u, y, cycles, threshold), SOFTER),
         (softening_left(u, y, turns), WEAKER),
     )
     return any(left is not None and left < whole for left, whole in parts)
@@ -167,9 +167,9 @@ def _summarize(record: Record) -> RecordQuality:
         drift=drifts,
         lag=lag,
         rate_effect=rate_effect(u, y, t, cycles),
-        stiffness_left=stiffness_left(u, y, t, cycles),
+        stiffness_left=stiffness_left(u, y, t, cycles, motion.threshold),
         strength_left=strength_left(u, y, cycles),
-        unloading_left=unloading_left(u, y, cycles),
+        unloading_left=unloading_left(u, y, cycles, motion.threshold),
         softening_left=softening_left(u, y, turns),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
