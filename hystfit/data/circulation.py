@@ -45,12 +45,28 @@ def trend(u: np.ndarray, y: np.ndarray) -> float:
     """
     if u.size < 2 or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0
-    u, y = ((x - x.mean()) / np.ptp(x) for x in (u, y))
-    size = float(np.corrcoef(u, y)[0, 1])
+    return _trend(_scaled(u), _scaled(y))
+
+
+def _scaled(values: np.ndarray) -> np.ndarray:
+    """Values without their mean, over their range; memory of one more column, which counts in long records."""
+    scaled = values - values.mean()
+    scaled /= np.ptp(values)
+    return scaled
+
+
+def _trend(u: np.ndarray, y: np.ndarray) -> float:
+    """`trend` of scaled values."""
+    size = _correlation(u, y)
     if size >= 0 or _turning(u, y) < _FLAT:
         return size
     rest = y - _line_at_ends(u, y) * u
-    return without if np.ptp(rest) > 0 and (without := float(np.corrcoef(u, rest)[0, 1])) > FOLLOWS else size
+    return without if np.ptp(rest) > 0 and (without := _correlation(u, rest)) > FOLLOWS else size
+
+
+def _correlation(u: np.ndarray, y: np.ndarray) -> float:
+    """Correlation of two columns without means."""
+    return float(u @ y / np.sqrt((u @ u) * (y @ y)))
 
 
 def _line_at_ends(u: np.ndarray, y: np.ndarray) -> float:
@@ -65,12 +81,12 @@ def _line_at_ends(u: np.ndarray, y: np.ndarray) -> float:
 
 def _turning(u: np.ndarray, y: np.ndarray) -> float:
     """Area inside a path, scaled to the box around it: positive where it runs counter-clockwise as it was measured."""
-    return 0.5 * float(np.sum(u * np.roll(y, -1) - np.roll(u, -1) * y))
+    return 0.5 * float(u[:-1] @ y[1:] - u[1:] @ y[:-1] + u[-1] * y[0] - u[0] * y[-1])
 
 
 def _area(u: np.ndarray, y: np.ndarray) -> float:
-    u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
-    return _turning(u, y) * float(np.sign(trend(u, y)))
+    u, y = _scaled(u), _scaled(y)
+    return _turning(u, y) * float(np.sign(_trend(u, y)))
 
 
 def _returning(u: np.ndarray) -> slice:

@@ -306,13 +306,17 @@ def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> n
     largest output, in the direction of a branch, of its last samples is that which it reached.
     """
     known = np.isfinite(y)
-    follows = np.cov(u[known], y[known])[0, 1]
     reached = y[turns].copy()
+    if known.sum() < 2:
+        return reached
+    every = slice(None) if known.all() else known
+    follows = (u[every] - u[every].mean()) @ y[every]
     for k, (a, b) in enumerate(itertools.pairwise([0, *turns])):
-        if a < b:
-            apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
-            near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
-            reached[k] = np.nanmax(near) if follows * (u[b] - u[a]) > 0 else np.nanmin(near)
+        apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
+        near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
+        near = near[np.isfinite(near)]
+        if near.size:
+            reached[k] = near.max() if follows * (u[b] - u[a]) > 0 else near.min()
     return reached
 
 

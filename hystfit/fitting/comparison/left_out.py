@@ -92,7 +92,7 @@ def _refitted(
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         if descends:
             lost = _effects(training, x) < _LOST * effects
-            fitted = training.space.physical(polish(training, z, STEPS, _WITHIN, held=lost).z)
+            fitted = training.space.physical(polish(training, z, STEPS, _WITHIN, held=lost, step_on=True).z)
         else:
             fitted = ESTIMATORS.make(method).estimate(training, z[None]).x
         predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))

@@ -15,10 +15,8 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
 
-NEAR, EXACT = (
-    1e-3,
-    3e-7,
-)  # distance from the minimum, in standard errors of the linear model, at which a fit has converged
+# Distance from the minimum, in standard errors of the linear model, at which a fit has converged
+NEAR, EXACT = 1e-3, 3e-7
 # Most linearizations of a fit. Refits of `steel-02` to five parts of a coupon needed 120 to 207. Stopped at 40, they were still near their
 # start, which had been fitted to the held-out samples too, so that the cross-validation error was 2.5 % instead of 3.1 %.
 STEPS = 250
@@ -45,12 +43,14 @@ def polish(
     within: float = NEAR,
     *,
     held: np.ndarray | None = None,
+    step_on: bool = False,
 ) -> Polished:
     """Minimize half the sum of squared misfits from an unconstrained point near the minimum, by so many linearizations at most.
 
     It factorizes the Jacobian, because normal equations would square its condition. Offsets of records are not damped: if an input or
     output is far from zero, damped offsets would slow down all other parameters. The fit has converged `within` this distance from the
-    minimum, in standard errors of the linear model; parameters that are `held`, shape (p,), are not moved.
+    minimum, in standard errors of the linear model; with `step_on` it ends at the minimum of that model, without another linearization.
+    Parameters that are `held`, shape (p,), are not moved.
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
@@ -64,16 +64,18 @@ def polish(
             break
         ordered, decrease = _step(at.factor, int(offsets.sum()), damping)
         converged = decrease <= gain * at.cost + floor
-        if converged or damping > MOST_DAMPING:
-            break
         step = np.zeros(z.size)
         step[order] = ordered
         step = step * min(1.0, LONGEST_STEP / max(float(np.max(np.abs(step[bounded]), initial=0.0)), 1e-300))
+        if converged and step_on:
+            at, linearized = at._replace(z=at.z + step), None
+        if converged or damping > MOST_DAMPING:
+            break
         at, linearized = at._replace(linearized=None), None  # two linearizations of a long record may not fit in memory
         new, evaluations = _linearize(problem, at.z + step, order, samples, held), evaluations + 1
         blurred = _BLUR * np.sqrt(
             2 * at.cost * floor
-        )  # smaller decreases are lost in rounding errors, so the linear model decides
+        )  # smaller decreases are lost in rounding: the linear model decides
         if new.cost < at.cost + (blurred if decrease < blurred else 0.0):
             at, linearized = new, new.linearized
             damping = max(0.1 * damping, LEAST_DAMPING)

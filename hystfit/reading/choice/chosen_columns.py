@@ -182,8 +182,9 @@ def _guess_pair(
     alike = _one_quantity(table, free, kinds, best) if not given else set()
     if kinds[best.input] == "index" and not given:  # a number of each result, and no input
         raise _too_few(table, [best.output], given, clock)
-    if clock is not None and kinds[best.output] == "time" and not given:  # one more time
-        raise _too_few(table, [best.input], given, clock)
+    pair = best.input, best.output
+    if clock is not None and not given and "time" in (kinds[k] for k in pair):  # one more time
+        raise _too_few(table, [k for k in pair if kinds[k] != "time"], given, clock)
     open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
     near = [
         reading
