@@ -96,6 +96,16 @@ def test_records_of_two_states_are_asked_for_one_of_them(two_states: hf.Dataset)
     assert has(result.notes, Code.RECORDS_DIFFER)
 
 
+@pytest.mark.parametrize(("width", "cells", "differ"), [(0.85, 16, True), (1.0, 6, False)])
+def test_two_states_are_told_where_they_make_most_of_a_visible_error(width: float, cells: int, differ: bool) -> None:
+    """Less than makes a fit poor, and ten times the noise; a coarse model errs as much on one state alone."""
+    data = hf.Dataset((states(1.0), dataclasses.replace(states(width), name="second")))
+    result = hf.fit(f"preisach-magnetic:n={cells}", data, noise="iid", starts=1)
+    assert result.status in (Status.OK, Status.ROUGH)
+    assert 1 < result.train.nrmse_percent < 3
+    assert has(result.notes, Code.RECORDS_DIFFER) == differ
+
+
 def test_the_command_for_one_record_is_quoted_for_a_shell() -> None:
     """Names of loops side by side have blanks: "0 deg"."""
     note = warn(Code.RECORDS_DIFFER, "")

@@ -76,13 +76,13 @@ def _apart(group: Sequence[_Loop]) -> RecordsApart:
     return RecordsApart(tuple(loop.name for loop in group), rms, samples)
 
 
-def apart_note(records: Sequence[Record]) -> Note | None:
-    """The warning on records that no one model describes; None where they are not known to be further apart than a usable fit may err.
+def apart_note(records: Sequence[Record], least: float = USABLE) -> Note | None:
+    """The warning on records that no one model describes; None where any one is not known to err by more than `least` percent of the range.
 
-    Its option reads the first of them, where they are curves of one file.
+    By default, that is what a usable fit may err. Its option reads the first of them, where they are curves of one file.
     """
     found, (span, _) = records_apart(records), _range_and_samples(records)
-    if found is None or 100 * found.rms <= USABLE * span:
+    if found is None or 100 * found.rms <= least * span:
         return None
     first, *others = found.names
     text = (

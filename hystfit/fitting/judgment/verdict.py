@@ -42,6 +42,7 @@ _ENOUGH = 30  # residuals of a record needed to call them white
 # Part of the shortest time at a level, by which a switch and its model may be apart: a thermostat that is logged 27 times meanwhile, with
 # noise of half a step of the temperature, has 0.11.
 _MISTIMED = 0.25
+_MOST_OF = 0.7  # of the error of a fit: half of its square
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
@@ -145,7 +146,7 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.OK, [Note(Code.MEASUREMENT_NOISE, text), *_damaged(fitted)]
     status = Status.ROUGH if rough else Status.OK
     visible = percent > VISIBLE and fitted.may_change and not fitted.model.degrades
-    return status, [*rough, *(_damaged(fitted) if rough or visible else [])]
+    return status, [*rough, *_differ(fitted), *(_damaged(fitted) if rough or visible else [])]
 
 
 def _mistimed(fitted: Fitted) -> Note | None:
@@ -221,6 +222,14 @@ def _records_apart(fitted: Fitted) -> Note | None:
         "with hystfit batch"
     )
     return Note(Code.RECORDS_DIFFER, text, Severity.ERROR)
+
+
+def _differ(fitted: Fitted) -> list[Note]:
+    """A warning where most of a visible error is that of any one model on records that differ at equal inputs, as at two temperatures."""
+    if not fitted.thorough or fitted.percent <= VISIBLE:
+        return []
+    apart = apart_note(fitted.parts, _MOST_OF * fitted.percent)
+    return [] if apart is None else [apart]
 
 
 def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
