@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import warnings
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import padasip
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +22,10 @@ from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.results.provenance import Stopwatch
+
+with warnings.catch_warnings():  # Python warns of escapes in its docstrings where it is not compiled yet
+    warnings.simplefilter("ignore")
+    import padasip
 
 ALPHA, ALPHA_F, G = 0.0874, np.array([-0.015, 0.006, 5.57e-6, -8.6e-8]), np.array([0.053, -0.83e-4, 8.1e-6])
 PAPER = np.array([*ALPHA_F, ALPHA, *G])
