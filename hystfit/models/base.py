@@ -19,7 +19,6 @@ from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.default_start import hypercube_start
 from hystfit.models.shared.design import COLUMNS, Block, DesignMatrix
 from hystfit.models.shared.reported import Derived, PlayWeights, format_model
-from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import AbstractDynamics, checked_drive, run
 from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
@@ -357,16 +356,6 @@ class AbstractHysteresis(AbstractDynamics):
             ModelError: there is no such material, or it lacks a term of the model.
         """
         raise ModelError(f"OpenSees has no uniaxialMaterial like {type(self).__name__}")
-
-
-class AbstractMemoryless(AbstractHysteresis):
-    """A response that depends on the present input alone: it has no state, and no loop."""
-
-    rate_independent: ClassVar[bool] = True
-    hysteretic: ClassVar[bool] = False
-
-    def init(self, u0: Scalar) -> State:
-        return jnp.zeros((0,), dtype=jnp.result_type(float))
 
 
 class OutputResonance(NamedTuple):

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.errors import ModelError
-from hystfit.models.base import AbstractMemoryless, check_same_length
+from hystfit.models.base import check_same_length
+from hystfit.models.memoryless import AbstractMemoryless
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.design import DesignMatrix
 from hystfit.models.shared.shapes import Scalar, State

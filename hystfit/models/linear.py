@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractMemoryless
+from hystfit.models.memoryless import AbstractMemoryless
 from hystfit.models.shared.design import DesignMatrix
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import checked_drive

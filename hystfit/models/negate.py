@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractMemoryless
+from hystfit.models.memoryless import AbstractMemoryless
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.step_inverse import AbstractStepInverse

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractMemoryless
+from hystfit.models.memoryless import AbstractMemoryless
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.slopes import Slopes
 from hystfit.params.param import param
