@@ -9,7 +9,7 @@ from run import data_sheet, fields, instruments, numerics, vectors
 from hystfit.identify import field_from_induction, vector_hysteresis
 from hystfit.models.jiles_atherton import JilesAtherton
 from hystfit.models.jiles_atherton_field import JilesAthertonField
-from hystfit.results.measured import instrument_values, magnetic_loop
+from hystfit.results.measured import instrument_values, magnetic_loop, saturation_law
 
 
 def _no_demagnetization() -> None:
@@ -17,7 +17,7 @@ def _no_demagnetization() -> None:
 
 
 def _straight_approach() -> None:
-    magnetic_loop._LAWS[magnetic_loop._LAW] = (lambda h: h,)
+    saturation_law._LAWS[saturation_law._LAW] = (lambda h: h,)
 
 
 def _other_remanence() -> None:

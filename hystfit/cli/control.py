@@ -220,8 +220,9 @@ def export(
         tag: tag of the OpenSees material.
         name: prefix of files and functions.
     """
-    from hystfit.control.export import export_c, export_opensees
+    from hystfit.control.export import export_c
     from hystfit.control.field_programs import export_field_programs
+    from hystfit.control.opensees import export_opensees
 
     if c is None and ((mat is None and opensees is None and magnetic is None) or s_function):
         other = "" if s_function else ", a MATLAB file: --mat FILE, or a folder for OpenSees: --opensees FOLDER"

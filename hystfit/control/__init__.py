@@ -6,7 +6,6 @@ Open first: `inverse.py`.
 """
 
 from hystfit.control.export import export_c as export_c
-from hystfit.control.export import export_opensees as export_opensees
 from hystfit.control.feedback import AbstractController as AbstractController
 from hystfit.control.feedback import Controller as Controller
 from hystfit.control.feedback import Design as Design
@@ -22,6 +21,7 @@ from hystfit.control.loop import run_loop as run_loop
 from hystfit.control.online_inverse import AbstractRunningInverse as AbstractRunningInverse
 from hystfit.control.online_inverse import InverseStep as InverseStep
 from hystfit.control.online_inverse import Status as Status
+from hystfit.control.opensees import export_opensees as export_opensees
 from hystfit.control.plant import LinearPlant as LinearPlant
 from hystfit.control.plant import identify_plant as identify_plant
 from hystfit.control.transfer import Margins as Margins
