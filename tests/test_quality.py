@@ -1251,6 +1251,16 @@ def test_an_initial_curve_does_not_turn_the_way_of_a_narrow_loop():
     assert circulation(share, y) == pytest.approx(circulation(share[59:], y[59:]), rel=0.01)
 
 
+def test_an_initial_curve_does_not_turn_the_way_of_a_loop_much_narrower_than_the_curve_it_stands_on():
+    """A hundredth of the moment has a coercivity: the loop has a ten-thousandth of the box, its samples show it nevertheless."""
+    share = np.concatenate([np.linspace(0, 1, 900), np.linspace(1, -1, 1800)[1:], np.linspace(-1, 1, 1800)[1:]])
+    way = np.where(np.arange(share.size) < 900, 0.0, np.sign(np.gradient(share)))
+    y = np.tanh(3 * share) + 0.03 * np.tanh((share - 0.003 * way) / 0.005)
+    assert 0 < circulation(share, y) < 3e-4
+    assert circulation(share, -y) == circulation(share, y)
+    assert circulation(share[::-1], y[::-1]) < 0
+
+
 def test_small_cycles_of_a_quiet_input_are_no_chatter():
     """Tests of soils begin with cycles of a hundredth of the last ones."""
     sizes = (0.01, 0.03, 0.1, 0.3, 1.0)

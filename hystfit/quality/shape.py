@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hystfit.data.circulation import RESOLVED
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops, loop_area, loop_branches
@@ -15,9 +16,6 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops
 # Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
 # substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
-# Part of its area by which a loop changes where every second sample is left out, up to which its samples show it however narrow it is: the
-# straight lines between the samples of a curve enclose four times as much then.
-_RESOLVED = 0.25
 _LATE_BY = (
     2  # samples by which a recorded turning point may be late: one between samples, and one by which the output leads
 )
@@ -128,7 +126,7 @@ def _is_resolved(u: np.ndarray, y: np.ndarray, chosen: list[tuple[int, int]], ar
     """Whether loops have nearly the same area where every second sample is left out."""
     halves = [slice(a, b + 1, 2) for a, b in chosen if _is_loop(u[::2], y[::2], (a + 1) // 2, b // 2)]
     rest = float(np.median([_Measures.of(u[half], y[half])[0] for half in halves])) if halves else 0.0
-    return abs(rest - area) < _RESOLVED * abs(area)
+    return abs(rest - area) < RESOLVED * abs(area)
 
 
 def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[tuple[int, int, float]], bool]:
