@@ -114,3 +114,12 @@ def test_an_error_that_the_noise_of_the_input_explains_is_no_fault_of_the_model(
         coarse.train.nrmse_percent or 0.0
     ) > 3.0  # its levels lie too far apart for a single relay, whose input has no noise
     assert coarse.status is Status.ROUGH
+
+
+@pytest.mark.parametrize("timed", [False, True], ids=["without time", "with time"])
+def test_a_curve_in_one_direction_is_no_plays(timed: bool):
+    """The knee of a demagnetization curve in 24 points, of which stops and their kinks describe the corner with fewer weights."""
+    field = np.linspace(-60.0, 0.0, 24)
+    induction = 1.33 + 0.004 * field - 1.1 / (1 + np.exp((field + 57.0) / 0.8))
+    found = search_structure(hf.Dataset([hf.Record(field, induction, t=np.arange(24.0) if timed else None)]))
+    assert isinstance(found.model, Curve)

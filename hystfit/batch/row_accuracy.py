@@ -18,7 +18,6 @@ from hystfit.batch.alike import Group, Loops
 from hystfit.batch.simulated_rows import chunks, shared_and_own, simulate_rows, simulated
 from hystfit.data.steady_cycle import steady_rows
 from hystfit.fitting.judgment.fit_warnings import BEGINS, SHORT
-from hystfit.fitting.judgment.verdict import turns_back
 from hystfit.fitting.solvers.lanes import Stack, device_for, placed
 from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.inference.blocks import chosen
@@ -26,7 +25,7 @@ from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.baselines import DEGREE, USABLE
 from hystfit.quality.faults import MAD_TO_RMS
-from hystfit.quality.loops import clear_reversals
+from hystfit.quality.loops import clear_reversals, turns_back
 from hystfit.results.accuracy import NOISY, VISIBLE, persistent_error
 
 _ON_CURVE = 2**9  # samples on which a curve is fitted: its error is known to 3 %

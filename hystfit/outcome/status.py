@@ -54,7 +54,7 @@ _ADVICE = {
     Status.ROUGH: (
         "the model describes the loop only roughly, see the verdict: try hystfit compare, or use it where such an error is acceptable"
     ),
-    Status.NO_LOOP: "these data show no loop: fit a curve; if a loop is expected, measure more or larger whole cycles",
+    Status.NO_LOOP: "these data show no loop, a curve describes them; if a loop is expected, measure more or larger whole cycles",
     Status.POOR_FIT: "the model does not describe the data: improve the fit before using its uncertainty",
     Status.INCOMPLETE: (
         "the residuals show that the model is incomplete, and the bias of its parameters exceeds the intervals: add "

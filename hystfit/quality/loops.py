@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hystfit.data.record import Record
+
 SEVERAL = 3  # branches, cycles, records, levels or samples of a branch, from which they show a trend or a repetition
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ; smaller reversals end no branch
@@ -104,6 +106,11 @@ def largest_step(u: np.ndarray) -> float:
 def clear_reversals(u: np.ndarray) -> np.ndarray:
     """Turning points from which the input moves back by more than 2 % of its range, as by `reversals`."""
     return reversals(u, SAME_LEVEL * _corners(np.asarray(u, dtype=float)).span)
+
+
+def turns_back(data: Iterable[Record]) -> bool:
+    """Whether any record's input reverses by more than 2 % of its range while samples count: without it no loop shows."""
+    return any(clear_reversals(record.u[record.first : record.last + 1]).size for record in data)
 
 
 def branches(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:

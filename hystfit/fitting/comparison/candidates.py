@@ -12,13 +12,12 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.data.two_levels import has_two_levels
 from hystfit.errors import HystfitError
-from hystfit.fitting.judgment.verdict import turns_back
 from hystfit.fitting.structure.model_structure import Structure, falls, on_falling_line
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.faults import CLEAR, noise_rms
-from hystfit.quality.loops import distinct
+from hystfit.quality.loops import distinct, turns_back
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.quality.shape import NARROWEST

@@ -15,7 +15,6 @@ from hystfit.fitting.comparison.left_out import CHOICES, LeftOut
 from hystfit.fitting.comparison.model_search import search
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
-from hystfit.fitting.judgment.verdict import turns_back
 from hystfit.fitting.solvers.thinning import coarse
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
@@ -23,6 +22,7 @@ from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
 from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import rounding_error
+from hystfit.quality.loops import turns_back
 from hystfit.reading.in_memory import records_of
 from hystfit.runs.threads import Workers
 

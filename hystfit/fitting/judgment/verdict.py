@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
 from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
@@ -21,7 +20,7 @@ from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, runs
-from hystfit.quality.loops import clear_reversals
+from hystfit.quality.loops import clear_reversals, turns_back
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
@@ -44,11 +43,6 @@ _ENOUGH = 30  # residuals of a record needed to call them white
 _MISTIMED = 0.25
 _MOST_OF = 0.7  # of the error of a fit: half of its square
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
-
-
-def turns_back(data: Iterable[Record]) -> bool:
-    """Whether any record's input reverses by more than 2 % of its range while samples count."""
-    return any(clear_reversals(record.u[record.first : record.last + 1]).size for record in data)
 
 
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:

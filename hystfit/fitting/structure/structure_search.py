@@ -25,6 +25,7 @@ from hystfit.models.series import Series
 from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
 from hystfit.quality.held_out import AT_ONE_PACE, GAIN, HeldOut, equal_errors, held_out
+from hystfit.quality.loops import turns_back
 from hystfit.quality.summary import delay_of, slow_lag_of
 from hystfit.results.accuracy import POOR
 
@@ -89,9 +90,11 @@ def _search(data: Dataset, held: HeldOut, plays: int | None, lag: float) -> Foun
     terms = Terms(data, min(_PLAYS, max_plays(data)) if plays is None else plays, held)
     # Lags about one longer than those tried on all records.
     options = terms.options(lag if terms.timed else 0.0)
-    loops = _greedy([Structure(operator, falls=terms.falls) for operator in get_args(Operator)], terms, options, plays)
     beside = {field: values for field, values in options.items() if field in _BESIDE_CURVE}
     curve = _greedy([Structure("curve")], terms, beside, plays)
+    if not turns_back(data):  # plays would only be knots of a curve
+        return dataclasses.replace(curve, tried=len(terms.scores) + curve.tried)
+    loops = _greedy([Structure(operator, falls=terms.falls) for operator in get_args(Operator)], terms, options, plays)
     chosen = curve if _enough(curve, loops, terms) else loops
     return dataclasses.replace(chosen, tried=len(terms.scores) + loops.tried + curve.tried)
 
