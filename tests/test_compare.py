@@ -275,12 +275,14 @@ def test_every_family_that_the_records_can_drive_is_tried():
     assert {"oscillator", "bouc-wen+second-order"} <= set(timed.resonant)
     assert {"damper", "self-similar-stops", "linear+viscoelastic"} <= set(timed.closed)
     assert {"steel-02", "bouc-wen-baber-noori"} <= set(timed.iterated)
-    faster = hf.Dataset((hf.Record(U, U, T, name="slow"), hf.Record(U, U, T / 30, name="fast")))
-    assert set(candidates(faster).names) - set(timed.names) == {
-        "rate-dependent-plays",
-        "lugre",
-        "maxwell-slip",
-    }  # which one speed leaves undetermined
+    ramps = np.interp(T, np.linspace(0, T[-1], 8), [0, 1, -1, 1, -1, 1, -1, 1])
+    at_one_speed = candidates(hf.Dataset.of(hf.Record(ramps, ramps, T)))
+    of_the_speed = {"rate-dependent-plays", "lugre", "maxwell-slip"}
+    assert of_the_speed.isdisjoint(at_one_speed.names)
+    both = hf.Dataset((hf.Record(ramps, ramps, T, name="slow"), hf.Record(ramps, ramps, T / 30, name="fast")))
+    assert set(candidates(both).names) - set(at_one_speed.names) == of_the_speed
+    assert of_the_speed.isdisjoint(candidates(both).late)
+    assert of_the_speed <= set(timed.late)  # branches of one duration, along which the speed changes
     untimed = candidates(stepped_loops())
     assert not any(
         word in name for name in untimed.names for word in ("creep", "viscous", "second-order", "oscillator")

@@ -46,6 +46,7 @@ from hystfit.quality.shape import loop_shape, rate_effect, stiffness_left, stren
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
 
+_TENTHS = 10  # parts of a branch, whose speeds differ along a sinusoid
 _WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 
@@ -248,18 +249,29 @@ def _motion(record: Record, column: Column) -> tuple[Motion, np.ndarray, np.ndar
     return motion, turns, cycles, loops
 
 
-def speeds_of(record: Record, least: float = _WAY) -> tuple[float, ...]:
+def speeds_of(record: Record) -> tuple[float, ...]:
     """Different speeds of the branches, see `Motion`, longer than a part of the input's range."""
-    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))), least)
+    return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))))
 
 
-def _speeds(record: Record, branches: np.ndarray, least: float = _WAY) -> tuple[float, ...]:
+def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
     """Different speeds of the branches, see `Motion`; none without time."""
     if record.t is None:
         return ()
     a, b = branches.T
     way, time = np.abs(record.u[b] - record.u[a]), record.t[b] - record.t[a]
-    moved = (way > least * np.ptp(record.u)) & (time > 0)
+    moved = (way > _WAY * np.ptp(record.u)) & (time > 0)
+    return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
+
+
+def speeds_within(record: Record) -> tuple[float, ...]:
+    """Different speeds of the tenths of the branches, a sinusoid's included, by their decimal logarithm; none without time."""
+    if record.t is None:
+        return ()
+    a, b = geometry.branches(record.u, _threshold(_column(record.u))).T
+    times = record.t[a] + np.linspace(0, 1, _TENTHS + 1)[:, None] * (record.t[b] - record.t[a])
+    way, time = np.abs(np.diff(np.interp(times, record.t, record.u), axis=0)), np.diff(times, axis=0)
+    moved = (way > 0) & (time > 0)
     return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
 
 

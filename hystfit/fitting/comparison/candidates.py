@@ -21,7 +21,7 @@ from hystfit.quality.loops import distinct, turns_back
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
-from hystfit.quality.summary import speeds_of
+from hystfit.quality.summary import speeds_of, speeds_within
 from hystfit.results.measured.loop_kinds import LoopKind, may_be_force
 
 # Error of ten plays over that of a single-valued curve, from which weights of either sign are tried on loops of either direction: at most
@@ -79,8 +79,10 @@ def candidates(data: Dataset) -> Candidates:
     if all(has_two_levels(record.y[record.used]) for record in data):  # no other model has two levels alone
         return Candidates(tuple(name for name, model in models.items() if model.jumps and "+" not in name))
     timed = all(record.t is not None for record in data)
-    count = lambda *least: len(distinct((v for record in data for v in speeds_of(record, *least)), SPEEDS_APART))
-    speeds, of_any_length = count(), count(0.0)
+    speeds, within = (
+        len(distinct((v for record in data for v in found(record)), SPEEDS_APART))
+        for found in (speeds_of, speeds_within)
+    )
     contrary, magnetic, force = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
     plays_fail = _plays_fail(data)
     able = {
@@ -88,7 +90,7 @@ def candidates(data: Dataset) -> Candidates:
         for name, model in models.items()
         if not model.from_saturation
         and (timed or model.rate_independent)
-        and of_any_length >= _speeds_needed(name)
+        and within >= _speeds_needed(name)
         and (magnetic or not any(need.magnetic for need in _needs(name)))
         and (force or not any(need.force for need in _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
