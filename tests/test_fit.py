@@ -143,6 +143,16 @@ def test_correlated_residuals_widen_the_errors(piezo):
     assert has(honest.notes, Code.ERROR_RATIO)
 
 
+def test_residuals_that_oscillate_are_not_called_white(piezo):
+    """A ripple of an instrument: its autocorrelations cancel in their sum, of which errors and report take the root."""
+    ripple = piezo.replace(y=piezo.y + 0.02 * np.sin(2 * np.pi * np.arange(T.size) / 16))
+    result = hf.fit(hf.BoucWen(), ripple)
+    assert result.correlation_time == 1.0
+    assert has(result.notes, Code.ERROR_RATIO)
+    assert "no significant autocorrelation" not in result.report()
+    assert "no significant autocorrelation" in hf.fit(hf.BoucWen(), piezo).report()
+
+
 def test_several_records_share_the_model_and_keep_their_offsets():
     model = hf.BoucWen(**TRUTH)
     first = record(model, name="first")

@@ -92,6 +92,15 @@ class ResidualAnalysis:
         """Whether a record's residuals are correlated in time."""
         return any(is_correlated(row) for row in self.rows)
 
+    @property
+    def memory(self) -> str:
+        """How the residuals are correlated in time, in words."""
+        if not self.correlated:
+            return "are not autocorrelated"
+        if self.correlation_time > 1:
+            return f"are autocorrelated over {number(self.correlation_time, '.3g')} samples"
+        return "are autocorrelated, but the correlations cancel in their sum, as those of an oscillation do"
+
     @functools.cached_property
     def slow(self) -> SlowNoiseFit:
         """Slow and independent noise with the statistics of the residuals."""
@@ -192,11 +201,8 @@ def diagnose(analysis: ResidualAnalysis, noise: str = "") -> Diagnosis:
     findings: list[Note] = []
     recommended = "ou" if correlated else "iid"
     if correlated:
-        text = (
-            f"residuals are correlated over {analysis.correlation_time:.3g} samples: standard errors for independent noise would be "
-            "too small"
-        )
-        findings.append(Note(Code.CORRELATED_RESIDUALS, text))
+        small = ": standard errors for independent noise would be too small" if analysis.correlation_time > 1 else ""
+        findings.append(Note(Code.CORRELATED_RESIDUALS, f"residuals {analysis.memory}{small}"))
     if kurtosis > TAILS:
         text = (
             f"residuals have heavy tails (excess kurtosis {number(kurtosis, '.2g')}): there are outliers, or the error of the model is "

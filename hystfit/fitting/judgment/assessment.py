@@ -16,7 +16,6 @@ from hystfit.inference.problem import Problem, Side
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import number
 from hystfit.outcome.wrapping import NAMED, listed
 from hystfit.params.space import MANY, ParameterSpace
 from hystfit.quality.findings import WITHOUT_TIME
@@ -32,14 +31,11 @@ def notes_of(problem: Problem, model: AbstractHysteresis, estimate: Estimate, er
     notes += notes_of_model(problem.data, model)
     unknown = Unknown(errors.inactive, errors.directions, errors.reaching, errors.rank)
     notes += notes_of_errors(problem.space, problem.at_bound(estimate.x), unknown, estimate.penalty)
-    if errors.correlation_time > 1.0 or errors.ratio != 1.0:
+    if errors.residuals.correlated or errors.ratio != 1.0:
         change = f"{errors.ratio:.2g} times those for independent residuals"
         if abs(errors.ratio - 1) < APART:
             change = f"unchanged (factor {errors.ratio:.2g})"
-        text = (
-            f"residuals are autocorrelated over {number(errors.correlation_time, '.3g')} samples; standard errors are {change}"
-            f"{_slow_part(errors)}"
-        )
+        text = f"residuals {errors.residuals.memory}; standard errors are {change}{_slow_part(errors)}"
         notes.append(Note(Code.ERROR_RATIO, text))
     return notes
 

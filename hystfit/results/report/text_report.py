@@ -9,7 +9,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Status
-from hystfit.outcome.note import warn
+from hystfit.outcome.note import has, warn
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import PROSE, shortened, within
 from hystfit.results.measured.loop_values import MEASURED
@@ -101,6 +101,8 @@ def facts(result: FitResult) -> dict[str, list[str]]:
         spread.append(
             f"autocorrelated over {number(result.correlation_time, '.3g')} samples (integrated autocorrelation time)"
         )
+    elif has(result.notes, Code.ERROR_RATIO):
+        spread.append("autocorrelated, with correlations that cancel in their sum (see the notes)")
     else:
         spread.append("white (no significant autocorrelation)")
     data = []
