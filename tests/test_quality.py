@@ -566,6 +566,26 @@ def test_one_frequency_shows_no_dynamics():
 # --- verdicts -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("names", "listed", "left_out"),
+    [
+        ({"u_name": "Displacement", "u_unit": "mm", "y_name": "Force", "y_unit": "N"}, "damper", "jiles-atherton"),
+        ({"u_name": "Field", "u_unit": "A/m", "y_name": "B", "y_unit": "T"}, "jiles-atherton", "damper"),
+    ],
+)
+def test_no_law_of_magnetization_is_listed_for_forces_and_no_law_of_forces_for_inductions(names, listed, left_out):
+    t = np.linspace(0, 4, 800)
+    u = 50 * np.sin(2 * np.pi * t)
+    models = {
+        item.model
+        for item in check(
+            Record(u, np.tanh((u - 5 * np.sign(np.cos(2 * np.pi * t))) / 30), t, **names), data_only=True
+        ).determines
+    }
+    assert listed in models
+    assert left_out not in models
+
+
 def test_a_monotonic_record_determines_no_hysteresis_model():
     u = np.linspace(0, 1, 200)
     report = examined(Record(u, u**2, t=u))

@@ -9,6 +9,7 @@ from typing import Any
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
 from hystfit.errors import HystfitError
+from hystfit.fitting.comparison.candidates import suited
 from hystfit.fitting.comparison.compare import compare
 from hystfit.fitting.comparison.compared_models import Comparison
 from hystfit.fitting.comparison.traits import traits
@@ -43,7 +44,8 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
         DataError: `data` holds no records.
     """
     records = records_of(data, y, t, u=u)
-    report = examine(records, judged())
+    suits = suited(records)
+    report = examine(records, {name: needs for name, needs in judged().items() if suits(needs)})
     found = None if data_only or is_settled(report) else _compared(records)
     return with_models(report, records, found)
 

@@ -16,6 +16,7 @@ ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
 _SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
 _SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
 _FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
+_MIRROR = ", unless negate in front reverses the sign of the input"
 _FEW_PER_BRANCH = 6  # samples below which branches have a coarse shape; below `SEVERAL` they have none
 
 
@@ -185,10 +186,12 @@ def _excluded(facts: _Facts, needs: Needs) -> list[str]:
         reasons.append("the branches coincide within the noise: a single-valued curve explains the data")
     mirrored = "mirrored " if facts.falls else ""
     if facts.clockwise and needs.direction == "counter-clockwise":
-        reasons.append(f"the {mirrored}loop runs clockwise (the output leads), and the model describes loops that lag")
+        reasons.append(
+            f"the {mirrored}loop runs clockwise (the output leads), and the model describes loops that lag{_MIRROR}"
+        )
     if facts.counter_clockwise and needs.direction == "clockwise":
         reasons.append(
-            f"the {mirrored}loop runs counter-clockwise (the output lags), and the model describes loops that lead"
+            f"the {mirrored}loop runs counter-clockwise (the output lags), and the model describes loops that lead{_MIRROR}"
         )
     if facts.samples <= needs.parameters and not needs.regularized:
         reasons.append(_outnumbered(facts, needs))

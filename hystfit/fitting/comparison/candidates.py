@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -83,16 +83,14 @@ def candidates(data: Dataset) -> Candidates:
         len(distinct((v for record in data for v in found(record)), SPEEDS_APART))
         for found in (speeds_of, speeds_within)
     )
-    contrary, magnetic, force = _contrary(data), LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
-    plays_fail = _plays_fail(data)
+    contrary, suits, plays_fail = _contrary(data), suited(data), _plays_fail(data)
     able = {
         name: model
         for name, model in models.items()
         if not model.from_saturation
         and (timed or model.rate_independent)
         and within >= _speeds_needed(name)
-        and (magnetic or not any(need.magnetic for need in _needs(name)))
-        and (force or not any(need.force for need in _needs(name)))
+        and all(map(suits, _needs(name)))
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
@@ -112,6 +110,12 @@ def candidates(data: Dataset) -> Candidates:
     resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant, *late))
     return Candidates((SEARCH, *closed.values()), others, resonant, late, last)
+
+
+def suited(data: Dataset) -> Callable[[Needs], bool]:
+    """Whether a model that needs this may describe such quantities: laws of magnetization and of forces describe no others."""
+    magnetic, force = LoopKind.of(data) is LoopKind.MAGNETIC, may_be_force(data)
+    return lambda need: (magnetic or not need.magnetic) and (force or not need.force)
 
 
 def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
