@@ -112,6 +112,8 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         return [(_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in first]
     kind, rows = LoopKind.of(result.data), []
     measured = {one.name: one for one in first} if len(result.data) == 1 else {}
+    notes = next(iter(result.measured.notes.values()), ())
+    unseen = len(result.data) == 1 and not first and has(notes, Code.NOT_CLOSED)  # the input never comes back
     crossed = kind in REMANENT  # fields that read coercivity and remanence where the loop passes zero
     for q in result.quantities:
         one = QUANTITIES[q.name]
@@ -120,9 +122,11 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text
         if q.value is not None:
-            text = with_error(q.value, q.stderr, q.unit)
+            text = with_error(q.value, q.stderr, q.unit) + unseen * " by the model; no measured loop covers the range"
         if q.differs or (q.measured is not None and q.vaguer_than(None)):
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
+        elif q.value is None and read is not None and read.unit == q.unit:
+            text = f"{with_error(read.value, read.stderr, q.unit)} in the measured loops; by the model: {text}"
         elif q.value is not None and read is not None and read.unit == q.unit:
             at_zero = crossed and one.at_middle
             seen = with_error(read.value, read.stderr, q.unit)
