@@ -69,7 +69,7 @@ class Scales:
             (over if power > 0 else under).append(text)
         if not over and not under:
             return ""
-        return "*".join(over or ["1"]) + "".join(f"/{text}" for text in under)
+        return "*".join(over or ["1"]) + "".join(f"/({text})" if "/" in text else f"/{text}" for text in under)
 
 
 def axis_label(name: str, unit: str) -> str:

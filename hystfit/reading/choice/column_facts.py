@@ -215,6 +215,10 @@ class ColumnFacts:
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
 
+    def is_followed(self, i: int, o: int) -> bool:
+        """Whether the input is a reference without a name of its own, as "ref" is, and the output what follows it."""
+        return self.measured.get(i) == o and without_role(self.table.names[i]) == ""
+
     def set_values(self, i: int, o: int) -> int:
         """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
 

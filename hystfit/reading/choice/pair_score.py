@@ -36,7 +36,7 @@ _STATED, _CONTRARY = 3.2, -1.0
 _BARE = -1.0
 # Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output there.
 _OVERTAKEN = -5.0
-# Points of a commanded load and its measurement, beside which the specimen moves.
+# Points of a commanded load and its measurement, beside which the specimen moves, and of the reference of a controller and what follows it.
 _FOLLOWED = -3.0
 # Points of a displacement or field of a part, of the size of a vector, which has no sign, and of the component of a signal out of phase.
 # Points of components along one axis (Bx, mx).
@@ -140,7 +140,7 @@ class _Evidence:
         points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
-        points += _OVERTAKEN * self.facts.set_values(i, o)
+        points += _OVERTAKEN * self.facts.set_values(i, o) + _FOLLOWED * self.facts.is_followed(i, o)
         answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
         points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
         cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
