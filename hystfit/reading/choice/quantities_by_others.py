@@ -129,7 +129,7 @@ def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
     moved = [k for k in free if kinds[k] == "displacement"]
-    for k in unknown if len(free) > len(unknown) + len(moved) - 1 and len(free) > 2 else ():
+    for k in unknown if len(free) > 2 else ():
         if kinds[k] == "" and any(_is_rate(table.columns[k], table.columns[of]) for of in moved):
             kinds[k] = "velocity"
     # A rate shows that mass.s beside mass.v is a displacement and no stress.

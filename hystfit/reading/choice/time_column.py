@@ -68,7 +68,7 @@ def is_clock(table: Table, k: int) -> bool:
     """
     ways = np.sign(np.diff(table.columns[k]))
     within = (np.diff(table.curve) == 0) & (np.diff(table.section) == 0)
-    ways = np.where(within | (ways > 0).all(), ways, 0.0)
+    ways = np.where(within | ~within.any(), ways, 0.0)
     rises, falls = (ways > 0).sum(), (ways < 0).sum()
     named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
     return bool((named and rises >= (FEWEST - 1) * (falls - 1)) or not (rises and falls))
