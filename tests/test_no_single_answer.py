@@ -177,3 +177,18 @@ def test_loops_at_different_speeds_are_no_states_of_a_device() -> None:
 def test_a_quantity_over_decades_is_told(u: np.ndarray, y: np.ndarray, role: str) -> None:
     notes = hf.check(hf.Record(u, y)).findings
     assert [role in note.text for note in notes if note.code is Code.DECADES] == [True]
+
+
+def test_records_of_other_ranges_that_differ_by_a_factor_are_no_loops_of_one_device() -> None:
+    """Soil at three depths: no two loops have one range, and each record is described alone; one device at three ranges is described."""
+    ranges, plain = (1.0, 1.4, 2.0), np.tile(LOOP, 2)
+    loop = lambda u: sum(play(u, r) for r in (0.2, 0.5, 0.8)) + 0.2 * u
+    several = lambda factors: hf.Dataset(
+        tuple(made(a * plain, c * loop(a * plain), name=f"{a:g}") for a, c in zip(ranges, factors, strict=True))
+    )
+    model = "prandtl-ishlinskii:plays=10"
+    differ = hf.fit(model, several((1.0, 1.6, 1.1)), noise="iid")
+    assert 3.0 < differ.train.nrmse_percent < 10.0
+    assert has(differ.notes, Code.RECORDS_DIFFER)
+    assert hf.fit(model, differ.data[0], noise="iid").status is Status.OK
+    assert not has(hf.fit(model, several((1.0, 1.0, 1.0)), noise="iid").notes, Code.RECORDS_DIFFER)

@@ -1310,3 +1310,16 @@ def test_a_square_loop_is_no_delay():
     u = np.append(np.tile(np.concatenate([edge[:-1], edge[:0:-1]]), 3), -150)
     y = 1.3 * np.tanh((u - 28 * np.sign(np.gradient(u))) / 6) + 0.03 * np.random.default_rng(11).normal(size=u.size)
     assert summarize(Record(u, y, 0.05 * np.arange(u.size))).delay is None
+
+
+@pytest.mark.parametrize("start", [0.0, 0.3, 0.6])
+def test_a_stored_cycle_that_ends_a_sample_before_it_would_begin_again_is_a_closed_loop(start: float) -> None:
+    """An ellipse of known area, from any point of it on: the return of the input to its start is no end of a loop."""
+    phase = 2 * np.pi * (np.arange(50) / 50 + start)
+    record = Record(u=np.sin(phase), y=np.sin(phase) + 0.6 * np.cos(phase), t=0.002 * np.arange(50))
+    report = examined(record)
+    (shape,) = (one.shape for one in report.records)
+    assert shape is not None
+    assert shape.circulation == "clockwise"
+    assert shape.area == pytest.approx(-0.6 * np.pi, rel=0.01)
+    assert not has(report.findings, Code.NOT_CLOSED)

@@ -3,6 +3,7 @@
 import base64
 import dataclasses
 import html.parser
+import itertools
 import math
 import re
 import warnings
@@ -524,3 +525,18 @@ def test_a_picture_is_enlarged_in_data_coordinates(browser, tmp_path):
     np.testing.assert_allclose([place for _, place, _ in after["ticks"]], places, atol=3)
     page.close()
     assert faults == []
+
+
+def test_quantities_of_a_loop_that_no_measured_one_covers_are_those_of_the_model() -> None:
+    """A tensile test with short unloadings, and one that comes back."""
+    text = "no measured loop covers the range"
+
+    def hysteresis(ends: list[float]) -> str:
+        parts = [np.linspace(a, b, 41)[1:] for a, b in itertools.pairwise([0.0, *ends])]
+        u = np.concatenate([[0.0], *parts])
+        y = np.asarray(simulate(BoucWen(c=0.2, mu=0.5, tau=0.05, rho=0.3), u)[0])
+        fitted = fit(BoucWen(), Record(u=u, y=y + 0.02 * np.random.default_rng(5).standard_normal(u.size)), starts=1)
+        return next(value for name, value in fitted.answer if name.startswith("Hysteresis"))
+
+    assert text in hysteresis([10.0, 7.0, 20.0, 16.0, 30.0, 25.0])
+    assert text not in hysteresis([10.0, -10.0, 20.0, -20.0, 30.0, -30.0])

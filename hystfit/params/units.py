@@ -69,7 +69,7 @@ class Scales:
             (over if power > 0 else under).append(text)
         if not over and not under:
             return ""
-        return "*".join(over or ["1"]) + "".join(f"/{text}" for text in under)
+        return "*".join(over or ["1"]) + "".join(f"/({text})" if "/" in text else f"/{text}" for text in under)
 
 
 def axis_label(name: str, unit: str) -> str:
@@ -155,11 +155,11 @@ _QUANTITIES = {
     "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "resistivity": "Ohm*m",
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
-    "specific volume": "m^3/kg",
+    "specific volume": "m^3/kg", "curvature": "1/m",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
-    "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
+    "angle": "displacement", "curvature": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "resistivity": "resistance",
     "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
@@ -168,7 +168,7 @@ _BY_SYMBOL = {
     r"emu/.*": "magnetization",
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
-    r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
+    r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
 _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
     map(ord, "\u2126\u03a9"), "Ohm"
@@ -291,7 +291,7 @@ def size_in(unit: str, *targets: str) -> tuple[str, float] | None:
     return next(alike, None)
 
 
-_ENERGIES = ("J", "J/m2", "J/m3", "J/kg")
+_ENERGIES = ("J", "J/m2", "J/m3", "J/kg", "J/m")
 MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multiplication by it
 
 

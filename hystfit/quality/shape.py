@@ -27,6 +27,7 @@ _LEAST_LOBES = 0.01  # area between branches that cross, over that of the box ar
 _LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
 _SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
 _LATE = 4  # late branches, whose median shows damage
+_ONE_STEP = 1.5  # steps between the samples at the ends of a cycle, by which its end may miss its start
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,9 +181,15 @@ def _turn(u: np.ndarray) -> int:
 
 
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records."""
-    lowest, closes = int(np.argmin(u)), abs(u[-1] - u[0]) <= SAME_LEVEL * np.ptp(u)
-    if not SEVERAL <= lowest < u.size - SEVERAL or not closes or not abs(y[-1] - y[0]) <= SAME_LEVEL * np.ptp(y):
+    """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records.
+
+    Cycles that a testing machine stores end a sample before they would begin again.
+    """
+    lowest = int(np.argmin(u))
+    if not SEVERAL <= lowest < u.size - SEVERAL:
+        return None
+    step = lambda values: _ONE_STEP * 0.5 * (abs(values[1] - values[0]) + abs(values[-1] - values[-2]))
+    if any(abs(one[-1] - one[0]) > max(SAME_LEVEL * float(np.ptp(one)), step(one)) for one in (u, y)):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)

@@ -43,6 +43,7 @@ from hystfit.reading.layouts.spice_raw import read_spice
 from hystfit.reading.layouts.star_loops import read_star
 from hystfit.reading.layouts.successive_tables import read_tables
 from hystfit.reading.layouts.transposed import read_transposed
+from hystfit.reading.layouts.twincat_scope import read_twincat_scope
 from hystfit.reading.layouts.unit_cells import read_unit_cells
 from hystfit.reading.layouts.workbook import read_older_sheets, read_workbook
 from hystfit.reading.layouts.wrapped_blocks import read_wrapped_blocks
@@ -157,6 +158,7 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_snapshots,
     read_key_values,
     read_console_log,
+    read_twincat_scope,
     read_igor,
     read_star,
     read_spice,

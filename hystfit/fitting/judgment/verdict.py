@@ -11,6 +11,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
+from hystfit.fitting.judgment.record_scales import scale_note
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
@@ -222,7 +223,7 @@ def _differ(fitted: Fitted) -> list[Note]:
     """A warning where most of a visible error is that of any one model on records that differ at equal inputs, as at two temperatures."""
     if not fitted.thorough or fitted.percent <= VISIBLE:
         return []
-    apart = apart_note(fitted.parts, _MOST_OF * fitted.percent)
+    apart = apart_note(fitted.parts, _MOST_OF * fitted.percent) or scale_note(fitted, _MOST_OF)
     return [] if apart is None else [apart]
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hystfit.params.units import quantity
+from hystfit.params.units import parse_unit, quantity
 from hystfit.reading.choice.quantity_points import PAIRS
 from hystfit.reading.names.column_names import (
     MEANS,
@@ -45,6 +45,7 @@ _FOLLOWS = 0.1
 _OF_LARGEST = 0.3
 _TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half of that along it
 _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
+_OF_SENSORS = 1e-3  # unit of voltages [V] in which those of sensors are written, and those that drive actuators are not
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
@@ -83,7 +84,12 @@ class ColumnFacts:
         components = _lock_in(table, kinds)
         roles = _roles(table, components, kinds)
         ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
-        return cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
+        facts = cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
+        efforts = [k for k in facts.ranks if table.names[k] == "u" and roles[k] and {*facts.measured} - {k}]
+        roles |= dict.fromkeys(efforts, "")  # u of a controller, whose reference is followed
+        return dataclasses.replace(
+            facts, roles=roles, kinds={**kinds, **{k: kinds[j] for k, j in facts.measured.items()}}
+        )
 
     def is_open(self, k: int) -> bool:
         """Whether a column is one of three or more of which names tell no quantity, and has no role: it may drive as well as another."""
@@ -204,9 +210,14 @@ class ColumnFacts:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
         alike = units[j] == units[k] != "" or without_role(names[j]) == without_role(names[k]) != ""
-        if self.kinds[j] != self.kinds[k] or not alike:
+        bare = without_role(names[k]) == ""  # "ref" has the quantity of what follows it
+        if self.kinds[k] not in (self.kinds[j], "" if bare else self.kinds[j]) or not (alike or bare):
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
+
+    def is_followed(self, i: int, o: int) -> bool:
+        """Whether the input is a reference without a name of its own, as "ref" is, and the output what follows it."""
+        return self.measured.get(i) == o and without_role(self.table.names[i]) == ""
 
     def set_values(self, i: int, o: int) -> int:
         """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
@@ -259,6 +270,11 @@ class ColumnFacts:
         usual = lambda k: PAIRS.get((self.kinds[i], self.kinds[k]), 0.0)
         signal = quantity(self.table.units[o]) == "voltage" != self.kinds[o]
         return signal and any(usual(k) >= usual(o) > 0 for k in self.ranks if k not in (i, o) and not in_volts(k))
+
+    def is_sensed(self, k: int) -> bool:
+        """Whether a voltage is that of a sensor: one in mV of which no word says that it is a voltage or drives."""
+        unit, named = parse_unit(self.table.units[k]), column_quantity(self._bases[k]) == "voltage"
+        return unit is not None and 0.0 < unit.factor <= _OF_SENSORS and self.roles[k] != "input" and not named
 
     def is_controlled(self, k: int) -> bool:
         """Whether beside a column that was set, what it sets was measured too: a second sensor, or the field of a magnet's current."""

@@ -22,6 +22,7 @@ from hystfit.reading.table.signal_evidence import (
     explained,
     extent,
     levels_in_turn,
+    moves_at_rest,
     proportional,
     repeats,
     rises_evenly,
@@ -35,7 +36,7 @@ _STATED, _CONTRARY = 3.2, -1.0
 _BARE = -1.0
 # Points of a commanded input beside the measured one, as that which an actuator reached drives the output, and of a commanded output there.
 _OVERTAKEN = -5.0
-# Points of a commanded load and its measurement, beside which the specimen moves.
+# Points of a commanded load and its measurement, beside which the specimen moves, and of the reference of a controller and what follows it.
 _FOLLOWED = -3.0
 # Points of a displacement or field of a part, of the size of a vector, which has no sign, and of the component of a signal out of phase.
 # Points of components along one axis (Bx, mx).
@@ -62,6 +63,9 @@ _UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, of two temperatures, or of one quantity that is proportional: a second sensor of the input. Further
 # ones of a pair of which one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
+# Points of the current of a heater, beside a temperature that explains more than that part of what moves while the current rests.
+_HEATING, _WELL = -4.5, 0.95
+_ELECTRIC, _MOVES = ("voltage", "current"), ("displacement", "strain", "force", "stress")
 # Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
 # the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
 _STRAIGHT, _TOGETHER = -1.0, 4.0
@@ -136,7 +140,7 @@ class _Evidence:
         points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
-        points += _OVERTAKEN * self.facts.set_values(i, o)
+        points += _OVERTAKEN * self.facts.set_values(i, o) + _FOLLOWED * self.facts.is_followed(i, o)
         answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
         points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
         cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
@@ -165,7 +169,7 @@ class _Evidence:
             share = explained(u, y, part)
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
-            unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED)
+            unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED) + _HEATING * self._heats(reading, part)
             if computed(u, y):
                 return unrelated + _COMPUTED + _COPY
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
@@ -181,6 +185,16 @@ class _Evidence:
             )
             for reading in found
         ]
+
+    def _heats(self, reading: Reading, part: np.ndarray) -> bool:
+        """Whether the input is the voltage or current of a heater: what it heats moves while it rests, and follows the temperature."""
+        kinds, columns = self.facts.kinds, self.facts.table.columns
+        warm = [k for k in self.facts.ranks if kinds[k] == "temperature" and extent(columns[k]) >= HEATED]
+        if not warm or kinds[reading.input] not in _ELECTRIC:
+            return False
+        alone = [reading.output] if kinds[reading.output] not in _ELECTRIC else self.facts.ranks
+        moved = [k for k in alone if kinds[k] in _MOVES and moves_at_rest(columns[reading.input], columns[k])]
+        return any(explained(columns[one], columns[k], part) > _WELL for one in warm for k in moved)
 
     def of_clock(self, reading: Reading) -> float:
         """Points of an output that rises as a clock does, such as the angle of a crank, while its input does not."""
@@ -246,6 +260,8 @@ class _Evidence:
         loads = [k for k, kind in zip((i, o), kinds, strict=True) if kind in LOADS and k in measured]
         if loads and {self.facts.kinds[k] for k in self.facts.measured} <= {*LOADS}:
             return _FOLLOWED if self.facts.measured.get(i) == o else PAIRS.get(kinds[::-1], 0.0) * (kinds[0] in LOADS)
+        if set(kinds) == {"voltage", "displacement"} and self.facts.is_sensed(i if kinds[0] == "voltage" else o):
+            kinds = kinds[::-1]
         beside = o if kinds[0] == "current" else i
         moved = beside in measured or "velocity" in self.facts.kinds.values()  # that of a motor, beside its speed
         if "current" in kinds and self.facts.kinds[beside] in ("displacement", "") and moved:

@@ -128,6 +128,10 @@ def _find_velocities(table: Table, free: Sequence[int], kinds: dict[int, str]) -
         for k, of in itertools.permutations(unknown, 2):
             if kinds[of] != "velocity" and _is_rate(table.columns[k], table.columns[of]):
                 kinds[k] = "velocity"
+    moved = [k for k in free if kinds[k] == "displacement"]
+    for k in unknown if len(free) > 2 else ():
+        if kinds[k] == "" and any(_is_rate(table.columns[k], table.columns[of]) for of in moved):
+            kinds[k] = "velocity"
     # A rate shows that mass.s beside mass.v is a displacement and no stress.
     rates = [k for k in free if kinds[k] == "velocity"]
     for k in [k for k in free if kinds[k] == "stress" and not table.units[k]]:

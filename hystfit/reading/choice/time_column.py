@@ -62,8 +62,13 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
 
 
 def is_clock(table: Table, k: int) -> bool:
-    """Whether a column of times never decreases, or always, or has the name of a time and starts again after rows of a table at least."""
+    """Whether a column of times never decreases, or always, or has the name of a time and starts again after rows of a table at least.
+
+    Where a block of rows begins it starts again whatever its name.
+    """
     ways = np.sign(np.diff(table.columns[k]))
+    within = (np.diff(table.curve) == 0) & (np.diff(table.section) == 0)
+    ways = np.where(within | ~within.any(), ways, 0.0)
     rises, falls = (ways > 0).sum(), (ways < 0).sum()
     named = column_quantity(split_unit(table.names[k])[0]) == "time"  # the time between rows goes up and down
     return bool((named and rises >= (FEWEST - 1) * (falls - 1)) or not (rises and falls))

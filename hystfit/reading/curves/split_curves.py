@@ -16,17 +16,15 @@ from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_curves
+from hystfit.reading.curves.other_inputs import other_inputs
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
 from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, NEAR
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on, levels_in_turn
+from hystfit.reading.table.signal_evidence import clock_goes_on
 
 _CLEARLY = 4.0  # times the range of a condition within a curve, by which it differs from curve to curve
-_STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
-_AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
 
 
 def text_of(value: object) -> str:
@@ -312,33 +310,17 @@ def _plain(name: str) -> str:
 
 
 def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
-    for position, name in enumerate(table.names):
-        if position in (choice.time, choice.input, choice.output):
-            continue
-        kind = column_quantity(name, table.units[position])
+    others = [k for k in range(len(table.names)) if k not in (choice.time, choice.input, choice.output)]
+    numbers: list[int] = []
+    for position in others:
+        name = table.names[position]
         count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
-        elif position in table.labels or kind in ("index", "time") or table.pair is not None or _STATE.search(name):
-            continue
-        elif _is_direction(table.columns[position], table.columns[choice.input]):
-            continue
-        elif levels := levels_in_turn(table.columns[position]):
-            shown_levels = ", ".join(f"{level:g}" for level in levels)
-            text = (
-                f"column {name!r} is set to {len(levels)} levels ({shown_levels}), and a model has one input: "
-                f"where='{name}={levels[-1]:g}' reads the samples of one level"
-            )
-            notes.append(warn(Code.CURVES, text))
-
-
-def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:
-    """Whether a column of two levels tells whether the input rises or falls."""
-    step = np.diff(drive)
-    rising, high = step[step != 0] > 0, values[1:][step != 0] > values.min()
-    agree = float(np.mean(rising == high)) if high.size else 0.5
-    return np.unique(values).size == 2 and max(agree, 1.0 - agree) > _AGREES
+        elif position not in table.labels and table.pair is None:
+            numbers.append(position)
+    notes.extend(other_inputs(table, choice, numbers))
 
 
 def divider_of(table: Table, line: np.ndarray, begins: np.ndarray) -> str | None:
@@ -372,7 +354,8 @@ def select_curves(groups: list[tuple[str, Any]], only: object, source: str) -> l
         if not chosen:
             raise DataError(f"{source}: only={only!r} chooses none of {len(groups)} curves (positions from 0)")
         return chosen
-    parts = only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only]
+    whole = [only] if isinstance(only, str) and text_of(only) in values else None  # a name with a comma in it
+    parts = whole or (only.split(",") if isinstance(only, str) else only if isinstance(only, Sequence) else [only])
     wanted = list(dict.fromkeys(text_of(part) for part in parts))
     unknown = [value for value in wanted if value not in values]
     if unknown or not wanted:

@@ -22,6 +22,9 @@ from hystfit.reading.table.raw_table import Part, Table
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, also beside a column without such a word
+_SIGNS = frozenset(
+    {"positive", "pos"}
+)  # of a speed: the other branch is that of the other direction, and not the way back
 _SHORT = {"ch": "charge", "dch": "discharge"}
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
@@ -236,6 +239,8 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
         outputs = _numbered_branches(u, *outputs, over=_is_force_loop(table, drive, columns[0]))
         if outputs is None:
             return None
+    if len(pairs) == 1 and not others and (sides := _two_directions(table, drive, pairs[0])) is not None:
+        return sides
     order = np.argsort(u, kind="stable")
     ways = itertools.cycle([order, order[::-1]])
     rows = [way[np.isfinite(u + y)[way]] for way, y in zip(ways, outputs, strict=False)]
@@ -251,6 +256,28 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
     )
     joined = _table(table, [drive, *positions], ["", *words], np.column_stack(loop), rows)
     return joined if others else dataclasses.replace(joined, pair=(0, 1))
+
+
+def _two_directions(table: Table, drive: int, pair: _Pair) -> Table | None:
+    """The curve of an output over a speed in both directions, of which a table states the size; None for other branches."""
+    u = table.columns[drive]
+    if (
+        pair.word not in _SIGNS
+        or column_quantity(table.names[drive], table.units[drive]) != "velocity"
+        or np.nanmin(u) < 0
+    ):
+        return None
+    rows = [np.flatnonzero(np.isfinite(u + table.columns[k])) for k in pair.columns]
+    rows = [kept[np.argsort(u[kept], kind="stable")] for kept in rows]
+    forth, back = (
+        np.column_stack([u[kept], table.columns[k][kept]]) for k, kept in zip(pair.columns, rows, strict=True)
+    )
+    curve = np.concatenate([(back * [-1.0, 1.0])[::-1], forth])
+    joined = _table(table, [drive, pair.columns[0]], ["", pair.word], curve, [rows[1][::-1], rows[0]])
+    named = " and ".join(repr(table.names[k]) for k in pair.columns)
+    text = f"{named} are of both directions of {table.names[drive]!r}: they are joined to a curve over speeds of both signs"
+    notes = (*table.notes, Note(Code.CURVES, text))
+    return dataclasses.replace(joined, pair=(0, 1), notes=notes)
 
 
 def _is_force_loop(table: Table, drive: int, output: int) -> bool:

@@ -56,7 +56,7 @@ def read_tables(text: TextFile) -> Table | None:
     chosen = _alike(tables)
     rest = [piece for k, piece in enumerate(pieces) if k not in chosen]
     parts = [_part(text, pieces[k], tables[k]) for k in chosen]
-    parts = _with_summary(text, _with_names(parts), rest)
+    parts = _with_summary(text, _with_names(parts, [_lines_above(text, pieces[k]) for k in chosen]), rest)
     notes = [*tables[chosen[0]].notes]
     notes += [
         note for k in chosen[1:] for note in tables[k].notes if note.severity is not Severity.INFO and note not in notes
@@ -185,21 +185,26 @@ def _table(text: TextFile, piece: _Piece) -> Table | None:
 
 def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     """Title, properties and stated results above a table."""
-    above = [line.strip() for line in text.lines[piece.above : piece.first] if line.strip()]
-    titles = [
-        line for line in above[: len(above) - len(piece.header)] if setting_of(line) is None and len(line) <= _TITLE
-    ]
-    titles = [title for line in titles if (title := re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line))]
+    titles = [line for line in _lines_above(text, piece) if setting_of(line) is None]
     title = titles[-1] if titles else ""
     title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
     return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
 
 
-def _with_names(parts: Sequence[Part]) -> list[Part]:
-    """The parts with a name each: their titles where these differ, else their numbers."""
+def _lines_above(text: TextFile, piece: _Piece) -> list[str]:
+    """The short lines above the header of a table, without marks around them."""
+    above = [line.strip() for line in text.lines[piece.above : piece.first] if line.strip()]
+    short = [line for line in above[: len(above) - len(piece.header)] if len(line) <= _TITLE]
+    return [title for line in short if (title := re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line))]
+
+
+def _with_names(parts: Sequence[Part], above: Sequence[Sequence[str]]) -> list[Part]:
+    """The parts with a name each: their titles where these differ, else the settings of each in the same line above, else their numbers."""
     titles = [part.name for part in parts]
-    if len({*titles, ""}) == len(parts) + 1:
-        return [*parts]
+    settings = zip(*(reversed(lines) for lines in above), strict=False)
+    for names in (titles, *settings):
+        if len({*names, ""}) == len(parts) + 1:
+            return [dataclasses.replace(part, name=name) for part, name in zip(parts, names, strict=True)]
     return [dataclasses.replace(part, name=f"table={k}") for k, part in enumerate(parts, start=1)]
 
 

@@ -55,7 +55,7 @@ def column_quantity(name: str, unit: str = "") -> str:
     base = _field(base)
     if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]
-    base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip())
+    base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip().removesuffix("(t)"))
     if of_matrix and "_" in base:
         return by_unit  # a column of a matrix x_F: the name is not that of the column
     if _CHANNEL.fullmatch(base):

@@ -49,6 +49,9 @@ _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
 _NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names of columns besides units
+_OVER_INCHES = frozenset(
+    {"lb", "lbs", "lbf", "oz", "ozf", "kip", "kips", "klbf"}
+)  # of a torque, in lb; other units have a word before them, in V
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
@@ -117,6 +120,8 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
     if not name.endswith(("]", ")", ">")) or (start := _opening(name)) <= 0:
         return None
     base, unit = name[:start].rstrip(" \t_"), name[start + 1 : -1].strip()
+    if (worded := re.fullmatch(r"in\s+(\S+)", unit)) and worded[1] not in _OVER_INCHES and is_unit(worded[1]):
+        unit = worded[1]
     known = not _NODE.fullmatch(unit) and bool(is_unit(unit) or in_case(base, unit))
     closed = known or not re.search(r"[\])>]", unit)
     if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and (not known or unit == "in"):  # the node "in"

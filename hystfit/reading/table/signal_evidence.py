@@ -8,6 +8,10 @@ from hystfit.reading.limits import MOST_LABELS
 
 _ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
+# Levels at which a measured column is held: the least distance between them and the largest from each as parts of the range of all, the
+# part of the rows at them (a current that follows its set value within a seventh of the time at a level has 0.87, a sine 0.2), and by how
+# much more rows are at one than evenly spread ones would be in a bin.
+_BETWEEN, _WITHIN, _HELD_MOST, _CROWDED, _BINS = 0.05, 0.02, 0.7, 3, 50
 # Part of the variance that a straight line leaves, below which two columns are proportional: the narrowest loops, those of piezo actuators,
 # leave 0.001 to 0.02 to their hysteresis.
 _PROPORTIONAL = 2e-4
@@ -23,9 +27,11 @@ _SWING = 0.02  # of the range of an input, below which it swings as noise does
 # Third differences of numbers that are cut off are at most that many units of their last digit, or steps of their converter; two numbers
 # are the same that differ by less than that part of the range, and steps by that part of the smallest.
 _CUT_OFF, _SAME, _SAME_DIGIT = 4.0, 1e-12, 1e-3
+_SAME_STEP = 1e-4  # part of a step by which the next one is the same: along a sine of 1000 samples a cycle it changes by up to 0.006
 # Part of the steps of a column that are one step up or down where it was set, the least part in each direction, and the most part after
 # which the direction changes: a measurement of few digits stays for some rows, or moves to and fro.
 _EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.2
+_AT_JUMPS = 0.95  # of all changes of the steps, in the largest tenth of them: of a sine that part is 0.16
 _LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
@@ -63,6 +69,45 @@ def levels_in_turn(values: np.ndarray) -> list[float]:
         1 < levels.size <= MOST_LABELS and np.isfinite(levels).all() and np.ptp(levels) > _APART * np.abs(levels).max()
     )
     return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
+
+
+def held_levels(values: np.ndarray) -> list[tuple[float, int, int]]:
+    """Levels at which a measured column is held, one after the other or again: each with the first row of its longest stretch and the next.
+
+    None for a column of another kind. A current that follows its set value is at its levels for most rows.
+    """
+    if values.size < 2 * _ROWS_OF_LEVEL or not np.isfinite(values).all() or not np.ptp(values) > 0:
+        return []
+    span = np.ptp(values)
+    counts, edges = np.histogram(values, _BINS)
+    heavy = np.flatnonzero(counts > max(_CROWDED * values.size / _BINS, _ROWS_OF_LEVEL))
+    groups = np.split(heavy, np.flatnonzero(np.diff(heavy) > 1) + 1)
+    inside = lambda group: (values >= edges[group[0]]) & (values <= edges[group[-1] + 1])
+    levels = np.array([np.median(values[inside(group)]) for group in groups if group.size])
+    if not 1 < levels.size <= MOST_LABELS or np.diff(levels).min() <= _BETWEEN * span:
+        return []
+    if span <= _APART * np.abs(levels).max():
+        return []
+    nearest = np.abs(values[:, None] - levels).argmin(axis=1)
+    held = np.abs(values - levels[nearest]) <= _WITHIN * span
+    ends = np.flatnonzero(np.diff(np.where(held, nearest, -1))) + 1
+    stretches = [run for run in zip([0, *ends], [*ends, values.size], strict=True) if held[run[0]]]
+    if held.mean() <= _HELD_MOST or np.median([b - a for a, b in stretches]) < _ROWS_OF_LEVEL:
+        return []
+    longest = lambda k: max((run for run in stretches if nearest[run[0]] == k), key=lambda run: run[1] - run[0])
+    runs = [longest(k) for k in range(levels.size)]
+    return [(float(level), int(first), int(stop)) for level, (first, stop) in zip(levels, runs, strict=True)]
+
+
+def moves_at_rest(u: np.ndarray, y: np.ndarray) -> bool:
+    """Whether an output moves over most of its range while its input stays at its least or largest value, as under a heater that is off."""
+    u, y = sample(u), sample(y)
+    if not (np.isfinite(u).all() and np.isfinite(y).all() and np.ptp(u) > 0):
+        return False
+    place = (u - u.min()) / np.ptp(u)
+    side = (place > 1 - _WITHIN).astype(int) - (place < _WITHIN)
+    runs = np.split(np.arange(u.size), np.flatnonzero(np.diff(side)) + 1)
+    return any(side[run[0]] and np.ptp(y[run]) > 0.5 * np.ptp(y) for run in runs)
 
 
 def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
@@ -226,6 +271,14 @@ def by_equal_steps(values: np.ndarray) -> bool:
     steps = np.diff(finite)
     if steps.size < _FEWEST_COMPUTED or not (step := float(np.median(np.abs(steps)))) > 0:
         return False
-    equal = [float(np.mean(np.abs(steps - way) < _SAME_DIGIT * step)) for way in (step, -step)]
-    turns = float(np.mean(np.diff(np.sign(steps)) != 0))
-    return sum(equal) > _EQUAL and min(equal) > _EACH_WAY and turns < _TURNS
+    sizes = np.abs(steps)
+    change = np.abs(np.diff(sizes))
+    equal = float(np.mean(np.abs(sizes - step) < _SAME_DIGIT * step))
+    as_before = float(np.mean(change < _SAME_STEP * step))
+    # Those of each amplitude may have a size of their own, which changes at few places and not along every branch.
+    jumps = np.sort(change)[int(_EQUAL * change.size) :].sum() > _AT_JUMPS * change.sum()
+    equal = max(equal, as_before * jumps)
+    each_way = min(np.mean(steps > 0), np.mean(steps < 0))
+    moving = np.mean(sizes > _SAME_DIGIT * step)  # the force of a slider goes by even steps too, and then stays
+    turns = np.mean(np.diff(np.sign(steps)) != 0)
+    return bool(min(equal, moving) > _EQUAL and each_way > _EACH_WAY and turns < _TURNS)

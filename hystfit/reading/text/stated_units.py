@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 
 from hystfit.params.units import quantity
+from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import is_unit
 from hystfit.reading.text import cells
 from hystfit.reading.text.header import UNIT_CELL, behind_words, setting_of
@@ -29,8 +30,10 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
     width = len(names)
     if width > 1 and (all_of_them := behind_words(above, width).get(True)) and all(map(is_unit, all_of_them)):
         return all_of_them
-    settings = (pair for line in above if (pair := setting_of(line)) is not None)
+    settings = [pair for line in above if (pair := setting_of(line)) is not None]
     known = {unit_key(key): unit for key, unit in settings}
+    if any(listed := _by_quantity(settings, names)):
+        return listed
     if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
         return named
     for line in reversed(above):
@@ -44,6 +47,17 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
                 continue
             return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
     return [""] * width
+
+
+def _by_quantity(settings: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
+    """Units of a system, one for each quantity, in a line such as "units: in, kip, sec", for the columns of these quantities."""
+    for key, value in settings:
+        units = [unit for unit in re.split(r"[\s,;]+", value) if unit]
+        kinds = [quantity(unit) for unit in units]
+        if key.lower() in ("unit", "units") and len(units) > 1 and all(kinds) and len({*kinds}) == len(kinds):
+            known = dict(zip(kinds, units, strict=True))
+            return [known.get(column_quantity(name), "") for name in names]
+    return [""] * len(names)
 
 
 def _of_volts(units: list[str], above: Sequence[str], delimiter: str | None) -> list[str]:

@@ -36,7 +36,8 @@ _LOOP_KINDS = (
     (LoopKind.MAGNETIC, {"field", "induction", "current"}, {"moment", "magnetization", "induction", "field", "flux"}),
     (LoopKind.FERROELECTRIC, {"voltage", "electric field"}, {"charge", "polarization"}),
     (LoopKind.ACTUATOR, {"voltage", "electric field", "current", "field", "charge", "temperature", "pressure"}, _PATHS),
-    (LoopKind.DISPLACEMENT_DRIVEN, _PATHS, _FORCES),
+    # A force per length is that of a seam, of soil along a pile, or of a fabric.
+    (LoopKind.DISPLACEMENT_DRIVEN, _PATHS, _FORCES | {"stiffness"}),
     (LoopKind.FORCE_DRIVEN, _FORCES, _PATHS),
 )
 

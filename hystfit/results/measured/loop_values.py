@@ -305,7 +305,7 @@ def _stiffness(
     longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
     of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
     stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
-    unit = f"{units[1]}/{units[0]}".strip("/")
+    unit = f"{units[1]}/({units[0]})" if "/" in units[0] else f"{units[1]}/{units[0]}".strip("/")
     yield LoopValue("secant_stiffness", "secant stiffness", stiffness, error, unit, count)
     if cycles and stiffness > 0:
         size, uncertain, count = loss(cycles, sigma)

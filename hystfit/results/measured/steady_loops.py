@@ -23,7 +23,7 @@ from hystfit.data.record import Record
 from hystfit.models.shared.slopes import CYCLES, POINTS
 from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
-from hystfit.quality.loops import LARGEST, cycles
+from hystfit.quality.loops import APART, LARGEST, branches, cycles
 from hystfit.quality.shape import has_lobes
 from hystfit.results.measured.loop_kinds import LoopKind
 
@@ -207,15 +207,26 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
     The sine is recognized by the rms over time about the middle. Without large cycles in time: the interval of the records, no sine.
     """
     for record in data:
-        # Half: a first rise from the middle.
-        found = () if record.t is None else cycles(record.u, 0.5 * LARGEST * float(np.ptp(record.u)))
+        halves, found = (1, np.empty((0, 3), int)) if record.t is None else _large_cycles(record.u)
         if record.t is None or not len(found):
             continue
         first, last = found[:, 0], found[:, 2]
-        points = int(np.clip(2 * round(median((last - first).tolist()) / 2), _FEWEST, _MOST))
-        interval = median((record.t[last] - record.t[first]).tolist()) / points
+        points = int(np.clip(2 * round(median((halves * (last - first)).tolist()) / 2), _FEWEST, _MOST))
+        interval = halves * median((record.t[last] - record.t[first]).tolist()) / points
         return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
     return data[0].sampling_interval or 1.0, False, POINTS
+
+
+def _large_cycles(u: np.ndarray) -> tuple[int, np.ndarray]:
+    """1 and the large cycles, as by `cycles`; without a whole one 2 and the halves of a record of one cycle, or of a rise and a fall."""
+    span = float(np.ptp(u))
+    # Half: a first rise from the middle.
+    found = cycles(u, 0.5 * LARGEST * span)
+    if len(found):
+        return 1, found
+    ends = branches(u, APART * span)
+    ends = ends[np.abs(u[ends[:, 1]] - u[ends[:, 0]]) >= LARGEST * span] if len(ends) > 1 else ends[:0]
+    return 2, np.column_stack([ends[:, 0], ends.mean(axis=1).astype(int), ends[:, 1]])
 
 
 def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:

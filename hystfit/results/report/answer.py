@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
+
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Status
@@ -15,7 +17,7 @@ from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import NAMED
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
-from hystfit.quality.loops import clear_reversals
+from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
 from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
@@ -23,6 +25,9 @@ from hystfit.results.measured.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
+_HALF = (
+    0.5  # of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation
+)
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
@@ -112,6 +117,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         return [(_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in first]
     kind, rows = LoopKind.of(result.data), []
     measured = {one.name: one for one in first} if len(result.data) == 1 else {}
+    unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
     crossed = kind in REMANENT  # fields that read coercivity and remanence where the loop passes zero
     for q in result.quantities:
         one = QUANTITIES[q.name]
@@ -120,9 +126,11 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text
         if q.value is not None:
-            text = with_error(q.value, q.stderr, q.unit)
+            text = with_error(q.value, q.stderr, q.unit) + unseen * " by the model; no measured loop covers the range"
         if q.differs or (q.measured is not None and q.vaguer_than(None)):
             text = f"{f'{number(q.measured)} {q.unit}'.rstrip()} in the measured loop; {text} by the model"
+        elif q.value is None and read is not None and read.unit == q.unit:
+            text = f"{with_error(read.value, read.stderr, q.unit)} in the measured loops; by the model: {text}"
         elif q.value is not None and read is not None and read.unit == q.unit:
             at_zero = crossed and one.at_middle
             seen = with_error(read.value, read.stderr, q.unit)
@@ -132,6 +140,12 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
                 text = f"{seen} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     return rows
+
+
+def _never_returns(record: Record) -> bool:
+    """Whether the input closes no loop over half of its range, as in a tensile test with short unloadings."""
+    span = float(np.ptp(record.u))
+    return max((loop.stroke for loop in closed_loops(record.u, SAME_LEVEL * span)), default=0.0) < _HALF * span
 
 
 def _capital(text: str) -> str:

@@ -1,0 +1,66 @@
+"""Warnings of columns that are set or held at levels within a record, as the current of a damper is: a model has one input."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
+from hystfit.reading.choice.chosen_columns import Choice
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.table.raw_table import Table
+from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn
+
+_STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
+_AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
+# Of the variance of a condition that the input and the output explain: it follows them. The input explains 0 to 0.06 of the currents of
+# dampers and of prestresses, and more than 0.5 of what is switched within every cycle; the output, which they drive, up to 0.77 of them,
+# and 0.99 of its own sign.
+_WITH_INPUT, _WITH_OUTPUT = 0.5, 0.9
+
+
+def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iterator[Note]:
+    """A warning for each of these columns of numbers that is a further input, with how to read the samples of one of its levels."""
+    kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    of_loop = {kinds[choice.input], kinds[choice.output], "velocity", ""}
+    for position in positions:
+        name, values = table.names[position], table.columns[position]
+        if kinds[position] in ("index", "time") or _STATE.search(name):
+            continue
+        if _is_direction(values, table.columns[choice.input]):
+            continue
+        if levels := levels_in_turn(values):
+            option = f"where='{name}={levels[-1]:g}' reads the samples of one level"
+            yield _note(name, "set to", levels, option)
+        elif kinds[position] not in of_loop and (held := _held_apart(table, choice, position)):
+            _, first, stop = max(held, key=lambda one: one[2] - one[1])
+            clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
+            window = f"{clock[first]:.10g}:{clock[stop - 1]:.10g}"
+            option = f"window='{window}' reads the longest stretch of one level"
+            yield _note(name, "held at", [level for level, _, _ in held], option)
+
+
+def _note(name: str, word: str, levels: list[float], option: str) -> Note:
+    shown = ", ".join(f"{level:.4g}" for level in levels)
+    return warn(
+        Code.CURVES, f"column {name!r} is {word} {len(levels)} levels ({shown}), and a model has one input: {option}"
+    )
+
+
+def _held_apart(table: Table, choice: Choice, position: int) -> list[tuple[float, int, int]]:
+    """The levels at which a column is held whatever the input and the output are; none of one that follows either of them."""
+    values, together = table.columns[position], np.zeros(table.rows)
+    held = held_levels(values)
+    loop = ((table.columns[choice.input], _WITH_INPUT), (table.columns[choice.output], _WITH_OUTPUT))
+    return [] if held and any(explained(one, values, together) > most for one, most in loop) else held
+
+
+def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:
+    """Whether a column of two levels tells whether the input rises or falls."""
+    step = np.diff(drive)
+    rising, high = step[step != 0] > 0, values[1:][step != 0] > values.min()
+    agree = float(np.mean(rising == high)) if high.size else 0.5
+    return np.unique(values).size == 2 and max(agree, 1.0 - agree) > _AGREES
