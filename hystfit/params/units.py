@@ -155,19 +155,20 @@ _QUANTITIES = {
     "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "resistivity": "Ohm*m",
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
-    "specific volume": "m^3/kg",
+    "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "resistivity": "resistance",
-    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
+    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading", "specific power": "heat flow",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {
     r"emu/.*": "magnetization",
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
+    r"[mun]?(g|mol)/[lL]|[mun]?g/m\^?3|[uF]?N[FT]U": "concentration",
     r".*strain|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
 _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(

@@ -30,6 +30,7 @@ _OF_DISCHARGE = re.compile(
 )
 _OF_STEP = re.compile(rf"{_CAPACITY}|容量")
 _SIGNED = re.compile(r"\(?q ?q[o0]\)?|net capacity")  # a charge that goes back and forth as it is
+_OF_ROW = re.compile(rf"(?:d|delta ?|Δ){_CAPACITY}")  # the charge since the row before
 _OF_STATE = re.compile(r"charge")  # beside a column that tells which steps charge and which discharge
 _UNITS = frozenset(
     {"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr", "coulomb", "coulombs", "Coulomb", "Coulombs"}
@@ -77,9 +78,13 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, str, str] |
     if charge is not None and discharge is not None:
         passed = _grown(table.columns[charge]) - _grown(table.columns[discharge])
         return passed, table.units[charge], f"{table.names[charge]!r} less {table.names[discharge]!r}"
-    signed = next((k for k, name in enumerate(names) if _is_signed(table, k, name)), None)
-    if signed is not None:
-        return table.columns[signed], table.units[signed], repr(table.names[signed])
+    signed = [k for k, name in enumerate(names) if _is_signed(table, k, name)]
+    sums = [k for k in signed if not _OF_ROW.fullmatch(names[k])]
+    if sums:
+        return table.columns[sums[0]], table.units[sums[0]], repr(table.names[sums[0]])
+    if signed:
+        summed = np.cumsum(np.nan_to_num(table.columns[signed[0]]))
+        return summed, table.units[signed[0]], f"the sum of {table.names[signed[0]]!r}"
     if step is None and _has_states(table):
         step = of(_OF_STATE)
     signs = None if step is None else _signs(table)

@@ -33,6 +33,7 @@ from hystfit.reading.table.signal_evidence import (
     proportional,
     repeats,
     roughness,
+    rounded,
     sample,
     smoothness,
 )
@@ -48,6 +49,7 @@ _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
+_RELATIVE = ("%", "ppm")  # units of changes beside the quantity itself
 _REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
 
@@ -252,6 +254,13 @@ class ColumnFacts:
     def is_out_of_phase(self, k: int) -> bool:
         """Whether a column is the small component of a signal of a lock-in amplifier."""
         return k in self.components and extent(self.table.columns[k]) < _OF_LARGEST * self._largest_component
+
+    def is_relative(self, k: int) -> bool:
+        """Whether a column is a number without a quantity that was computed from a column that has one: a magnetoresistance in percent."""
+        if self.kinds[k] or self.table.units[k] not in _RELATIVE:
+            return False
+        columns, unit = self.table.columns, self.table.units
+        return any(self.kinds[j] and quantity(unit[j]) and rounded(columns[k], columns[j]) for j in self.ranks)
 
     def is_raw_beside(self, i: int, o: int) -> bool:
         """Whether an output is a sensor's signal in volts, beside a quantity in a unit of its own that belongs to the input as well."""

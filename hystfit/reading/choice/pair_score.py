@@ -67,6 +67,9 @@ _COPY, _COMPUTED = -3.0, -3.0
 _STRAIGHT, _TOGETHER = -1.0, 4.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
+# Part of the variance of such an output that the input, with its direction, explains, from which on it is no condition: the resistance of a
+# film changes by 0.5 % over a loop of the field, all of it explained. Points of quantities that belong together, to which this applies.
+_ANSWERS, _OF_A_KIND = 0.9, 3.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
 # half cycle has 0.5, and four a whole one 0.
 _WHITE, _NO_DRIVE = 0.3, -2.0
@@ -169,6 +172,8 @@ class _Evidence:
             if computed(u, y):
                 return unrelated + _COMPUTED + _COPY
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
+            if share > _ANSWERS and PAIRS.get(kinds, 0.0) >= _OF_A_KIND:
+                unrelated -= _HELD * self.facts.is_held[reading.output]
             thermometers = kinds == ("temperature", "temperature")
             if thermometers or repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
                 return unrelated + _COPY
@@ -229,7 +234,7 @@ class _Evidence:
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
             few &= not self.facts.by_steps[k]
             return (
-                _SECONDARY * self.facts.is_secondary(k)
+                _SECONDARY * (self.facts.is_secondary(k) + self.facts.is_relative(k))
                 + _RAW_VOLTS * is_raw_signal(table, k)
                 + _IS_SET * few
                 + _HELD * self.facts.is_held[k]

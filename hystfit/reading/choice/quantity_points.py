@@ -19,7 +19,7 @@ RESPONSE = {
     "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "flux": 2.5, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
-    "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8,
+    "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8, "heat flow": 1.5,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 LOADS = ("force", "stress")
@@ -53,6 +53,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
+    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0}
     | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)

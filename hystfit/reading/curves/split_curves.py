@@ -276,7 +276,7 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         changes = np.flatnonzero(np.diff(numbers))
         if not changes.size or np.unique(numbers).size <= changes.size or table.rows < FEWEST * (changes.size + 1):
             continue
-        apart = _jumps(u, changes) | _jumps(y, changes)
+        apart = _jumps(u, changes) | (_jumps(y, changes) & ~_reverses(u, changes))
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
         # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
@@ -295,6 +295,12 @@ def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     padded = np.pad(np.nan_to_num(steps), 3)
     around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
     return (steps[at] > JUMP * around) & (steps[at] > NEAR * np.ptp(values[np.isfinite(values)]))
+
+
+def _reverses(u: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether the input turns around after these rows, where the output of one test may jump: friction, heat flow; shape of `at`, bool."""
+    steps = np.pad(np.diff(u), 1)
+    return steps[at] * steps[at + 2] < 0
 
 
 def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
