@@ -161,7 +161,8 @@ _QUANTITIES = {
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "resistivity": "resistance",
-    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading", "specific power": "heat flow",
+    "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
+    "specific power": "heat flow",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {
@@ -235,6 +236,11 @@ def _symbol(symbol: str) -> Unit | None:
         return Unit(size * factor, ((base, 1.0),))
     inner = parse_unit(behind)
     return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
+
+
+def symbol_of(word: str) -> str:
+    """The symbol of a unit that is written as one word: V for Volts, mA for milliamps; other texts as they are."""
+    return _spelled(word)
 
 
 def _spelled(symbol: str) -> str:

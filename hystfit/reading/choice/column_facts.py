@@ -49,6 +49,8 @@ _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
 _PAIR = 2  # columns of a loop
+_HEATERS = frozenset({"heater", "heaters", "heating", "furnace", "heizung", "heizer"})
+HEATED = 10.0  # degrees over which a temperature must vary to be an input
 _RELATIVE = ("%", "ppm")  # units of changes beside the quantity itself
 _REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
@@ -210,6 +212,11 @@ class ColumnFacts:
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
 
+    def heats(self, i: int) -> bool:
+        """Whether a column is that of a heater beside the temperature that it changes, which drives whatever else changes."""
+        warmed = any(self.kinds[k] == "temperature" and extent(self.table.columns[k]) > HEATED for k in self.ranks)
+        return warmed and bool(_HEATERS & parts_of(self.table.names[i]))
+
     def set_values(self, i: int, o: int) -> int:
         """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
 
@@ -219,7 +226,10 @@ class ColumnFacts:
             self.kinds[k] in ("displacement", "") for k in self.measured
         )
         instead = self.roles[i] == "input" and (ahead or (i in self.measured and self.kinds[i] != self.kinds[o]))
-        return instead + (bool(self.measured) and self.roles[o] == "input")
+        source = (
+            self.kinds[o] in _FIELDS and o in self.measured.values()
+        )  # a field that follows its command is no response
+        return instead + source + (bool(self.measured) and self.roles[o] == "input")
 
     @functools.cached_property
     def by_steps(self) -> ByColumn:

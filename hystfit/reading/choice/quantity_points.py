@@ -12,7 +12,8 @@ from collections.abc import Mapping
 DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
     "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8, "volume": 1.0,
-    "diameter": 0.8, "phase": -3.5, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
+    "diameter": 0.8, "concentration": 0.8, "radiation": 0.8,
+    "phase": -3.5, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
@@ -53,7 +54,8 @@ PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
-    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0}
+    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0, ("pressure", "flow"): 1.5}
+    | {("displacement", "concentration"): -2.0, ("concentration", "displacement"): -2.0}  # the depth to which water is clear
     | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)

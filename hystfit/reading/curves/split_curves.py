@@ -18,7 +18,7 @@ from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
-from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, NEAR
+from hystfit.reading.limits import FEWEST, JUMP, MAJORITY, MOST_CURVES, NEAR
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
@@ -298,7 +298,7 @@ def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _reverses(u: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether the input turns around after these rows, where the output of one test may jump: friction, heat flow; shape of `at`, bool."""
+    """Whether the input turns around after these rows, where the output of one test may jump, as friction does, shape of `at`."""
     steps = np.pad(np.diff(u), 1)
     return steps[at] * steps[at + 2] < 0
 
@@ -322,7 +322,9 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
         if position in (choice.time, choice.input, choice.output):
             continue
         kind = column_quantity(name, table.units[position])
-        count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
+        labels = labels_of(table, position)
+        named = _plain(name) in CURVE_NAMES and not _are_branches(labels, table.columns[choice.input])
+        count = len({*labels.tolist()}) if named else 0
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
@@ -337,6 +339,14 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
                 f"where='{name}={levels[-1]:g}' reads the samples of one level"
             )
             notes.append(warn(Code.CURVES, text))
+
+
+def _are_branches(labels: np.ndarray, drive: np.ndarray) -> bool:
+    """Whether a column numbers branches of a loop, as in most of its blocks the input ends far from where it began."""
+    blocks = [
+        part for part in np.split(drive, np.flatnonzero(labels[1:] != labels[:-1]) + 1) if np.isfinite(part).all()
+    ]
+    return sum(abs(part[-1] - part[0]) > MAJORITY * np.ptp(part) for part in blocks) > MAJORITY * len(blocks)
 
 
 def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:
