@@ -37,9 +37,10 @@ def test_charges_of_rows_are_summed_and_the_charge_itself_comes_first(tmp_path: 
 def test_a_row_of_zeros_ends_each_branch_of_an_isotherm(tmp_path: Path) -> None:
     """BELSORP: the saturation pressure beside the loop is never 0, so that the rows are no measurements at an evacuated sample."""
     half = N // 2
-    pressure, loading = np.sort(U[:half]).round(3) - 31, np.sort(Y[:half]) - 22
-    head = '====\n {} data\n====\n"No."\t"Pe/kPa"\t"P0/kPa"\t"V/ml(STP) g-1"\n'
-    branch = lambda p, v: rows("\t", np.arange(half) + 1, p, np.full(half, 101.3), v) + "0\t0\t0\t0\n"
+    pressure, loading = np.sort(U[:half]) - 31.9, np.sort(Y[:half]) - 22.9
+    head = '====\n {} data\n====\n"No."\t"Pe/kPa"\t"P0/kPa"\t"Vd/ml"\t"V/ml(STP) g-1"\t\n'
+    columns = lambda p, v: (np.arange(half) + 1, p, np.full(half, 101.3), 17.3 + 0.001 * p, v)
+    branch = lambda p, v: (rows("\t", *columns(p, v)) + "0\t0\t0\t0\t0\n").replace("\n", "\t\n")
     text = head.format("Adsorption") + branch(pressure, loading)
     text += head.format("Desorption") + branch(pressure[::-1], loading[::-1] + 0.5)
     record = one(tmp_path, text, "isotherm.DAT")
@@ -58,6 +59,18 @@ def test_a_burst_of_noise_has_lost_no_decimal_marks(tmp_path: Path) -> None:
     y[[30, 90, 200, 333]] /= 10
     with pytest.raises(DataError, match="decimal marks were lost"):
         one(tmp_path, "u,y\n" + rows(",", u[:400], y))
+
+
+def test_the_phase_tells_the_sign_of_an_amplitude(tmp_path: Path) -> None:
+    size, phase = np.abs(SIGNAL) * 60 + 2, np.where(SIGNAL > 0, -53.0, 127.0) + 2 * NOISE
+    signed = np.where(SIGNAL > 0, size, -size)
+    for unit, degrees in (("deg", phase), ("", phase), ("rad", np.radians(phase))):
+        text = f"Bias(V),Amp(pm),Phase({unit}),Q\n" + rows(",", 8 * SWEEP, size, degrees, 80 + NOISE)
+        record = one(tmp_path, text)
+        is_pair(record, 8 * SWEEP, signed)
+        assert record.y_unit == "pm"
+    held = rows(",", 8 * SWEEP, size, -53 + 2 * NOISE)  # of one domain
+    is_pair(one(tmp_path, "Bias(V),Amp(pm),Phase(deg)\n" + held), 8 * SWEEP, size)
 
 
 @pytest.mark.parametrize("names", ["V_bias [V],Cp [F],D []", "Vg (V),C (F),Q ()"])
@@ -144,7 +157,7 @@ def test_algae_over_the_phosphorus_of_a_lake(tmp_path: Path) -> None:
 def test_rows_of_samples_of_one_signal_are_half_of_a_pair(tmp_path: Path) -> None:
     """Waveforms of the flux of a core, a row each, whose fields are in another file."""
     waves = np.outer(1 + np.arange(12), np.sin(2 * np.pi * np.arange(128) / 128 + 0.1)).round(6)
-    with pytest.raises(DataError, match="rows holds 128 samples.*INPUT_FILE"):
+    with pytest.raises(DataError, match=r"rows holds 128 samples.*INPUT_FILE"):
         read(written(tmp_path, rows(",", *waves.T), "B_Field.csv"))
 
 

@@ -16,6 +16,7 @@ from hystfit.reading.arrangements.adjusted import with_adjusted
 from hystfit.reading.arrangements.charge_throughput import with_throughput
 from hystfit.reading.arrangements.long_format import widened
 from hystfit.reading.arrangements.side_by_side import stacked
+from hystfit.reading.arrangements.signed_amplitude import with_signed_amplitude
 from hystfit.reading.arrangements.specimens import divided
 from hystfit.reading.arrangements.switch_columns import with_switches
 from hystfit.reading.arrangements.unit_columns import with_unit_columns
@@ -176,6 +177,7 @@ ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (
     with_unit_columns,
     unscaled,
     with_switches,
+    with_signed_amplitude,
     with_throughput,
     divided,
 )

@@ -272,7 +272,7 @@ def _check_rows_of_samples(table: Table, free: Sequence[int]) -> None:
     if along < across:
         raise DataError(
             f"{table.source}: each of the {table.rows} rows holds {len(table.names)} samples of one signal; a loop needs an input and an "
-            f"output; {_half_of_pair(table)}"
+            "output; if they are in a file each, INPUT_FILE+OUTPUT_FILE reads both"
         )
 
 

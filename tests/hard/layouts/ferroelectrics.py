@@ -141,8 +141,9 @@ def pfm(draw: Draw) -> Layout:
     columns = [*([t] if draw.chance(0.4) else []), bias, *outputs]
     lines = table(draw, columns, Dialect(draw.pick("\t", ","), style=draw.pick("parentheses", "brackets")))
     truths = loops(*(loop(bias, out) for out in outputs))
-    if len(outputs) == 2:
-        truths = loops(*(loop(bias, out) for out in outputs))
+    if outputs[1:] == [phase]:  # which tells the sign of the amplitude
+        signed = Column("Piezoresponse", np.where(phase.values < 90, 1, -1) * amplitude.values, amplitude.unit, ".5f")
+        truths = loops(loop(bias, signed))
     return Layout("", {draw.pick("ss-pfm_loop.txt", "SSPFM0003.csv"): packed(draw, ["# Mode: SS-PFM", *lines])}, truths)
 
 
