@@ -196,3 +196,30 @@ def test_results_with_the_decimal_comma_of_their_file(tmp_path: Path) -> None:
 def test_the_unit_of_a_column_that_has_no_other_name_is_a_symbol(tmp_path: Path) -> None:
     record = one(tmp_path, "Seconds\tVolts\tAmps\n" + rows("\t", T, SWEEP, 1e-3 * SIGNAL))
     assert (record.u_unit, record.y_unit) == ("V", "A")
+
+
+def test_pulses_that_switch_a_film_charge_no_cell(tmp_path: Path) -> None:
+    """Most of the current is the small one of the capacitance, and that of a cell at constant currents is not."""
+    pulse = np.concatenate([np.zeros(10), 1 - np.abs(np.linspace(-1, 1, 81)), np.zeros(10)])
+    volts = 3 * np.concatenate([-pulse, pulse, pulse, -pulse, -pulse])
+    bump = np.exp(-(((np.arange(pulse.size) - 35) / 3) ** 2))
+    switching = np.concatenate([-bump, bump, 0 * bump, -bump, 0 * bump])
+    current = np.round(1e-3 * switching + 2e-5 * np.gradient(volts) / 0.075, 8)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(volts.size).round(3)
+    times = 1e-6 * np.arange(volts.size)
+    is_pair(one(tmp_path, "time,V_meas,I_meas\n" + rows(",", times, volts + noise, current)), volts + noise, current)
+
+
+def test_a_density_of_current_rather_than_the_power_computed_from_it(tmp_path: Path) -> None:
+    ways = np.where(np.arange(N) < N // 2, "Reverse", "Forward")
+    density = np.round(22 - np.exp(3 * SWEEP) + SIGNAL, 4)
+    names = "Scan Direction,Voltage (V),Current Density (mA/cm^2),Power Density (mW/cm^2)\n"
+    record = one(tmp_path, names + rows(",", ways, SWEEP, density, np.round(density * SWEEP, 4)))
+    is_pair(record, SWEEP, density)
+
+
+def test_quoted_names_behind_a_mark_of_comments(tmp_path: Path) -> None:
+    text = '# dac_ch1\tcurr\n# "Gate voltage"\t"Drain current"\n# 60\n' + rows("\t", SWEEP, SIGNAL)
+    record = one(tmp_path, text, "sweep.dat")
+    is_pair(record, SWEEP, SIGNAL)
+    assert (record.u_name, record.y_name) == ("Gate voltage", "Drain current")

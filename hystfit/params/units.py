@@ -155,14 +155,14 @@ _QUANTITIES = {
     "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "resistivity": "Ohm*m",
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
-    "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg",
+    "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg", "power density": "W/m^2",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "resistivity": "resistance",
     "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
-    "specific power": "heat flow",
+    "specific power": "heat flow", "power density": "radiation",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {

@@ -40,6 +40,8 @@ _OF_VOLTAGE = re.compile(r"(?:voltage|spannung|volts|potential|ecell|ewe|e|u|v|c
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
 _LEVELS = 6  # currents that charge and discharge a cell; rests, ramps and voltages that are held have others
+# The usual current of a cell, in hundredths of the range of its currents; that of a film between the pulses that switch it is less.
+_LEAST = 3
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
@@ -104,7 +106,10 @@ def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] 
     if not current.min() < 0 < current.max() or not np.all(intervals >= 0) or not np.isfinite(np.diff(voltage)).any():
         return None
     levels = np.round(current / (RARE * np.ptp(current)))
-    kept = np.sort(np.unique_counts(levels[levels != 0]).counts)[-_LEVELS:].sum() > MOST * np.count_nonzero(levels)
+    values, counts = np.unique_counts(levels[levels != 0])
+    most_kept = np.argsort(counts)[-_LEVELS:]
+    usual = np.median(np.repeat(np.abs(values[most_kept]), counts[most_kept])) if values.size else 0.0
+    kept = counts[most_kept].sum() > MOST * counts.sum() and usual >= _LEAST
     switched, steps = np.diff(levels) != 0, np.abs(np.diff(voltage))
     moves = np.add.reduceat(np.where(switched, 0.0, np.diff(voltage)), np.append(0, np.flatnonzero(switched)))
     changes = np.nansum(np.abs(moves)) > MAJORITY * np.nansum(steps[switched])

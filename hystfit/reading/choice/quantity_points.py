@@ -17,7 +17,8 @@ DRIVE = {
 }  # fmt: skip
 RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
-    "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
+    "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6,
+    "current density": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "flux": 2.5, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
     "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8, "heat flow": 1.5,
@@ -59,4 +60,5 @@ PAIRS: Mapping[tuple[str, str], float] = (
     | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
+    | dict.fromkeys([("voltage", "current density"), ("electric field", "current density")], 0.5)
 )  # fmt: skip
