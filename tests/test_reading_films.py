@@ -194,7 +194,8 @@ def test_results_with_the_decimal_comma_of_their_file(tmp_path: Path) -> None:
 
 
 def test_the_unit_of_a_column_that_has_no_other_name_is_a_symbol(tmp_path: Path) -> None:
-    record = one(tmp_path, "Seconds\tVolts\tAmps\n" + rows("\t", T, SWEEP, 1e-3 * SIGNAL))
+    record = one(tmp_path, "TestTime\tVolts\tAmps\tES\n" + rows("\t", T, SWEEP, 1e-3 * SIGNAL, 1 + 0 * U))
+    assert (record.u_name, record.y_name) == ("Volts", "Amps")
     assert (record.u_unit, record.y_unit) == ("V", "A")
 
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable
 
 from hystfit.params.units import quantity, symbol_of
-from hystfit.reading.names.names_with_units import RATIO, WORD, split_unit
+from hystfit.reading.names.names_with_units import RATIO, split_unit
 from hystfit.reading.names.unit_case import in_case
 from hystfit.reading.names.vocabulary import ROLES, VOCABULARY, WORDS
 
@@ -102,9 +102,9 @@ def _field(base: str) -> str:
 
 
 def column_unit(name: str, unit: str) -> str:
-    """The unit of a column, in its case, or its symbol; degrees of a temperature that are written without their sign are named so."""
+    """The unit of a column, in its case; a symbol where it is the name too, and degrees of a temperature without their sign are named so."""
     unit = in_case(split_unit(name)[0], unit) or unit
-    if len(unit) >= WORD and unit.isalpha():
+    if unit == name:
         return symbol_of(unit)
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
 

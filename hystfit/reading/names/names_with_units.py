@@ -62,7 +62,7 @@ _OF_CIRCUITS = re.compile(
     r"(V)|I[a-z]?", re.IGNORECASE
 )  # voltage of a node, V(out), and current of an element, I(L1), Ic(Q1), in tables of SPICE
 RATIO = re.compile(r"([A-Za-z])/\1_?\w+")  # of a quantity to its own saturation or start: M/M_s, B/Bs, R/R0
-WORD = 4  # letters from which a unit is written as a word
+_WORD = 4  # letters from which a unit is written as a word
 
 
 def is_unit(text: str) -> bool:
@@ -97,7 +97,7 @@ def _split(name: str, siblings: Sequence[str]) -> tuple[str, str]:
         return name, bare
     if RATIO.fullmatch(name):
         return name, ""
-    if len(name) >= WORD and name.isalpha() and is_unit(name):
+    if len(name) >= _WORD and name.isalpha() and is_unit(name):
         return name, name  # Volts
     base, unit = (
         _in_brackets(name)
