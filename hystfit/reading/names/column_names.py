@@ -102,7 +102,7 @@ def _field(base: str) -> str:
 
 
 def column_unit(name: str, unit: str) -> str:
-    """The unit of a column, in its case; a symbol where it is the name too, and degrees of a temperature without their sign are named so."""
+    """The unit of a column, in its case; a symbol where it is the name too; degrees without their sign are named so."""
     unit = in_case(split_unit(name)[0], unit) or unit
     if unit == name:
         return symbol_of(unit)
