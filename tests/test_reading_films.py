@@ -224,3 +224,20 @@ def test_quoted_names_behind_a_mark_of_comments(tmp_path: Path) -> None:
     record = one(tmp_path, text, "sweep.dat")
     is_pair(record, SWEEP, SIGNAL)
     assert (record.u_name, record.y_name) == ("Gate voltage", "Drain current")
+
+
+@pytest.mark.parametrize(
+    ("names", "pair"),
+    [
+        ("E_set(V);E_meas(V);I(mA)", (1, 2)),  # a potentiostat
+        ("Set_T (C);T_meas (C);Resistance (Ohm)", (1, 2)),  # C is no coulomb
+        ("SetTemp;SampleTemp;Moment", (1, 2)),
+        ("Field_set[mT];Field[mT];Lockin_R[V];Lockin_theta[deg]", (1, 2)),
+    ],
+)
+def test_what_a_source_reached_drives_rather_than_follows_its_set_value(names, pair, tmp_path: Path) -> None:
+    reached = np.round(40 * SWEEP + 0.03 * NOISE, 3)
+    columns = [np.round(40 * SWEEP, 1), reached, 0.2 + 0.1 * SIGNAL, 12 + 0.3 * SIGNAL + 0.01 * NOISE]
+    count = names.count(";") + 1
+    record = one(tmp_path, names + "\n" + rows(";", *columns[:count]))
+    is_pair(record, columns[pair[0]], columns[pair[1]])

@@ -48,6 +48,8 @@ _TRANSVERSE = 0.6  # the same part of strains: one across the load is up to half
 _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
+# Quantities that a source sets: a set value of one and its measurement, which repeat each other, are one drive and no device.
+SOURCES = (*_FIELDS, "voltage", "current", "temperature")
 _PAIR = 2  # columns of a loop
 _HEATERS = frozenset({"heater", "heaters", "heating", "furnace", "heizung", "heizer"})
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
@@ -207,7 +209,8 @@ class ColumnFacts:
     def _follows(self, j: int, k: int) -> bool:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
-        alike = units[j] == units[k] != "" or without_role(names[j]) == without_role(names[k]) != ""
+        one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
+        alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
         if self.kinds[j] != self.kinds[k] or not alike:
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
@@ -226,9 +229,8 @@ class ColumnFacts:
             self.kinds[k] in ("displacement", "") for k in self.measured
         )
         instead = self.roles[i] == "input" and (ahead or (i in self.measured and self.kinds[i] != self.kinds[o]))
-        source = (
-            self.kinds[o] in _FIELDS and o in self.measured.values()
-        )  # a field that follows its command is no response
+        # A field or voltage that follows its command is no response; the temperature of a heater may be.
+        source = self.kinds[o] in SOURCES and self.kinds[o] != "temperature" and o in self.measured.values()
         return instead + source + (bool(self.measured) and self.roles[o] == "input")
 
     @functools.cached_property

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.data.circulation import OF_RATE, of_rate
-from hystfit.reading.choice.column_facts import HEATED, ByColumn, ColumnFacts, is_raw_signal
+from hystfit.reading.choice.column_facts import HEATED, SOURCES, ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.choice.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.names.column_names import has_terminals, is_bare_role
 from hystfit.reading.table.raw_table import Table
@@ -61,8 +61,6 @@ _UNRELATED, _RELATED = -4.5, 0.5
 # Points of a pair of equal numbers, of two temperatures, or of one quantity that is proportional: a second sensor of the input. Further
 # ones of a pair of which one was computed from the other, whatever its quantity: the output of a source and the field of its coil.
 _COPY, _COMPUTED = -3.0, -3.0
-# Quantities that a source sets: a set value of one and its measurement, which repeat each other, are one drive and no device.
-_SOURCES = ("field", "induction", "current", "temperature")
 # Points of proportional columns of different quantities, but for those that belong together by that many points: the field of a coil and
 # the voltage of its source are no loop, while the induction of a magnet may follow a straight line.
 _STRAIGHT, _TOGETHER = -1.0, 4.0
@@ -181,7 +179,7 @@ class _Evidence:
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
             unrelated -= held(reading) * (share > _RELATED)
             thermometers = kinds == ("temperature", "temperature")
-            if kinds[0] == kinds[1] and kinds[0] in _SOURCES and repeats(u, y):
+            if kinds[0] == kinds[1] and kinds[0] in SOURCES and repeats(u, y):
                 return unrelated + 2 * _COPY
             if thermometers or repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
                 return unrelated + _COPY

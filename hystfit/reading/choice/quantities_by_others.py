@@ -70,6 +70,8 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
         kinds.update(dict.fromkeys(parts, ""))
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
+    locked = [k for k in free if {"lock", "lockin"} & parts_of(table.names[k])]
+    kinds.update({k: "phase" for k in locked if _POLAR & parts_of(table.names[k]) and kinds[k] == "displacement"})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if bases[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing

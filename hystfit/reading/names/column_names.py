@@ -45,11 +45,13 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|[A-Za-z]+_T|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
         "charge",
         "capacitance",
     ):
         return "temperature"  # T or Ta in degrees Celsius without their sign
+    if by_unit == "voltage" and re.fullmatch(r"E_\w+", base):
+        return by_unit  # the potential of an electrode
     if by_unit == "stress" and re.fullmatch(r"p(?: ?c(?:ap)?)?", without_role(name)):
         return "pressure"  # whose unit is that of a stress, also the capillary one
     base = _field(base)
