@@ -229,8 +229,8 @@ class ColumnFacts:
             self.kinds[k] in ("displacement", "") for k in self.measured
         )
         instead = self.roles[i] == "input" and (ahead or (i in self.measured and self.kinds[i] != self.kinds[o]))
-        # A field or voltage that follows its command is no response; the temperature of a heater may be.
-        source = self.kinds[o] in SOURCES and self.kinds[o] != "temperature" and o in self.measured.values()
+        # A field or voltage that follows its command is no response; the current of a motor and the temperature of a heater are.
+        source = self.kinds[o] in (*_FIELDS, "voltage") and o in self.measured.values()
         return instead + source + (bool(self.measured) and self.roles[o] == "input")
 
     @functools.cached_property
