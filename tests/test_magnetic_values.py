@@ -215,6 +215,7 @@ def test_leakage_is_that_of_a_resistor():
     found = values_of(record)
     assert found["leakage"].value == pytest.approx(5e-4 * 10 * (1 - 0.05), rel=0.03)  # mean voltage near the tip
     assert found["leakage"].unit == "A/m2"
+    assert values_of(record.replace(y_unit=""))["leakage"].unit == ""  # and not that of the time
     assert found["offset_input"].value == pytest.approx(0, abs=1e-2)
 
 

@@ -269,6 +269,18 @@ def test_a_sequential_result_is_judged_by_the_same_limits():
     assert dataclasses.replace(fit, status=Status.ROUGH).usable is False
 
 
+def test_a_disturbance_has_the_numbers_of_the_measured_samples():
+    """A cycle before the record, through which it is driven to be steady, does not count."""
+    u = np.sin(2 * np.pi * np.arange(200) / 200)
+    record = hf.Record(u, u, name="loop")
+    row = 1e-3 * np.sign(np.cos(7.0 * np.arange(200)))
+    row[50:53] = 1.0
+    for one in (record, record.repeating()):
+        note = disturbance_note([row], hf.Dataset.of(one))
+        assert note is not None
+        assert "samples 50 to 52 of 200" in note.text
+
+
 @pytest.mark.parametrize("shape", ["noise", "shift"])
 def test_a_disturbed_stretch_is_named_and_the_robust_loss_restores_the_parameters(shape):
     clean = output() + 0.01 * WHITE

@@ -155,19 +155,21 @@ _QUANTITIES = {
     "charge": "C", "polarization": "C/m^2", "resistance": "Ohm", "resistivity": "Ohm*m",
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
-    "specific volume": "m^3/kg", "curvature": "1/m",
+    "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg", "power density": "W/m^2", "curvature": "1/m",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
     "angle": "displacement", "curvature": "displacement", "angular velocity": "velocity", "acceleration": "velocity", "torque": "force",
     "resistivity": "resistance",
     "molar moment": "magnetization", "amount": "loading", "molar loading": "loading", "specific volume": "loading",
+    "specific power": "heat flow", "power density": "radiation",
     "temperature in degC": "temperature", "temperature in degF": "temperature",
 }  # fmt: skip
 _BY_SYMBOL = {
     r"emu/.*": "magnetization",
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
+    r"[mun]?(g|mol)/[lL]|[mun]?g/m\^?3|[uF]?N[FT]U": "concentration",
     r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
 _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
@@ -234,6 +236,11 @@ def _symbol(symbol: str) -> Unit | None:
         return Unit(size * factor, ((base, 1.0),))
     inner = parse_unit(behind)
     return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
+
+
+def symbol_of(word: str) -> str:
+    """The symbol of a unit that is written as one word: V for Volts, mA for milliamps; other texts as they are."""
+    return _spelled(word)
 
 
 def _spelled(symbol: str) -> str:

@@ -65,6 +65,7 @@ def assemble(
     named = input is not None or output is not None
     free = not named and all(key is None or key is False for key in (time, sigma, by, where))
     table = arranged(table, named=named, free=free, adjusted=adjusted)
+    table = sentinels.without_end_marks(table)
     notes = list(table.notes)
     table, replaced = sentinels.without_infinite(table)
     table, taken = _filter(table, where, notes)

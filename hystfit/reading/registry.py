@@ -16,7 +16,9 @@ from hystfit.reading.arrangements.adjusted import with_adjusted
 from hystfit.reading.arrangements.charge_throughput import with_throughput
 from hystfit.reading.arrangements.long_format import widened
 from hystfit.reading.arrangements.side_by_side import stacked
+from hystfit.reading.arrangements.signed_amplitude import with_signed_amplitude
 from hystfit.reading.arrangements.specimens import divided
+from hystfit.reading.arrangements.switch_columns import with_switches
 from hystfit.reading.arrangements.unit_columns import with_unit_columns
 from hystfit.reading.curves.two_branches import unfolded
 from hystfit.reading.files.file_bytes import FileBytes
@@ -173,7 +175,14 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 )
 
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
-ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (with_unit_columns, unscaled, with_throughput, divided)
+ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (
+    with_unit_columns,
+    unscaled,
+    with_switches,
+    with_signed_amplitude,
+    with_throughput,
+    divided,
+)
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
 REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
 

@@ -287,12 +287,13 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
             continue
         far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
-        number = np.flatnonzero(record.used)[[min(first, stretch[0]), max(last, stretch[-1])]]
+        # Counted from the first measured sample, which a cycle before the record may precede.
+        number = np.flatnonzero(record.used)[[min(first, stretch[0]), max(last, stretch[-1])]] - record.first
         place = f"sample {number[0]}" if number[0] == number[1] else f"samples {number[0]} to {number[1]}"
         remedy = "mark them as missing" + ("" if robust else ", or use a robust loss (loss='huber')")
         note = warn(
             Code.SPIKES,
-            f"most of the squared error of {record.name!r} lies in {place} of {len(record)}, where the error "
+            f"most of the squared error of {record.name!r} lies in {place} of {len(record) - record.first}, where the error "
             f"is {ratio:.2g} times as large as elsewhere: if the sensor was disturbed there, {remedy}",
         )
         return note if robust else dataclasses.replace(note, option=ROBUST_LOSS)

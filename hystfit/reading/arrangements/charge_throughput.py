@@ -30,6 +30,7 @@ _OF_DISCHARGE = re.compile(
 )
 _OF_STEP = re.compile(rf"{_CAPACITY}|容量")
 _SIGNED = re.compile(r"\(?q ?q[o0]\)?|net capacity")  # a charge that goes back and forth as it is
+_OF_ROW = re.compile(rf"(?:d|delta ?|Δ){_CAPACITY}")  # the charge since the row before
 _OF_STATE = re.compile(r"charge")  # beside a column that tells which steps charge and which discharge
 _UNITS = frozenset(
     {"Ah", "mAh", "A.h", "mA.h", "C", "As", "mAs", "Ahr", "mAhr", "coulomb", "coulombs", "Coulomb", "Coulombs"}
@@ -39,6 +40,8 @@ _OF_VOLTAGE = re.compile(r"(?:voltage|spannung|volts|potential|ecell|ewe|e|u|v|c
 _DISCHARGING = re.compile(r"dis|dchg|^d$|dch", re.IGNORECASE)
 _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
 _LEVELS = 6  # currents that charge and discharge a cell; rests, ramps and voltages that are held have others
+# The usual current of a cell, in hundredths of the range of its currents; that of a film between the pulses that switch it is less.
+_LEAST = 3
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
@@ -77,9 +80,13 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, str, str] |
     if charge is not None and discharge is not None:
         passed = _grown(table.columns[charge]) - _grown(table.columns[discharge])
         return passed, table.units[charge], f"{table.names[charge]!r} less {table.names[discharge]!r}"
-    signed = next((k for k, name in enumerate(names) if _is_signed(table, k, name)), None)
-    if signed is not None:
-        return table.columns[signed], table.units[signed], repr(table.names[signed])
+    signed = [k for k, name in enumerate(names) if _is_signed(table, k, name)]
+    sums = [k for k in signed if not _OF_ROW.fullmatch(names[k])]
+    if sums:
+        return table.columns[sums[0]], table.units[sums[0]], repr(table.names[sums[0]])
+    if signed:
+        summed = np.cumsum(np.nan_to_num(table.columns[signed[0]]))
+        return summed, table.units[signed[0]], f"the sum of {table.names[signed[0]]!r}"
     if step is None and _has_states(table):
         step = of(_OF_STATE)
     signs = None if step is None else _signs(table)
@@ -99,7 +106,10 @@ def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] 
     if not current.min() < 0 < current.max() or not np.all(intervals >= 0) or not np.isfinite(np.diff(voltage)).any():
         return None
     levels = np.round(current / (RARE * np.ptp(current)))
-    kept = np.sort(np.unique_counts(levels[levels != 0]).counts)[-_LEVELS:].sum() > MOST * np.count_nonzero(levels)
+    values, counts = np.unique_counts(levels[levels != 0])
+    most_kept = np.argsort(counts)[-_LEVELS:]
+    usual = np.median(np.repeat(np.abs(values[most_kept]), counts[most_kept])) if values.size else 0.0
+    kept = counts[most_kept].sum() > MOST * counts.sum() and usual >= _LEAST
     switched, steps = np.diff(levels) != 0, np.abs(np.diff(voltage))
     moves = np.add.reduceat(np.where(switched, 0.0, np.diff(voltage)), np.append(0, np.flatnonzero(switched)))
     changes = np.nansum(np.abs(moves)) > MAJORITY * np.nansum(steps[switched])

@@ -11,7 +11,6 @@ from hystfit.reading.limits import MOST_LABELS, OF_RECORD
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.text.cells import SWITCH
 
 
 def widened(table: Table) -> Table | None:
@@ -29,8 +28,6 @@ def widened(table: Table) -> Table | None:
     if len(numbers) != 1 or len(texts) != 1 or len(clocks) > 1 or table.part is not None or not table.named:
         return None
     labels = table.labels[texts[0]]
-    if {str(label).lower() for label in labels} <= SWITCH.keys():
-        return _switched(table, texts[0])
     rows = {name: np.flatnonzero(labels == name) for name in dict.fromkeys(labels.tolist()) if name}
     found = _beside(table, numbers[0], clocks, [*rows.values()])
     if found is None:
@@ -47,15 +44,6 @@ def widened(table: Table) -> Table | None:
         problems={},
         over=(),
     ).noted(Note(Code.FILE_FORMAT, f"{text}: {len(rows)} columns by {table.names[texts[0]]!r}: {', '.join(rows)}"))
-
-
-def _switched(table: Table, position: int) -> Table:
-    """The table with a column of ON and OFF as 1 and 0: the state of a relay, which follows the numbers beside it."""
-    on = np.array([SWITCH[str(label).lower()] for label in table.labels[position]])
-    columns = [on if k == position else column for k, column in enumerate(table.columns)]
-    labels = {k: label for k, label in table.labels.items() if k != position}
-    text = f"column {table.names[position]!r}: 1 where it is on, 0 elsewhere"
-    return dataclasses.replace(table, columns=tuple(columns), labels=labels).noted(Note(Code.FILE_FORMAT, text))
 
 
 def _beside(

@@ -11,6 +11,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
+from hystfit.reading.arrangements.specimens import names_objects
 from hystfit.reading.limits import FEWEST
 from hystfit.reading.names.column_names import column_quantity, is_terminal
 from hystfit.reading.names.names_with_units import is_unit, split_unit
@@ -26,6 +27,7 @@ _CONDITION = re.compile(
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
+_LABEL = 3  # characters of the number or letter of an object
 
 
 def stacked(table: Table) -> Table | None:
@@ -70,11 +72,11 @@ def stacked(table: Table) -> Table | None:
 
 def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     """One input and an output at each of several conditions; None for other tables."""
-    titles = [title for k in there[1:] if (title := _condition(table.names[k])) is not None]
+    titles = [title for k in there[1:] if (title := _condition(table.names[k]) or _object(table.names[k])) is not None]
     apart = len({*titles}) == len(titles) == len(there) - 1
     if not apart or len({(base, unit) for base, _, unit in titles}) > 1:
         return None
-    names = [f"{value} {unit}" for _, value, unit in titles]
+    names = [f"{value} {unit}".strip() for _, value, unit in titles]
     below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)
     return below and dataclasses.replace(below, names=(below.names[0], titles[0][0] or "output"))
 
@@ -94,6 +96,12 @@ def _condition(name: str) -> tuple[str, str, str] | None:
     """The rest of a name, and the value and unit of a condition that it states ("M 5K", "280 K", "B at 50 Hz"); None without one."""
     match = _CONDITION.fullmatch(_bare(name))
     return (match[1], match[2], match[3]) if match and quantity(match[3]) else None
+
+
+def _object(name: str) -> tuple[str, str, str] | None:
+    """An empty name, the title of one of several objects ("Pixel A", "Device 3"), and no unit; None for other names."""
+    word, _, label = _bare(name).rpartition(" ")
+    return ("", f"{word} {label}", "") if names_objects(word) and len(label) <= _LABEL else None
 
 
 def _bare(name: str) -> str:

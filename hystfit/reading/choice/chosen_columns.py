@@ -169,6 +169,8 @@ def _guess_pair(
 ) -> None:
     """Fill `given` with the input and output not named."""
     free = _without_extremes(table, free, notes)
+    if not given:
+        _check_rows_of_samples(table, free)
     if len(free) + len(given) < 2:
         raise _too_few(table, free, given, clock)
     if not table.named:
@@ -258,6 +260,19 @@ def _check_matrix(table: Table, kinds: Mapping[int, str], given: Mapping[str, in
             f"{table.source}: every column is {pair[0][1]!r} ({kinds[given['input']]}), so input and output cannot be "
             f"guessed: name them with input= and output=, or give the file of the other quantity too (u.mat+y.mat). The columns are "
             f"{table.describe()}"
+        )
+
+
+def _check_rows_of_samples(table: Table, free: Sequence[int]) -> None:
+    """Refuse a matrix without names whose rows are signals, as their numbers change less from column to column than from row to row."""
+    if table.named or len(free) <= _MANY_SIGNALS:
+        return
+    values = np.column_stack([table.columns[k] for k in free])
+    along, across = (float(np.nanmean(np.abs(np.diff(values, axis=axis)))) for axis in (1, 0))
+    if along < across:
+        raise DataError(
+            f"{table.source}: each of the {table.rows} rows holds {len(table.names)} samples of one signal; a loop needs an input and an "
+            "output; if they are in a file each, INPUT_FILE+OUTPUT_FILE reads both"
         )
 
 

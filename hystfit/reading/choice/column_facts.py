@@ -33,6 +33,7 @@ from hystfit.reading.table.signal_evidence import (
     proportional,
     repeats,
     roughness,
+    rounded,
     sample,
     smoothness,
 )
@@ -48,7 +49,12 @@ _OF_PARTS = ("displacement", "strain", "field", "induction", "current")
 _OF_SENSORS = 1e-3  # unit of voltages [V] in which those of sensors are written, and those that drive actuators are not
 _OF_VOLTAGES = ("current", "resistance")  # quantities that are computed from voltages
 _FIELDS = ("field", "induction")
+# Quantities that a source sets: a set value of one and its measurement, which repeat each other, are one drive and no device.
+SOURCES = (*_FIELDS, "voltage", "current", "temperature")
 _PAIR = 2  # columns of a loop
+_HEATERS = frozenset({"heater", "heaters", "heating", "furnace", "heizung", "heizer"})
+HEATED = 10.0  # degrees over which a temperature must vary to be an input
+_RELATIVE = ("%", "ppm")  # units of changes beside the quantity itself
 _REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
 
@@ -209,7 +215,8 @@ class ColumnFacts:
     def _follows(self, j: int, k: int) -> bool:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
-        alike = units[j] == units[k] != "" or without_role(names[j]) == without_role(names[k]) != ""
+        one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
+        alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
         bare = without_role(names[k]) == ""  # "ref" has the quantity of what follows it
         if self.kinds[k] not in (self.kinds[j], "" if bare else self.kinds[j]) or not (alike or bare):
             return False
@@ -218,6 +225,11 @@ class ColumnFacts:
     def is_followed(self, i: int, o: int) -> bool:
         """Whether the input is a reference without a name of its own, as "ref" is, and the output what follows it."""
         return self.measured.get(i) == o and without_role(self.table.names[i]) == ""
+
+    def heats(self, i: int) -> bool:
+        """Whether a column is that of a heater beside the temperature that it changes, which drives whatever else changes."""
+        warmed = any(self.kinds[k] == "temperature" and extent(self.table.columns[k]) > HEATED for k in self.ranks)
+        return warmed and bool(_HEATERS & parts_of(self.table.names[i]))
 
     def set_values(self, i: int, o: int) -> int:
         """How many of two columns are set values in place of measured ones: those of a controller whose command is followed.
@@ -228,7 +240,9 @@ class ColumnFacts:
             self.kinds[k] in ("displacement", "") for k in self.measured
         )
         instead = self.roles[i] == "input" and (ahead or (i in self.measured and self.kinds[i] != self.kinds[o]))
-        return instead + (bool(self.measured) and self.roles[o] == "input")
+        # A field or voltage that follows its command is no response; the current of a motor and the temperature of a heater are.
+        source = self.kinds[o] in (*_FIELDS, "voltage") and o in self.measured.values()
+        return instead + source + (bool(self.measured) and self.roles[o] == "input")
 
     @functools.cached_property
     def by_steps(self) -> ByColumn:
@@ -263,6 +277,13 @@ class ColumnFacts:
     def is_out_of_phase(self, k: int) -> bool:
         """Whether a column is the small component of a signal of a lock-in amplifier."""
         return k in self.components and extent(self.table.columns[k]) < _OF_LARGEST * self._largest_component
+
+    def is_relative(self, k: int) -> bool:
+        """Whether a column is a number without a quantity that was computed from a column that has one: a magnetoresistance in percent."""
+        if self.kinds[k] or self.table.units[k] not in _RELATIVE:
+            return False
+        columns, unit = self.table.columns, self.table.units
+        return any(self.kinds[j] and quantity(unit[j]) and rounded(columns[k], columns[j]) for j in self.ranks)
 
     def is_raw_beside(self, i: int, o: int) -> bool:
         """Whether an output is a sensor's signal in volts, beside a quantity in a unit of its own that belongs to the input as well."""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hystfit.outcome.note import Code, Note, warn
-from hystfit.reading.choice.pair_score import HEATED
+from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.data.circulation import OF_RATE, of_rate
-from hystfit.reading.choice.column_facts import ByColumn, ColumnFacts, is_raw_signal
+from hystfit.reading.choice.column_facts import HEATED, SOURCES, ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.choice.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.names.column_names import has_terminals, is_bare_role
 from hystfit.reading.table.raw_table import Table
@@ -47,7 +47,6 @@ _SAME_PART = 0.5
 _PARTNERS = 2.0
 _SECONDARY = -1.5  # for each word such as "raw" or "min" in a name
 _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in its own unit
-HEATED = 10.0  # degrees over which a temperature must vary to be an input
 _COLD = -5.0  # points of one that does not
 # Distinct values up to which a column of many rows is one that is set, and its points.
 _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
@@ -71,6 +70,9 @@ _ELECTRIC, _MOVES = ("voltage", "current"), ("displacement", "strain", "force", 
 _STRAIGHT, _TOGETHER = -1.0, 4.0
 # Points of a column that stays near one value far from zero, and further ones as the input: a condition held constant, such as 300.02 K.
 _HELD, _HELD_INPUT = -2.5, -4.0
+# Points of quantities that belong together, of which an output that the input explains is none: the resistance of a film changes by 0.5 %
+# over a loop of the field.
+_BELONG = 3.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
 # half cycle has 0.5, and four a whole one 0.
 _WHITE, _NO_DRIVE = 0.3, -2.0
@@ -125,7 +127,8 @@ class _Evidence:
     def reading(self, i: int, o: int) -> Reading:
         """Column i as the input and column o as the output, by their names, units and signals, each for itself."""
         kinds, later = self.facts.kinds, self.facts.ranks.get(i, 0) + self.facts.ranks.get(o, 0)
-        overtaken = kinds[i] != kinds[o] and i in self.facts.measured
+        heats = kinds[o] != "temperature" and self.facts.heats(i)
+        overtaken = heats or (kinds[i] != kinds[o] and i in self.facts.measured)
         driven = self.facts.roles[o] == "output" or (self.facts.roles[i] == "input" and not overtaken)
         points = (
             self._of_quantity(i, DRIVE, told=driven)
@@ -140,7 +143,7 @@ class _Evidence:
         points += _NO_DRIVE * (not self.facts.alone and self.facts.smoothness[i] < _WHITE)
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
-        points += _OVERTAKEN * self.facts.set_values(i, o) + _FOLLOWED * self.facts.is_followed(i, o)
+        points += _OVERTAKEN * (self.facts.set_values(i, o) + heats) + _FOLLOWED * self.facts.is_followed(i, o)
         answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
         points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
         cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
@@ -161,6 +164,11 @@ class _Evidence:
         reach = max(reading.points for reading in found) + _UNRELATED - TIE
         columns = self.facts.table.columns
 
+        def held(reading: Reading) -> float:
+            """Points that an output lost because it stays near one value, of which it is no condition where the input explains it."""
+            kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
+            return _HELD * (PAIRS.get(kinds, 0.0) >= _BELONG and self.facts.is_held[reading.output])
+
         def lost(reading: Reading) -> float:
             u, y = columns[reading.input], columns[reading.output]
             if clocked := self.of_clock(reading):
@@ -173,7 +181,10 @@ class _Evidence:
             if computed(u, y):
                 return unrelated + _COMPUTED + _COPY
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
+            unrelated -= held(reading) * (share > _RELATED)
             thermometers = kinds == ("temperature", "temperature")
+            if kinds[0] == kinds[1] and kinds[0] in SOURCES and repeats(u, y):
+                return unrelated + 2 * _COPY
             if thermometers or repeats(u, y) or self.facts.are_sides(reading.input, reading.output):
                 return unrelated + _COPY
             line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
@@ -181,7 +192,8 @@ class _Evidence:
 
         return [
             dataclasses.replace(
-                reading, points=reading.points + (lost(reading) if reading.points >= reach else _UNRELATED)
+                reading,
+                points=reading.points + (lost(reading) if reading.points - held(reading) >= reach else _UNRELATED),
             )
             for reading in found
         ]
@@ -241,9 +253,9 @@ class _Evidence:
         def points(k: int) -> float:
             values = table.columns[k]
             few = table.rows >= _MANY_ROWS and all(np.unique(some).size <= _FEW for some in (sample(values), values))
-            few &= not self.facts.by_steps[k]
+            few &= not self.facts.by_steps[k] and self.facts.kinds[k] != "state"
             return (
-                _SECONDARY * self.facts.is_secondary(k)
+                _SECONDARY * (self.facts.is_secondary(k) + self.facts.is_relative(k))
                 + _RAW_VOLTS * is_raw_signal(table, k)
                 + _IS_SET * few
                 + _HELD * self.facts.is_held[k]

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hystfit.data.two_levels import has_two_levels
-from hystfit.reading.choice.pair_score import HEATED
+from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.choice.quantity_points import LOADS
 from hystfit.reading.limits import MAJORITY, ODD
 from hystfit.reading.names.column_names import RELATIVE_PRESSURE, column_quantity, column_role, parts_of
@@ -70,8 +70,10 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     if (parts := _components(table, bases, swept=among(*_SWEPT))) and table.named:  # of a lock-in amplifier
         kinds.update(dict.fromkeys(parts, ""))
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
+    locked = [k for k in free if {"lock", "lockin"} & parts_of(table.names[k])]
+    kinds.update({k: "phase" for k in locked if _POLAR & parts_of(table.names[k]) and kinds[k] == "displacement"})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
-        kinds.update({k: "phase" for k in free if table.names[k] in ("D", "Q")})
+        kinds.update({k: "phase" for k in free if bases[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
         kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
     if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
@@ -81,8 +83,9 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         held = is_near_median(table.columns[k])
         if np.mean(held) > MAJORITY and np.ptp(table.columns[of][held]) > HEATED:
             kinds[k] = "status"
-    if warm:  # a heater that is on or off
+    if warm:  # a heater or a relay that is on or off
         kinds.update({k: "state" for k in free if kinds[k] == "power" and has_two_levels(table.columns[k], ODD)})
+        kinds.update({k: "state" for k in free if kinds[k] == "" and {*np.unique(table.columns[k])} == {0.0, 1.0}})
     fields = [k for k in free if kinds[k] == "field"]
     induced = [k for k in fields if _B_FIELD.match(table.names[k])]
     if len(induced) < len(fields):  # the B field beside the H field

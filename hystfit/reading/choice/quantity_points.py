@@ -12,14 +12,16 @@ from collections.abc import Mapping
 DRIVE = {
     "state of charge": 3.0, "voltage": 2.5, "field": 2.5, "electric field": 2.5, "current": 2.0, "pressure": 1.8,
     "strain": 1.7, "displacement": 1.4, "induction": 2.2, "shear rate": 1.2, "flow": 0.8, "": 0.8, "mass": 0.8, "volume": 1.0,
-    "diameter": 0.8, "phase": -3.5, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
+    "diameter": 0.8, "concentration": 0.8, "radiation": 0.8,
+    "phase": -3.5, "temperature": -1.0, "resistance": -1.0, "force": -1.0, "stress": -1.0,
 }  # fmt: skip
 RESPONSE = {
     "moment": 2.5, "magnetization": 2.5, "induction": 2.5, "polarization": 2.5, "charge": 2.3, "piezoresponse": 2.5, "force": 2.0,
-    "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6, "resistance": 0.3, "temperature": -1.0,
+    "stress": 2.0, "displacement": 1.8, "strain": 1.6, "voltage": 0.8, "": 0.8, "current": 0.6,
+    "current density": 0.6, "resistance": 0.3, "temperature": -1.0,
     "stiffness": 1.5,  # force per length: the shear of a wall, the reaction of soil on a pile
     "loading": 2.5, "mass": 1.5, "wavelength": 2.0, "flux": 2.5, "capacitance": 1.5, "inductance": 1.0, "pressure": 0.3, "flow": 0.8,
-    "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8,
+    "volume": 0.8, "diameter": 1.8, "concentration": 1.8, "state": 0.8, "heat flow": 1.5,
 }  # fmt: skip
 SELDOM = -4.0  # of a rate, a frequency, a flag: never the input or output where there is another column
 LOADS = ("force", "stress")
@@ -53,7 +55,10 @@ PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
+    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0, ("pressure", "flow"): 1.5}
+    | {("displacement", "concentration"): -2.0, ("concentration", "displacement"): -2.0}  # the depth to which water is clear
     | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field
     | dict.fromkeys([("voltage", "current"), ("current", "voltage")], 0.5)
+    | dict.fromkeys([("voltage", "current density"), ("electric field", "current density")], 0.5)
 )  # fmt: skip

@@ -19,7 +19,7 @@ from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_cu
 from hystfit.reading.curves.other_inputs import other_inputs
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
-from hystfit.reading.limits import FEWEST, JUMP, MOST_CURVES, NEAR
+from hystfit.reading.limits import FEWEST, JUMP, MAJORITY, MOST_CURVES, NEAR
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import clock_goes_on
@@ -274,7 +274,7 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         changes = np.flatnonzero(np.diff(numbers))
         if not changes.size or np.unique(numbers).size <= changes.size or table.rows < FEWEST * (changes.size + 1):
             continue
-        apart = _jumps(u, changes) | _jumps(y, changes)
+        apart = _jumps(u, changes) | (_jumps(y, changes) & ~_reverses(u, changes))
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
         # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
@@ -293,6 +293,12 @@ def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     padded = np.pad(np.nan_to_num(steps), 3)
     around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
     return (steps[at] > JUMP * around) & (steps[at] > NEAR * np.ptp(values[np.isfinite(values)]))
+
+
+def _reverses(u: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether the input turns around after these rows, where the output of one test may jump, as friction does, shape of `at`."""
+    steps = np.pad(np.diff(u), 1)
+    return steps[at] * steps[at + 2] < 0
 
 
 def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
@@ -314,13 +320,23 @@ def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
     numbers: list[int] = []
     for position in others:
         name = table.names[position]
-        count = len(set(labels_of(table, position).tolist())) if _plain(name) in CURVE_NAMES else 0
+        labels = labels_of(table, position)
+        named = _plain(name) in CURVE_NAMES and not _are_branches(labels, table.columns[choice.input])
+        count = len({*labels.tolist()}) if named else 0
         if 1 < count <= table.rows / 2:
             text = f"column {name!r} has {count} values: by={name!r} reads each as a record"
             notes.append(Note(Code.CURVES, text, option=("by", name)))
         elif position not in table.labels and table.pair is None:
             numbers.append(position)
     notes.extend(other_inputs(table, choice, numbers))
+
+
+def _are_branches(labels: np.ndarray, drive: np.ndarray) -> bool:
+    """Whether a column numbers branches of a loop, as in most of its blocks the input ends far from where it began."""
+    blocks = [
+        part for part in np.split(drive, np.flatnonzero(labels[1:] != labels[:-1]) + 1) if np.isfinite(part).all()
+    ]
+    return sum(abs(part[-1] - part[0]) > MAJORITY * np.ptp(part) for part in blocks) > MAJORITY * len(blocks)
 
 
 def divider_of(table: Table, line: np.ndarray, begins: np.ndarray) -> str | None:

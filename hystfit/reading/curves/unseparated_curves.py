@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.circulation import PART
 from hystfit.outcome import Code, Note
 from hystfit.reading.choice.chosen_columns import Choice
-from hystfit.reading.choice.pair_score import HEATED
+from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit

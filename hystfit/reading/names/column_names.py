@@ -6,7 +6,7 @@ import functools
 import re
 from collections.abc import Iterable
 
-from hystfit.params.units import quantity
+from hystfit.params.units import quantity, symbol_of
 from hystfit.reading.names.names_with_units import RATIO, split_unit
 from hystfit.reading.names.unit_case import in_case
 from hystfit.reading.names.vocabulary import ROLES, VOCABULARY, WORDS
@@ -45,11 +45,13 @@ def column_quantity(name: str, unit: str = "") -> str:
     """Physical quantity of a column ("time", "voltage", "displacement", ..., "" if unknown), by its name and its unit."""
     base, unit_of_name = split_unit(name)
     by_unit = quantity(unit or unit_of_name)
-    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
+    if re.fullmatch(r"T(?:[a-z0-9]*|_\w+)|[A-Za-z]+_T|t_?(?:a|s|w|air|soil|water|leaf)", base) and by_unit in (
         "charge",
         "capacitance",
     ):
         return "temperature"  # T or Ta in degrees Celsius without their sign
+    if by_unit == "voltage" and re.fullmatch(r"E_\w+", base):
+        return by_unit  # the potential of an electrode
     if by_unit == "stress" and re.fullmatch(r"p(?: ?c(?:ap)?)?", without_role(name)):
         return "pressure"  # whose unit is that of a stress, also the capillary one
     base = _field(base)
@@ -102,8 +104,10 @@ def _field(base: str) -> str:
 
 
 def column_unit(name: str, unit: str) -> str:
-    """The unit of a column, in its case; degrees of a temperature that are written without their sign are named so."""
+    """The unit of a column, in its case; a symbol where it is the name too; degrees without their sign are named so."""
     unit = in_case(split_unit(name)[0], unit) or unit
+    if unit == name:
+        return symbol_of(unit)
     return f"deg{unit}" if unit in ("C", "F") and column_quantity(name, unit) == "temperature" else unit
 
 

@@ -22,7 +22,7 @@ _JOINED = re.compile(
     r"(.+)_(?:([kM]?V)_([cmuµ]?m)|([mkM]?A)_(c?m2?)|([pnuµm]?C)_(c?m2|g|kg)|([mu]?emu)_(g|cm3|cc|mol|cm2)|(Am2)_(k?g)"
     r"|([mkM]?N)_([cm]?m2?)|([nuµmc]?m|m?rad|deg)_(s2?)|(pm)_(V)|(k?J|J|erg)_(c?m3|k?g|cc)|(k?g)_(c?m3)"
     r"|([kM]?Pa|k?Oe|m?T|K|degC)_(s|min)|(Nm)_(kg)|([kmM]?W)_(c?m2)"
-    r"|([mun]?mol|mg|c?m3|cc|m[lL])_(k?g)|(1)_([cm]?m))"
+    r"|([mun]?mol|mg|c?m3|cc|m[lL])_(k?g)|([mun]?g|[mu]?mol)_?([lL])|(1)_([cm]?m))"
 )
 # Flows and fluxes: Q_m3s, Q_mL_min, sapflow_cm3_cm2_h, nee_umol_m2_s.
 _FLOW = re.compile(r"(.+?)[_ ](c?m3|ft3|[mu]?[Ll])[_/]?(s|min|h)")

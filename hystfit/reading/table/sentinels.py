@@ -14,6 +14,7 @@ from hystfit.reading.table.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
 _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
+_TIMES, _OTHER_TIMES = 10.0, (5.0, 20.0)  # what a lost mark multiplies a number with, and what it never does
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
 
 
@@ -92,15 +93,42 @@ def failed_inputs(u: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def shifted_marks(values: np.ndarray) -> np.ndarray:
-    """Rows far from their neighbors with a tenth of a number between these, or ten times one: a zero behind a comma was cut off."""
+    """Rows far from their neighbors with a tenth of a number between these, or ten times one: a zero behind a comma was cut off.
+
+    The neighbors go on from one to the other by usual steps, as few of those in a burst of noise do, and as many of these are a fifth or
+    a twentieth of a number between their neighbors by chance.
+    """
     if values.size < FEW or not np.isfinite(steps := np.abs(np.diff(values))).any():
         return np.arange(0)
     low, high = np.minimum(values[:-2], values[2:]), np.maximum(values[:-2], values[2:])
+    large = JUMP * np.nanmedian(steps)
     with np.errstate(over="ignore"):  # of numbers near the largest
         run_on = ((low > 0) & (high < 2 * low)) | ((high < 0) & (low > 2 * high))  # as no pulse does
-        between = [(low < factor * values[1:-1]) & (factor * values[1:-1] < high) for factor in (10.0, 0.1)]
-    far = np.minimum(steps[:-1], steps[1:]) > JUMP * np.nanmedian(steps)
-    return np.flatnonzero(run_on & far & (between[0] | between[1])) + 1
+        far = run_on & (np.minimum(steps[:-1], steps[1:]) > large) & (high - low <= large)
+        between = lambda factor: (low < factor * values[1:-1]) & (factor * values[1:-1] < high)
+        shifted, *others = (
+            np.flatnonzero(far & (between(times) | between(1.0 / times))) for times in (_TIMES, *_OTHER_TIMES)
+        )
+    return shifted[:0] if sum(other.size for other in others) >= shifted.size else shifted + 1
+
+
+def without_end_marks(table: Table) -> Table:
+    """The table without rows that are 0 in all its columns of numbers, where one of these otherwise stays far from 0: marks of an end.
+
+    Far is farther than the range of the column, as a saturation pressure or a temperature that is logged beside a loop is.
+    """
+    numbers = [k for k in range(len(table.names)) if k not in table.labels and np.isfinite(table.columns[k]).any()]
+    if len(numbers) < 3:
+        return table
+    columns = np.column_stack([table.columns[k] for k in numbers])
+    marks = (columns == 0.0).all(axis=1)
+    if not 0 < marks.sum() < MAJORITY * table.rows:
+        return table
+    low, high = np.nanmin(columns[~marks], axis=0), np.nanmax(columns[~marks], axis=0)
+    if not (np.maximum(low, -high) > high - low).any():
+        return table
+    text = f"left out: {int(marks.sum())} rows that are 0 in all columns, of which one otherwise stays far from 0: marks of an end"
+    return table.take(~marks).noted(Note(Code.LEFT_OUT, text))
 
 
 def ends_with_zeros(columns: Iterable[np.ndarray]) -> bool:

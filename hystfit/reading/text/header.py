@@ -51,6 +51,7 @@ _OF_CHANNEL = re.compile(
 )
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
+_COUNTED = re.compile(rf"{_COMMENT}\s*\d+")  # how many rows follow
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
 _CLOCKS = frozenset({"t", "time", "times", "zeit", "temps", "tiempo"})
 _LEADING = re.compile(r"^(?:[#%!*;']+|//|--|REM\b)\s*(?=\S)")  # before the first name of a header in a comment
@@ -123,7 +124,7 @@ def _named(parts: list[str]) -> list[str]:
     """Names without the comment mark before the first, and without the commas that follow each where blanks separate them."""
     parts = [cells.clean(part) for part in parts]
     if parts and parts[0] not in ("%", "*", "#"):
-        parts[0] = _LEADING.sub("", parts[0], count=1).strip()
+        parts[0] = cells.clean(_LEADING.sub("", parts[0], count=1))
     for mark in (",", ";"):
         if len(parts) > 1 and all(part.endswith(mark) for part in parts[:-1]):
             parts = [part.removesuffix(mark) for part in parts]
@@ -341,6 +342,8 @@ def read_header(
         if not above[position].strip(" \t,;"):
             if headers and not (above[position].strip("\r\n") and _are_units(_bare(headers[0][1]), headers[0][1])):
                 break
+            continue
+        if not headers and _COUNTED.fullmatch(above[position].strip()):
             continue
         parts = split.get(position)
         if parts is None or len(parts) != width or re.match(_COMMENT, parts[0]):

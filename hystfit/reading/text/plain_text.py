@@ -129,7 +129,7 @@ def table_of_block(
     names, units, named = header.names, header.units, any(header.names)
     above = lines[: int(index[0])]
     metadata = sample_properties(above, names)
-    stated = stated_in(above)
+    stated = stated_in(above, decimal=dialect.decimal)
     others = left_out(text, block, header)
     notes += others.notes
     if metadata:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 
 from hystfit.data.stated import Stated
+from hystfit.params.units import quantity as kind_of
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.text import cells
 from hystfit.reading.text.header import setting_of
@@ -26,28 +27,28 @@ _RESULT = re.compile(
     "|".join(f"(?P<q{k}>{pattern})" for k, pattern in enumerate(_NAMES.values())).join(("±?(?:", r")\s*[+-]?")),
     re.IGNORECASE,
 )
-_VALUE = re.compile(r"\s*(?P<number>[+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s,;]\S{0,11})?\s*", re.ASCII)
+_VALUE = re.compile(r"\s*(?P<number>[+-]?[\d.,]*\d[.,]?(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s,;]\S{0,11})?\s*", re.ASCII)
 
 
-def result_of(title: str, text: str, units: Mapping[str, str] | None = None) -> Stated | None:
+def result_of(title: str, text: str, units: Mapping[str, str] | None = None, decimal: str = ".") -> Stated | None:
     """The result of a name and a number; None where the name is no result, or no number follows.
 
     Args:
         units: unit of each quantity, where neither name nor number has one.
+        decimal: mark of the numbers of the file.
     """
     label, unit = split_unit(cells.clean(title))
     name, value = _RESULT.fullmatch(label.strip()), _VALUE.fullmatch(text)
-    number = None if name is None or value is None else cells.number(value["number"], ".")
+    number = None if name is None or value is None else cells.number(value["number"], decimal)
     if name is None or value is None or number is None:
         return None
     quantity = list(_NAMES)[int(str(name.lastgroup)[1:])]
-    return Stated(
-        label.strip(), number, unit or (value["unit"] or "").strip("[]()") or (units or {}).get(quantity, ""), quantity
-    )
+    unit = unit or (value["unit"] or "").strip("[]()") or (units or {}).get(quantity, "")
+    return Stated(label.strip(), number, unit, "" if kind_of(unit) == "heat flow" else quantity)  # Ps in W/kg is a loss
 
 
-def stated_in(lines: Iterable[str], units: Mapping[str, str] | None = None) -> tuple[Stated, ...]:
+def stated_in(lines: Iterable[str], units: Mapping[str, str] | None = None, decimal: str = ".") -> tuple[Stated, ...]:
     """The results among the settings of a header, each once."""
     pairs = (pair for line in lines if (pair := setting_of(line)) is not None)
-    found = (result_of(key, value, units) for key, value in pairs)
+    found = (result_of(key, value, units, decimal) for key, value in pairs)
     return tuple({one.label: one for one in found if one is not None}.values())

@@ -84,7 +84,7 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
         lines = [np.polyfit(t[a : b + 1], y[a : b + 1], 1, cov=True) for a, b in ((before, tip), (tip, after))]
         found.append(sign * 0.5 * sum(theta[0] for theta, _ in lines))
         errors.append(0.5 * float(np.sqrt(sum(covariance[0, 0] for _, covariance in lines))))
-    per_time = f"{record.y_unit}/{record.t_unit}".strip("/")
+    per_time = f"{record.y_unit}/{record.t_unit}" if record.y_unit and record.t_unit else ""
     unit, factor = size_in(per_time, "A/m2", "A") or (per_time, 1.0)
     value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
     spread = factor * 0.5 * abs(found[0] - found[1])

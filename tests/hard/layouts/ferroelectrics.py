@@ -133,7 +133,11 @@ def pfm(draw: Draw) -> Layout:
     u = volts * triangle(n, cycles)
     state = saturating(draw, u / volts, begin=draw.pick(-1, 0, 1))
     amplitude = Column("Amplitude", draw.noise(80 * np.abs(state) + 3, 1e-2), draw.pick("pm", "mV"), ".5f")
-    phase = Column("Phase", draw.noise(90 - 88 * np.tanh(8 * state), 5e-3), "deg", ".4f")
+    degrees = 90 - 88 * np.tanh(8 * state)
+    degrees = np.where(
+        state >= 0, np.minimum(degrees, 80), np.maximum(degrees, 100)
+    )  # the phase of no domain is in between
+    phase = Column("Phase", draw.noise(degrees, 5e-3), "deg", ".4f")
     response = Column("Piezoresponse", draw.noise(80 * state, 1e-2), draw.pick("pm", "mV", "a.u."), ".5f")
     bias = Column(draw.pick("Bias", "Tip Bias", "DC Bias", "Sample bias"), u, "V", ".5f")
     outputs = draw.pick([response], [amplitude, phase], [response, amplitude])
@@ -141,8 +145,9 @@ def pfm(draw: Draw) -> Layout:
     columns = [*([t] if draw.chance(0.4) else []), bias, *outputs]
     lines = table(draw, columns, Dialect(draw.pick("\t", ","), style=draw.pick("parentheses", "brackets")))
     truths = loops(*(loop(bias, out) for out in outputs))
-    if len(outputs) == 2:
-        truths = loops(*(loop(bias, out) for out in outputs))
+    if outputs[1:] == [phase]:  # which tells the sign of the amplitude
+        signed = Column("Piezoresponse", np.where(phase.values < 90, 1, -1) * amplitude.values, amplitude.unit, ".5f")
+        truths = (*truths, *loops(loop(bias, signed)))
     return Layout("", {draw.pick("ss-pfm_loop.txt", "SSPFM0003.csv"): packed(draw, ["# Mode: SS-PFM", *lines])}, truths)
 
 
