@@ -22,9 +22,8 @@ from hystfit.reading.table.raw_table import Part, Table
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, also beside a column without such a word
-_SIGNS = frozenset(
-    {"positive", "pos"}
-)  # of a speed: the other branch is that of the other direction, and not the way back
+# Of a speed: the other branch is that of the other direction, and not the way back.
+_SIGNS = frozenset({"positive", "pos"})
 _SHORT = {"ch": "charge", "dch": "discharge"}
 _NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
