@@ -47,6 +47,7 @@ from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
 
 _TENTHS = 10  # parts of a branch, whose speeds differ along a sinusoid
+_VARIED = 0.1  # decimal logarithm of the ratio of two branches' speeds, above which the speed is no function of the place alone
 _WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
 
@@ -254,25 +255,33 @@ def speeds_of(record: Record) -> tuple[float, ...]:
     return _speeds(record, geometry.branches(record.u, _threshold(_column(record.u))))
 
 
+def speeds_within(records: Iterable[Record]) -> int:
+    """Number of different speeds along the branches; one where all branches have one speed, which is a function of the place then."""
+    whole, parts = list[np.ndarray](), list[np.ndarray]()
+    for record in records:
+        if record.t is not None:
+            ends = record.t[geometry.branches(record.u, _threshold(_column(record.u)))]
+            whole.append(_log_speeds(record, ends.T))
+            parts.append(_log_speeds(record, np.linspace(ends[:, 0], ends[:, 1], _TENTHS + 1)))
+    if not whole:
+        return 0
+    varied = len(geometry.distinct(np.concatenate(whole), _VARIED)) > 1
+    return len(geometry.distinct(np.concatenate(parts), SPEEDS_APART)) if varied else 1
+
+
+def _log_speeds(record: Record, times: np.ndarray) -> np.ndarray:
+    """Decimal logarithms of the speeds between successive times, shape (n, branches), without those at rest."""
+    way, time = np.abs(np.diff(np.interp(times, record.t, record.u), axis=0)), np.diff(times, axis=0)
+    moved = (way > 0) & (time > 0)
+    return np.log10(way[moved] / time[moved])
+
+
 def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
     """Different speeds of the branches, see `Motion`; none without time."""
     if record.t is None:
         return ()
-    a, b = branches.T
-    way, time = np.abs(record.u[b] - record.u[a]), record.t[b] - record.t[a]
-    moved = (way > _WAY * np.ptp(record.u)) & (time > 0)
-    return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
-
-
-def speeds_within(record: Record) -> tuple[float, ...]:
-    """Different speeds of the tenths of the branches, a sinusoid's included, by their decimal logarithm; none without time."""
-    if record.t is None:
-        return ()
-    a, b = geometry.branches(record.u, _threshold(_column(record.u))).T
-    times = record.t[a] + np.linspace(0, 1, _TENTHS + 1)[:, None] * (record.t[b] - record.t[a])
-    way, time = np.abs(np.diff(np.interp(times, record.t, record.u), axis=0)), np.diff(times, axis=0)
-    moved = (way > 0) & (time > 0)
-    return geometry.distinct(np.log10(way[moved] / time[moved]), SPEEDS_APART)
+    long = np.abs(np.diff(record.u[branches]).ravel()) > _WAY * np.ptp(record.u)
+    return geometry.distinct(_log_speeds(record, record.t[branches[long]].T), SPEEDS_APART)
 
 
 def paces(records: Iterable[Record]) -> int:

@@ -79,10 +79,8 @@ def candidates(data: Dataset) -> Candidates:
     if all(has_two_levels(record.y[record.used]) for record in data):  # no other model has two levels alone
         return Candidates(tuple(name for name, model in models.items() if model.jumps and "+" not in name))
     timed = all(record.t is not None for record in data)
-    speeds, within = (
-        len(distinct((v for record in data for v in found(record)), SPEEDS_APART))
-        for found in (speeds_of, speeds_within)
-    )
+    speeds = len(distinct((v for record in data for v in speeds_of(record)), SPEEDS_APART))
+    within = speeds_within(data)
     contrary, suits, plays_fail = _contrary(data), suited(data), _plays_fail(data)
     able = {
         name: model
