@@ -342,8 +342,10 @@ def test_slow_waves_have_no_holds(noise):
 def test_linear_drift_per_cycle_is_recovered(slope):
     t, u = signals.sine(20, 200)
     y = piezo(u) + slope * t + 0.002 * np.random.default_rng(4).normal(size=t.size)
-    found = examined(Record(u, y, t=t)).records[0].drift
+    report = examined(Record(u, y, t=t))
+    found = report.records[0].drift
     assert found.law == "linear"
+    assert " per cycle (linear)" in report.text()
     assert found.per_cycle == pytest.approx(slope, rel=0.02)
     assert found.r2_linear > 0.99
 
@@ -352,8 +354,10 @@ def test_linear_drift_per_cycle_is_recovered(slope):
 def test_logarithmic_drift_per_decade_is_recovered_and_preferred(gamma):
     t, u = signals.sine(60, 200)
     y = piezo(u) + gamma * np.log10(np.maximum(t, 0.05)) + 0.002 * np.random.default_rng(5).normal(size=t.size)
-    found = examined(Record(u, y, t=t)).records[0].drift
+    report = examined(Record(u, y, t=t))
+    found = report.records[0].drift
     assert found.law == "logarithmic"
+    assert " per decade of time (logarithmic)" in report.text()
     assert found.per_decade == pytest.approx(gamma, rel=0.03)
 
 
@@ -368,8 +372,10 @@ def test_linear_drift_without_time_is_reported():
 
 def test_no_drift_is_reported_and_unlike_cycles_are_not_compared():
     t, u = signals.sine(30, 200)
-    quiet = examined(Record(u, piezo(u) + 0.01 * np.random.default_rng(6).normal(size=t.size), t=t)).records[0].drift
+    report = examined(Record(u, piezo(u) + 0.01 * np.random.default_rng(6).normal(size=t.size), t=t))
+    quiet = report.records[0].drift
     assert quiet.law == "none"
+    assert "none in the means of 29 similar cycles" in report.text()
     assert abs(quiet.per_cycle) < 2e-4
     _, sweep = signals.amplitude_sweep(200, cycles=8)
     assert examined(Record(sweep, piezo(sweep))).records[0].drift is None

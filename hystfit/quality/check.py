@@ -18,6 +18,7 @@ from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until
 from hystfit.quality.determination import Determination, Verdict, count, determine
+from hystfit.quality.drift import Drift
 from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
@@ -211,13 +212,20 @@ def _rows(record: RecordQuality) -> list[tuple[str, str]]:
         width = f"{shape.width:.4g} {units['y']}".rstrip() + f" ({shape.width_percent:.1f} % of the stroke)"
         form = f"{shape.circulation or 'no open loop'}, closure {number(shape.closure_percent, '+.2f')} %"
         rows.append(("shape", f"width {width}, {form}, asymmetry {shape.asymmetry_percent:.1f} %"))
-    drift, lag = record.drift, record.lag
-    slope = "" if drift is None else f"{drift.per_cycle:.3g} {units['y']}".rstrip()
-    rows.append(
-        ("drift", f"{slope} per cycle (law: {drift.law})" if drift else "- (needs four cycles of equal amplitude)")
-    )
+    rows.append(("drift", _drift_words(record.drift, units["y"])))
+    lag = record.lag
     rows.append(("lag", "-" if lag is None else f"{lag.samples:.2f} +- {lag.stderr:.2f} samples"))
     return rows
+
+
+def _drift_words(drift: Drift | None, unit: str) -> str:
+    """The slope of the law of a drift; that of a line says nothing where no law explains the means."""
+    if drift is None:
+        return "- (needs four cycles of equal amplitude)"
+    if drift.law == "none":
+        return f"none in the means of {count(drift.cycles, 'similar cycle')}"
+    slope, step = (drift.per_cycle, "cycle") if drift.law == "linear" else (drift.per_decade, "decade of time")
+    return f"{number(slope, '.3g')} {unit}".rstrip() + f" per {step} ({drift.law})"
 
 
 def _plain(value: Any) -> Any:
