@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -192,3 +193,17 @@ def test_records_of_other_ranges_that_differ_by_a_factor_are_no_loops_of_one_dev
     assert has(differ.notes, Code.RECORDS_DIFFER)
     assert hf.fit(model, differ.data[0], noise="iid").status is Status.OK
     assert not has(hf.fit(model, several((1.0, 1.0, 1.0)), noise="iid").notes, Code.RECORDS_DIFFER)
+
+
+def test_one_of_several_specimens_is_the_next_fit_where_no_model_describes_most_of_them(tmp_path: Path) -> None:
+    """Two specimens are a thousand times weaker than a third: that one decides the fit of all, whatever the loss."""
+    rows = [
+        f"{name},{x:.6g},{size * y:.6g}"
+        for name, size, width in (("weak", 1e-3, 0.6), ("tiny", 2e-3, 0.1), ("large", 1.0, 0.3))
+        for x, y in zip(LOOP, play(LOOP, width) + LOOP, strict=True)
+    ]
+    path = tmp_path / "specimens.csv"
+    path.write_text("specimen,H (A/m),M (A/m)\n" + "\n".join(rows) + "\n")
+    result = hf.fit("prandtl-ishlinskii:plays=10", hf.read(path))
+    assert not result.usable
+    assert any("--only=weak" in command for command in next_commands(result, Wording()))

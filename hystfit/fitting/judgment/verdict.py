@@ -11,7 +11,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
-from hystfit.fitting.judgment.record_scales import scale_note
+from hystfit.fitting.judgment.record_scales import alone, scale_note
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
@@ -216,7 +216,7 @@ def _records_apart(fitted: Fitted) -> Note | None:
         "of the range of the record). If they come from different samples or devices, fit each one separately (only=), or all of them "
         "with hystfit batch"
     )
-    return Note(Code.RECORDS_DIFFER, text, Severity.ERROR)
+    return Note(Code.RECORDS_DIFFER, text, Severity.ERROR, option=alone(fitted, missed[0]))
 
 
 def _differ(fitted: Fitted) -> list[Note]:
