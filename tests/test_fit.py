@@ -137,6 +137,8 @@ def test_correlated_residuals_widen_the_errors(piezo):
     lag = np.abs(np.subtract.outer(np.arange(T.size), np.arange(T.size)))
     covariance = 0.01**2 * np.eye(T.size) + 0.01**2 / (1 - 0.95**2) * 0.95**lag
     expected = np.sqrt(np.diag(inverse @ covariance @ inverse.T))
+    assert "no significant autocorrelation" not in naive.report()
+    assert has(naive.notes, Code.ERROR_RATIO)
     for k, name in enumerate(names[:4]):  # the offset depends on the slowest noise, which one record hardly shows
         assert honest[name].stderr == pytest.approx(expected[k], rel=0.2)
         assert naive[name].stderr < 0.5 * expected[k]

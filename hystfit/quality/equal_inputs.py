@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -89,9 +89,13 @@ def apart_note(records: Sequence[Record], least: float = USABLE) -> Note | None:
         f"the loops of {len(found.names)} records, {first!r} and {others[-1]!r} among them, differ at equal inputs: a single model has an "
         f"error of at least {100 * found.rms / span:.2g} % of the range. Fit each one separately (only=), or all of them with hystfit batch"
     )
+    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option_of(first, records))
+
+
+def option_of(name: str, records: Iterable[Record]) -> tuple[str, str] | None:
+    """The option of reading that leaves one of several records of a file; None for records of several files."""
     of_one_file = len({record.source for record in records}) == 1
-    option = ("only", first.partition("=")[2] or first) if of_one_file else None
-    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option)
+    return ("only", name.partition("=")[2] or name) if of_one_file else None
 
 
 def none_describes(records: Sequence[Record]) -> bool:

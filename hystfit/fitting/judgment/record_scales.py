@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome.note import Code, Note, warn
+from hystfit.quality.equal_inputs import option_of
 
 _APART = 1.1  # largest factor over the smallest, from which records differ: gains of one device drift by a few percent
 
@@ -34,10 +35,4 @@ def scale_note(fitted: Fitted, most: float) -> Note | None:
         f"the outputs of the records are {low:.3g} ({one!r}) to {high:.3g} times ({other!r}) those of the model: their inputs do "
         "not tell them apart. Fit each one separately (only=), or all of them with hystfit batch"
     )
-    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=alone(fitted, one))
-
-
-def alone(fitted: Fitted, name: str) -> tuple[str, str] | None:
-    """The option of reading that leaves one of several records of a file; None for records of several files."""
-    of_one_file = len({record.source for record in fitted.data}) == 1
-    return ("only", name.partition("=")[2] or name) if of_one_file else None
+    return dataclasses.replace(warn(Code.RECORDS_DIFFER, text), option=option_of(one, fitted.data))

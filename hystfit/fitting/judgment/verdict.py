@@ -11,7 +11,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
-from hystfit.fitting.judgment.record_scales import alone, scale_note
+from hystfit.fitting.judgment.record_scales import scale_note
 from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
@@ -19,7 +19,7 @@ from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
-from hystfit.quality.equal_inputs import apart_note
+from hystfit.quality.equal_inputs import apart_note, option_of
 from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, runs
 from hystfit.quality.loops import clear_reversals, turns_back
 from hystfit.quality.reversal_curves import recognize_family
@@ -216,7 +216,7 @@ def _records_apart(fitted: Fitted) -> Note | None:
         "of the range of the record). If they come from different samples or devices, fit each one separately (only=), or all of them "
         "with hystfit batch"
     )
-    return Note(Code.RECORDS_DIFFER, text, Severity.ERROR, option=alone(fitted, missed[0]))
+    return Note(Code.RECORDS_DIFFER, text, Severity.ERROR, option=option_of(missed[0], fitted.data))
 
 
 def _differ(fitted: Fitted) -> list[Note]:

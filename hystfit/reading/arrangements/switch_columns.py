@@ -8,9 +8,14 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.table.raw_table import Table
+from hystfit.reading.text.cells import SWITCH
 
-_ON = frozenset("on true active running enabled heating cooling heat".split())
-_OFF = frozenset("off false inactive stopped disabled idle standby".split())
+_ON = frozenset("active running enabled heating cooling heat".split()) | {
+    word for word, state in SWITCH.items() if state
+}
+_OFF = frozenset("inactive stopped disabled idle standby".split()) | {
+    word for word, state in SWITCH.items() if not state
+}
 
 
 def with_switches(table: Table) -> Table | None:

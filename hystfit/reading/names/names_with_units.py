@@ -49,9 +49,8 @@ _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
 )  # units that are no quantity
 _NAMES_TOO = frozenset({"strain", "count", "angle", "percent", "at"})  # names of columns besides units
-_OVER_INCHES = frozenset(
-    {"lb", "lbs", "lbf", "oz", "ozf", "kip", "kips", "klbf"}
-)  # of a torque, in lb; other units have a word before them, in V
+# Of a torque, "in lb"; before other units "in" is a word, as in "in V".
+_OVER_INCHES = frozenset({"lb", "lbs", "lbf", "oz", "ozf", "kip", "kips", "klbf"})
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes

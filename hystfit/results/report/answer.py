@@ -25,9 +25,8 @@ from hystfit.results.measured.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
-_HALF = (
-    0.5  # of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation
-)
+# Of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation.
+_HALF = 0.5
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (

@@ -102,7 +102,7 @@ def facts(result: FitResult) -> dict[str, list[str]]:
             f"autocorrelated over {number(result.correlation_time, '.3g')} samples (integrated autocorrelation time)"
         )
     elif has(result.notes, Code.ERROR_RATIO):
-        spread.append("autocorrelated, with correlations that cancel in their sum (see the notes)")
+        spread.append("autocorrelated (see the notes)")
     else:
         spread.append("white (no significant autocorrelation)")
     data = []
