@@ -68,6 +68,11 @@ def few_runs() -> bool:
     return _runs.get() != "many"
 
 
+def shares_programs() -> bool:
+    """Whether programs are to serve records of any length: where few runs are expected, and at the command line, which keeps them."""
+    return few_runs() or PROGRAM_FOLDER in os.environ
+
+
 def compiles_quickly() -> bool:
     """Whether small programs are compiled without optimization, see `expect_few_runs`."""
     return _runs.get() == "few" and platform() == "cpu"

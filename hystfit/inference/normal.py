@@ -111,7 +111,7 @@ def normal_in_scan(objective: Objective, z: Float[Array, " p"], unroll: int = 1,
     loop takes `unroll` samples; a block of samples of all lanes is laid side by side at a time, so that it stays in the cache.
     """
     coordinates, p = objective.coordinates, z.shape[0]
-    u, y, dt, weight = (row[0] for row in jax.tree_util.tree_leaves(objective.batch))
+    u, y, dt, weight = (row[0] for row in objective.batch.signals)
     x = coordinates.physical(z)
     leaves, treedef = jax.tree_util.tree_flatten(coordinates.assemble(x))
     places = [(leaf, k) for leaf, positions, _ in coordinates.layout for k in positions]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -9,8 +10,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from hystfit.config import shares_programs
 from hystfit.data.batch import Batch
 from hystfit.inference.blocks import parts
 from hystfit.models.shared.shapes import Scalar
@@ -39,9 +41,15 @@ class Objective(eqx.Module):
         """Free run of every record at physical parameters x."""
 
         def one(record: Any) -> Array:
-            return run(self.coordinates.assemble(x, record), self.batch.u[record], self.batch.dt[record])[0]
+            return self._output(x, record)
 
         return by_record(one, self.batch.u.shape[0])
+
+    def _output(self, x: Float[Array, " p"], record: Any) -> Float[Array, " T"]:
+        """Free run of one record."""
+        batch = self.batch
+        model = self.coordinates.assemble(x, record)
+        return run(model, batch.u[record], batch.dt[record], count=batch.count_of(record))[0]
 
     def residual(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
         """Prediction less measurement, output units: 0 where a sample does not count, `BROKEN` half ranges where not finite."""
@@ -82,6 +90,12 @@ class Objective(eqx.Module):
         weigh = lambda r: bend(jnp.sqrt(self.batch.weight) * r / self.size, self.bend, self.loss)
         return jax.vmap(lambda direction: jax.jvp(weigh, (r,), (direction,)), out_axes=(None, 0))(J)
 
+    def with_room(self) -> Objective:
+        """In arrays that other records share, see `Batch.with_room`; itself where programs are not to be shared."""
+        if not shares_programs():
+            return self
+        return dataclasses.replace(self, batch=self.batch.with_room())
+
     @property
     def apart(self) -> bool:
         """Whether each record depends on some of the parameters only, as with an offset for each."""
@@ -102,8 +116,7 @@ class Objective(eqx.Module):
 
         def one(record: Any) -> tuple[Array, Array]:
             def residual(x: Array) -> Array:
-                y = run(self.coordinates.assemble(x, record), batch.u[record], batch.dt[record])[0]
-                return self.counted(y - batch.y[record], batch.weight[record])
+                return self.counted(self._output(x, record) - batch.y[record], batch.weight[record])
 
             push = lambda direction: jax.jvp(residual, (x,), (direction,))
             return jax.vmap(push, out_axes=(None, 0))(jax.nn.one_hot(own[record], x.shape[0], dtype=x.dtype))
@@ -148,6 +161,13 @@ def bend(r: Array, at: Array, loss: Loss) -> Array:
 
 _linearize = compiled(Objective.linearize)
 _linearize_own = compiled(Objective._own_runs)
+_predict = compiled(Objective.predict)
+
+
+def predicted(objective: Objective, x: Any, counts: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R T"]:
+    """`Objective.predict` on the host, of the first samples of each record."""
+    wide = dataclasses.replace(objective, batch=objective.batch.with_room(counts))
+    return np.asarray(_predict(wide, to_device(x)))
 
 
 def linearized(
@@ -159,32 +179,35 @@ def linearized(
     groups that fit into a block, by one program.
     """
     x = np.asarray(x, float)
+    samples, wide = objective.batch.u.shape[1], objective.with_room()
     if objective.apart:
-        return _linearized_apart(objective, x, np.arange(x.size) if at is None else at)
+        residual, jacobian = _linearized_apart(wide, x, np.arange(x.size) if at is None else at)
+        return residual[:, :samples], jacobian[:, :samples]
     every = at is None or len(at) == x.size
     directions = np.eye(x.size) if at is None else np.eye(x.size)[at]
     groups = list(parts(len(directions), objective.batch.u.size))
     if len(groups) <= 1:
-        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, None if every else directions))
-        return residual, flat(jacobian)
+        residual, jacobian = (np.asarray(values) for values in _linearize(wide, x, None if every else directions))
+        return residual[:, :samples], flat(jacobian[:, :samples])
     out = np.empty((*objective.batch.u.shape, len(directions)))
     for group in groups:
         some = np.zeros((groups[0].stop, x.size))
         some[: group.stop - group.start] = directions[group]
-        residual, jacobian = (np.asarray(values) for values in _linearize(objective, x, some))
-        out[..., group] = flat(jacobian[..., : group.stop - group.start])
-    return residual, out
+        residual, jacobian = (np.asarray(values) for values in _linearize(wide, x, some))
+        out[..., group] = flat(jacobian[:, :samples, : group.stop - group.start])
+    return residual[:, :samples], out
 
 
 def linearized_runs(
     objective: Objective, x: Float[np.ndarray, " p"]
 ) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R m T"]]:
     """`Objective.residual` on the host and its derivatives with respect to each record's own m parameters, by the same program."""
+    samples, wide = objective.batch.u.shape[1], objective.with_room()
     if objective.apart:
-        residual, own = _linearize_own(objective, x)
-        return np.asarray(residual), np.asarray(own)
-    residual, jacobian = _linearize(objective, x, None)
-    return np.asarray(residual), np.moveaxis(np.asarray(jacobian), -1, 1)
+        residual, own = _linearize_own(wide, x)
+        return np.asarray(residual)[:, :samples], np.asarray(own)[..., :samples]
+    residual, jacobian = _linearize(wide, x, None)
+    return np.asarray(residual)[:, :samples], np.moveaxis(np.asarray(jacobian)[:, :samples], -1, 1)
 
 
 def _linearized_apart(

@@ -24,7 +24,7 @@ from hystfit.inference.fittable import check_fittable
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.setting import Setting
-from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of, misfit_slope
+from hystfit.inference.objective import BROKEN, Loss, Objective, linearized, misfit_of, misfit_slope, predicted
 from hystfit.inference.priors import AbstractPrior, choose_priors
 from hystfit.inference.stretches import in_stretches, linearization_by_stretches, linearized_by_stretches
 from hystfit.inference.weights import responses
@@ -268,7 +268,7 @@ class Problem:
         if self.model.has_fast_run:
             models = self.space.of_records(x, len(self.data))
             return [np.asarray(model.free_run(r.u, r.dt)) for model, r in zip(models, self.data, strict=True)]
-        rows = np.asarray(_run(self.objective, "predict", to_device(x)))
+        rows = predicted(self.objective, x, np.array([len(record) for record in self.data]))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
 
     def residuals(self, x: Any) -> Float[np.ndarray, "R T"]:
@@ -276,9 +276,9 @@ class Problem:
         batch = self.objective.batch
         y, weight = np.asarray(batch.y), np.asarray(batch.weight)
         residual = np.zeros(y.shape)
-        for row, measured, predicted in zip(residual, y, self.predict(x), strict=True):
-            end = min(predicted.size, row.size)  # a trimmed batch may be shorter than its records
-            row[:end] = predicted[:end] - measured[:end]
+        for row, measured, output in zip(residual, y, self.predict(x), strict=True):
+            end = min(output.size, row.size)  # a trimmed batch may be shorter than its records
+            row[:end] = output[:end] - measured[:end]
         return np.where(weight > 0, np.where(np.isfinite(residual), residual, BROKEN * self.scales.y), 0.0)
 
     def linearize(self, x: Any) -> tuple[Float[np.ndarray, "R T"], Float[np.ndarray, "R T p"]]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.batch import bucket
+from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.data.steady_cycle import with_steady_start
 from hystfit.errors import ModelError, ParameterError
@@ -241,11 +241,11 @@ class AbstractHysteresis(AbstractDynamics):
         solvable = ((0.0, np.inf), (-np.inf, np.inf))  # by one quadratic program
         leaves = [leaf for leaf in leaves_of(self) if leaf.size and leaf.info.linear and leaf.info.bounds in solvable]
         u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
-        extra = bucket(u.size) - u.size if self.causal else 0  # records of similar length share one program
-        padded = np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))
-        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), *padded)
+        # Records of any length share one program where later samples change no output.
+        drive = (in_room(u, hold=True), in_room(dt), np.int64(u.size)) if self.causal else (u, dt, None)
+        rest, columns = _output_and_jacobian(self, tuple(leaf.index for leaf in leaves), *drive)
         blocks = (
-            Block(leaf.index, leaf.info, np.asarray(part).reshape(len(padded[0]), -1)[: u.size])
+            Block(leaf.index, leaf.info, np.asarray(part).reshape(len(drive[0]), -1)[: u.size])
             for leaf, part in zip(leaves, columns, strict=True)
         )
         return DesignMatrix(tuple(blocks), np.asarray(rest)[: u.size], np.arange(u.size))
@@ -367,7 +367,9 @@ class OutputResonance(NamedTuple):
 
 
 @compiled
-def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -> tuple[Array, list[Array]]:
+def _output_and_jacobian(
+    model: Any, at: tuple[int, ...], u: Array, dt: Array, count: Array | None
+) -> tuple[Array, list[Array]]:
     """Output with the leaves `at` set to zero, and its derivatives in them."""
     leaves, treedef = jax.tree_util.tree_flatten(model)
 
@@ -375,7 +377,7 @@ def _output_and_jacobian(model: Any, at: tuple[int, ...], u: Array, dt: Array) -
         flat = list(leaves)
         for k, value in zip(at, values, strict=True):
             flat[k] = value
-        return run(treedef.unflatten(flat), u, dt)[0]
+        return run(treedef.unflatten(flat), u, dt, count=count)[0]
 
     zero = [jnp.zeros_like(leaves[k]) for k in at]
     return output(zero), jax.jacfwd(output)(zero) if at else []

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.batch import bucket
+from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
@@ -27,6 +27,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.sample_scan import first_samples, scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.slopes import Slopes
@@ -117,7 +118,7 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
             h = s * exact_step(s * h, x, m, up, down, (phis[0], phis[1]))
             return h, h
 
-        last, h = jax.lax.scan(once, state[0], (s, x, phi(up, x), phi(down, x)))
+        last, h = scan_samples(once, state[0], (s, x, phi(up, x), phi(down, x)))
         return last[None], self.offset + self.c * u - h
 
     def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
@@ -234,16 +235,16 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
 
 def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
     """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
-    steps = np.pad(np.diff(u, prepend=u[0]), (0, bucket(u.size) - u.size))
-    return np.asarray(_unit_hysteresis(steps, tau, rho))[: u.size]
+    return np.asarray(_unit_hysteresis(in_room(np.diff(u, prepend=u[0])), tau, rho, np.int64(u.size)))[: u.size]
 
 
 @compiled
-def _unit_hysteresis(steps: Array, tau: Array, rho: Array) -> Array:
+def _unit_hysteresis(steps: Array, tau: Array, rho: Array, count: Array) -> Array:
     one, up, down = jnp.ones_like(tau), tau * (1 + rho), tau * (1 - rho)
 
     def once(h: Array, dv: Array) -> tuple[Array, Array]:
         h = trapezoid(h, dv, one, up, down)
         return h, h
 
-    return jax.lax.scan(once, jnp.zeros_like(tau), steps)[1]
+    with first_samples(count):
+        return scan_samples(once, jnp.zeros_like(tau), steps)[1]

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,6 +26,7 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.polynomial import legendre_series
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.starting import input_range
@@ -93,7 +93,7 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         """h alone is in the scan."""
         bounds = self._bounds()
         once = lambda h, dv: (new := self._moved(h, dv, bounds), new)
-        last, h = jax.lax.scan(once, state[0], jnp.diff(u, prepend=u0))
+        last, h = scan_samples(once, state[0], jnp.diff(u, prepend=u0))
         return last[None], self.offset + self.c * u + self._backbone(u) - h
 
     def _bounds(self) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from hystfit.models.bouc_wen_steps import any_power, zeroth_power
 from hystfit.models.oscillator_start import REACH, oscillator_starts, upsample
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.reported import Derived
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.step_inverse import COMES_LATER
 from hystfit.outcome import Code
@@ -122,7 +123,9 @@ class BoucWenOscillator(AbstractHysteresis):
         def scanned(power: Callable[[Array, Array], Array]) -> tuple[Array, ...]:
             once = lambda carry, sample: (new := self._runge_kutta(power, carry, *sample), (new[0], new[2]))
             flat = tuple(part.reshape(-1) for part in substeps)
-            (y, v, z), (ys, zs) = jax.lax.scan(once, (state[0], state[1], state[2]), flat)
+            (y, v, z), (ys, zs) = scan_samples(
+                once, (state[0], state[1], state[2]), flat, rows_per_sample=self.substeps
+            )
             last = lambda values: values[self.substeps - 1 :: self.substeps]
             return jnp.stack([y, v, z, jnp.ones_like(y)]), last(ys), last(zs)
 

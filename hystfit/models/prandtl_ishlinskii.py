@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,6 +28,7 @@ from hystfit.models.shared.play_columns import (
 )
 from hystfit.models.shared.polynomial import legendre_series, rising_series, rising_slope
 from hystfit.models.shared.reported import PlayWeights
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.slopes import POINTS, Slopes
 from hystfit.models.shared.starting import fitted_input_range, output_range
@@ -218,7 +218,7 @@ class PrandtlIshlinskii(AbstractHysteresis):
             return (plays, path), total + jnp.exp(-path / self.s0) * fading[0]
 
         plays, path = state[: self.w.size].reshape(self.w.shape), state[self.w.size :]
-        (plays, *path), y = jax.lax.scan(once, (plays, *path), (self._envelopes(u), ways))
+        (plays, *path), y = scan_samples(once, (plays, *path), (self._envelopes(u), ways))
         return jnp.concatenate([plays.reshape(-1), *(one[None] for one in path)]), self.offset + y + self._single(x)
 
     @property

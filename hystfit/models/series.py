@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, OutputResonance
 from hystfit.models.composition import AbstractComposition, check_parts, join_c_parts, split_state
@@ -22,7 +23,7 @@ from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.design import DesignMatrix
 from hystfit.models.shared.shapes import Scalar, Signal, State
-from hystfit.models.shared.simulation import checked_drive, run, simulate
+from hystfit.models.shared.simulation import checked_drive, run
 from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.step_inverse import AbstractStepInverse, SearchStep
 from hystfit.params.host_arrays import compiled, to_device
@@ -213,13 +214,15 @@ class SeriesStep(AbstractStepInverse):
 
 def _behind(part: AbstractHysteresis, records: Sequence[Record]) -> list[Record]:
     """Records whose input is the output of a part over them."""
-    return [r.replace(u=np.asarray(simulate(part, r.u, r.dt)[0])) for r in records]
+    return [r.replace(u=part.free_run(r.u, r.dt)) for r in records]
 
 
 def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
     """A design matrix, one row per sample, through a filter that is linear in its input."""
     columns = [block.columns for block in design.blocks]
-    out = np.asarray(_filtered(part, np.column_stack([design.rest, *columns]), np.asarray(dt)))
+    signals, steps = np.column_stack([design.rest, *columns]), in_room(np.asarray(dt))
+    wide = np.pad(signals, ((0, steps.size - len(signals)), (0, 0)), mode="edge")
+    out = np.asarray(_filtered(part, wide, steps, np.int64(len(signals))))[: len(signals)]
     edges = np.cumsum([1, *(block.shape[1] for block in columns)])
     blocks = (
         dataclasses.replace(block, columns=out[:, lo:hi])
@@ -229,8 +232,9 @@ def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarra
 
 
 @compiled
-def _filtered(part: Any, signals: Array, dt: Array) -> Array:
+def _filtered(part: Any, signals: Array, dt: Array, count: Array) -> Array:
     """Outputs for each column of signals, shape (T, p); for all but the first, minus the response of the initial state."""
-    outputs = jax.vmap(lambda signal: run(part, signal, dt)[0], in_axes=1, out_axes=1)(signals)
-    constant = run(part, jnp.zeros_like(dt), dt)[0]
+    response = lambda signal: run(part, signal, dt, count=count)[0]
+    outputs = jax.vmap(response, in_axes=1, out_axes=1)(signals)
+    constant = response(jnp.zeros_like(dt))
     return outputs.at[:, 1:].add(-constant[:, None])

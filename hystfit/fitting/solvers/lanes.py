@@ -178,7 +178,10 @@ def _on_host(
     linearized = _linearized_beside if many else _linearized
     alone = few_runs() and not many and not any(stack.own)  # by the program that other uses need too
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
-    data, place = _of_records(stack, records, room_for) if any(stack.own) else (stack, records)
+    if any(stack.own):
+        data, place = _of_records(stack, records, room_for)
+    else:
+        data, place = stack if many else Stack.of([stack.objective.with_room()]), records
     given_up, count = np.zeros(len(records), bool), len(records)
     going = np.arange(count)
     while going.size:

@@ -7,10 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from hystfit.data.batch import bucket
 from hystfit.data.circulation import trend
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
 from hystfit.models.curve import Curve
@@ -116,7 +114,7 @@ def build(structure: Structure, data: Dataset, plays: int) -> AbstractHysteresis
         before.append(Lag(tau=structure.lag * interval_of(data), rest=structure.rest, order=structure.order))
     records = list(data)
     for part in before:
-        records = [record.replace(u=output_of(part, record)) for record in records]
+        records = [record.replace(u=part.free_run(record.u, record.dt)) for record in records]
     # Every part takes its ranges from the records themselves: the weights are solved together.
     started = [part.start(records) for part in parts]
     model = started[0] if len(parts) == 1 else Sum(*started)
@@ -138,10 +136,3 @@ def on_falling_line(data: Dataset) -> bool:
 def interval_of(data: Dataset) -> float:
     """Sampling interval, 0 without time."""
     return data.sampling_interval or 0.0
-
-
-def output_of(model: AbstractHysteresis, record: Record) -> np.ndarray:
-    """Output of a model over a record, by one program for records of similar length."""
-    extra = bucket(len(record)) - len(record)
-    u, dt = np.pad(record.u, (0, extra), mode="edge"), np.pad(record.dt, (0, extra))
-    return type(model).free_run(model, u, dt)[: len(record)]

@@ -15,7 +15,7 @@ from numpy.polynomial.legendre import legvander
 from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge
-from hystfit.fitting.structure.model_structure import Structure, falls, interval_of, output_of
+from hystfit.fitting.structure.model_structure import Structure, falls, interval_of
 from hystfit.models.base import AbstractHysteresis, Rest
 from hystfit.models.creep import LinearCreep
 from hystfit.models.curve import Curve
@@ -186,7 +186,7 @@ class Terms:
         """The records with the input negated, where it is, and behind the lag."""
         data = self.data.map(lambda record: record.replace(u=-record.u)) if drive.falls else self.data
         through = Lag(tau=drive.lag * interval_of(data), rest=drive.rest, order=drive.order)
-        return data.map(lambda record: record.replace(u=output_of(through, record))) if drive.lag else data
+        return data.map(lambda record: record.replace(u=through.free_run(record.u, record.dt))) if drive.lag else data
 
     def _positions_of(self, drive: _Drive) -> list[tuple[np.ndarray, float]]:
         """Input of each record as a fraction of the range, and where it rested before."""
@@ -233,5 +233,5 @@ class Terms:
         data = self._lagged(drive)
         part = kind().with_rest(drive.rest).start(list(data))
         part = dataclasses.replace(part, **{weight: np.ones_like(getattr(part, weight))})
-        y = np.concatenate([output_of(part, record) for record in data])
+        y = np.concatenate([part.free_run(record.u, record.dt) for record in data])
         return _Term(self._weighted(y[:, None]), free=name != "creep")

@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.steady_cycle import with_steady_start
-from hystfit.fitting.structure.model_structure import Structure, build, output_of
+from hystfit.fitting.structure.model_structure import Structure, build
 from hystfit.fitting.structure.structure_columns import STEP_OF_LAGS, Terms
 from hystfit.inference.fittable import check_fittable
 from hystfit.models.base import AbstractHysteresis
@@ -74,7 +74,7 @@ def search_structure(data: Dataset, *, plays: int | None = None, spacing: int = 
     if not any(delay_of(record) for record in data):
         return found
     delay = Delay().start(list(data))
-    delayed = lambda record: record.replace(u=output_of(delay, record))
+    delayed = lambda record: record.replace(u=delay.free_run(record.u, record.dt))
     later = _search(begun.map(delayed), held, plays, lag(data.map(delayed)))
     if later.score >= GAIN * found.score:
         return found

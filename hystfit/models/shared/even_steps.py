@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Signal
 
 _ROUNDING = 4.0  # spread of the time steps of an even clock, in units in the last place of the last time stamp
@@ -72,7 +73,7 @@ def scan_in_time(
             chosen = jax.tree_util.tree_map(lambda a, b: jnp.where(moves, a, b), moving, resting)
             return body(carry, sample, chosen)
 
-        return jax.lax.scan(once, carry, (samples, dt > 0.0), unroll=unroll)
+        return scan_samples(once, carry, (samples, dt > 0.0), unroll=unroll)
 
     def varying() -> tuple[Any, Any]:
         once = lambda carry, row: body(carry, *row)
@@ -80,7 +81,7 @@ def scan_in_time(
         blocks = dt.shape[0] // _BLOCK
         cut = lambda v: (v[: blocks * _BLOCK].reshape(blocks, _BLOCK, *v.shape[1:]), v[blocks * _BLOCK :])
         whole, rest = (jax.tree_util.tree_map(lambda v, k=k: cut(v)[k], (samples, dt)) for k in (0, 1))
-        after, y = jax.lax.scan(rows, carry, whole)
+        after, y = scan_samples(rows, carry, whole, samples_per_row=_BLOCK)
         y = jax.tree_util.tree_map(lambda v: v.reshape(-1, *v.shape[2:]), y)
         if rest[1].shape[0] == 0:
             return after, y

@@ -14,8 +14,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from hystfit.config import require_x64
-from hystfit.data.batch import bucket
+from hystfit.data.batch import in_room
 from hystfit.errors import ModelError, ParameterError
+from hystfit.models.shared.sample_scan import first_samples, scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.params.host_arrays import compiled
 
@@ -66,7 +67,7 @@ class AbstractDynamics(eqx.Module):
             return (state[0] if single else state), y
 
         before = jnp.concatenate([u0[None], u[:-1]])
-        state, y = jax.lax.scan(body, state[0] if single else state, (before, u, dt))
+        state, y = scan_samples(body, state[0] if single else state, (before, u, dt))
         return (state[None] if single else state), y
 
     @property
@@ -99,7 +100,14 @@ class AbstractDynamics(eqx.Module):
         Raises:
             ModelError: as `simulate`.
         """
-        return np.asarray(simulate(self, u, dt)[0])
+        u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
+        if not self.causal:
+            return np.asarray(simulate(self, u, dt)[0])
+        try:  # one program serves records of any length
+            return np.asarray(_outputs(self, in_room(u, hold=True), in_room(dt), np.int64(u.size)))[: u.size]
+        except (TypeError, ValueError):
+            check_one_device(self)
+            raise
 
     @property
     def causal(self) -> bool:
@@ -182,11 +190,17 @@ def _floating(values: Any) -> Any:
     return np.asarray(values, dtype=np.float64)
 
 
-def run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = None) -> tuple[Array, Resume]:
-    """`simulate` without checks or jit, for use inside other traced code."""
+def run(
+    model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None = None, count: Array | int | None = None
+) -> tuple[Array, Resume]:
+    """`simulate` without checks or jit, for use inside other traced code; of the first `count` samples where this is given.
+
+    What is behind the count is padding: the outputs there mean nothing, nor does the state at the end.
+    """
     if resume is None:
         resume = Resume(model.init(u[0]), u[0])
-    state, y = model.sweep(resume.state, resume.u, u, dt)
+    with first_samples(count):
+        state, y = model.sweep(resume.state, resume.u, u, dt)
     return y, Resume(state, u[-1])
 
 
@@ -202,20 +216,25 @@ def _run(model: AbstractDynamics, u: Array, dt: Array, resume: Resume | None) ->
     return y, *end
 
 
+@compiled
+def _outputs(model: AbstractDynamics, u: Array, dt: Array, count: Array) -> Array:
+    return run(model, u, dt, count=count)[0]
+
+
 def states_over(model: AbstractDynamics, u: Any, dt: Any) -> np.ndarray:
     """State after each sample of a run of a causal model, shape (T, states); in some models the linear weights multiply it."""
     u, dt = (np.asarray(values) for values in checked_drive(model, u, dt))
-    extra = bucket(u.size) - u.size  # records of similar length share one program
-    return np.asarray(_states(model, np.pad(u, (0, extra), mode="edge"), np.pad(dt, (0, extra))))[: u.size]
+    return np.asarray(_states(model, in_room(u, hold=True), in_room(dt), np.int64(u.size)))[: u.size]
 
 
 @compiled
-def _states(model: AbstractDynamics, u: Array, dt: Array) -> Array:
+def _states(model: AbstractDynamics, u: Array, dt: Array, count: Array) -> Array:
     def once(state: Array, sample: tuple[Array, Array, Array]) -> tuple[Array, Array]:
         state = model.step(state, *sample)[0]
         return state, state
 
-    return jax.lax.scan(once, model.init(u[0]), (jnp.concatenate([u[:1], u[:-1]]), u, dt))[1]
+    with first_samples(count):
+        return scan_samples(once, model.init(u[0]), (jnp.concatenate([u[:1], u[:-1]]), u, dt))[1]
 
 
 def check_one_device(model: Any) -> None:

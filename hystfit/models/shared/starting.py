@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.data.batch import bucket
+from hystfit.data.batch import in_room
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record, median_interval
 from hystfit.models.shared.simulation import run
@@ -129,11 +129,11 @@ def offset_columns(records: Sequence[Record]) -> np.ndarray:
 
 @compiled
 def simulated_grid(
-    plain: Any, fields: tuple[str, ...], grid: tuple[Float[Array, "n ..."], ...], u: Float[Array, " T"]
+    plain: Any, fields: tuple[str, ...], grid: tuple[Float[Array, "n ..."], ...], u: Float[Array, " T"], count: Any
 ) -> Float[Array, "n T"]:
     """Outputs of a model that needs no time, with its fields of these names at the values of each point of a grid."""
-    one = lambda row: run(dataclasses.replace(plain, **dict(zip(fields, row, strict=True))), u, jnp.zeros_like(u))[0]
-    return jax.vmap(one)(grid)
+    model = lambda row: dataclasses.replace(plain, **dict(zip(fields, row, strict=True)))
+    return jax.vmap(lambda row: run(model(row), u, jnp.zeros_like(u), count=count)[0])(grid)
 
 
 class BestOfGrid(NamedTuple):
@@ -146,10 +146,9 @@ class BestOfGrid(NamedTuple):
 
 def grid_columns(plain: Any, grid: Mapping[str, np.ndarray], records: Sequence[Record]) -> np.ndarray:
     """`simulated_grid` over the samples that count, record after record, (n, K), at values of fields by their names, (K, ...)."""
-    # Inputs are held at their ends, so that records of similar length share one program where later samples change no output.
-    extra = [bucket(len(record)) - len(record) if plain.causal else 0 for record in records]
-    inputs = [np.pad(record.u, (0, more), mode="edge") for record, more in zip(records, extra, strict=True)]
-    runs = [np.asarray(simulated_grid(plain, tuple(grid), tuple(grid.values()), u)) for u in inputs]
+    # Records of any length share one program where later samples change no output.
+    inputs = [(in_room(r.u, hold=True), np.int64(len(r))) if plain.causal else (r.u, None) for r in records]
+    runs = [np.asarray(simulated_grid(plain, tuple(grid), tuple(grid.values()), *one)) for one in inputs]
     return np.concatenate([run[:, : len(r)][:, r.used].T for run, r in zip(runs, records, strict=True)])
 
 
