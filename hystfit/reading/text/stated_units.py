@@ -17,7 +17,7 @@ _PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:o
 
 def unit_key(name: str) -> str:
     """The column whose unit a setting or a column of this name states ("loading_unit", "Units of force"), in lower case; "" for others."""
-    match = _UNIT_KEY.fullmatch(name)
+    match = _UNIT_KEY.fullmatch(name.strip("_"))
     return "" if match is None else (match["of"] or match["by"]).lower()
 
 
