@@ -18,6 +18,7 @@ from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text import cells
+from hystfit.reading.text.stated_interval import interval_of
 
 _PATH = re.compile(
     r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
@@ -106,7 +107,8 @@ def table_of_arrays(
     units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
-    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+    scalars = {name: array.item() for name, array in arrays.items() if array.size == 1}
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions, interval=interval_of(scalars))
 
 
 def _column_titles(arrays: Mapping[str, np.ndarray]) -> tuple[str | None, list[str]]:

@@ -123,15 +123,17 @@ def _of_width(rows: list[list[str]], dialect: Dialect) -> tuple[list[int], list[
 
 
 def _with_remark(row: list[str], dialect: Dialect) -> bool:
-    """Whether a row of numbers is followed by a text, such as the event at that sample."""
+    """Whether a row of numbers is followed by a text, such as the event at that sample, or by a comment of any length."""
     width = dialect.width
-    if not width < len(row) <= width + BESIDE:
+    commented = len(row) > width and row[width].startswith(_COMMENT_MARKS)
+    if not width < len(row) <= width + BESIDE and not commented:
         return False
     kinds = [cells.kind(cell, dialect.decimal) for cell in row]
+    misplaced = any(kind == cells.TEXT != of for kind, of in zip(kinds, dialect.kinds, strict=False))
     return (
-        cells.TEXT not in kinds[:width]
+        not misplaced
         and cells.NUMBER in kinds[:width]
-        and {*kinds[width:]} <= {cells.TEXT, cells.MISSING}
+        and (commented or {*kinds[width:]} <= {cells.TEXT, cells.MISSING})
     )
 
 
