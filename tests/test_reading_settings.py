@@ -11,10 +11,12 @@ from scipy.io import savemat
 
 from hystfit.data import Dataset
 from hystfit.errors import DataError
+from hystfit.outcome import Code
 from hystfit.reading import read
 from hystfit.reading.table.signal_evidence import has_loop
 from tests.loop_files import N, U, Y, is_pair, one, rows, written
 
+SWEEP = np.round((U - 40) / 8, 4)  # between -1 and 1
 NOISE = np.random.default_rng(7).standard_normal(N).round(3)
 HALF = N // 2
 RAMP = np.concatenate([np.linspace(-1, 1, HALF), np.linspace(1, -1, HALF)]).round(4)
@@ -68,6 +70,13 @@ def test_units_in_settings_that_begin_with_an_underscore(tmp_path: Path) -> None
     assert (record.u_unit, record.y_unit) == ("bar", "mmol")
 
 
+def test_units_set_in_below_a_title(tmp_path: Path) -> None:
+    head = "---\nsample: film\nunits:\n  field: T\n  rotation: mdeg\nlaser: 633\n---\nfield,rotation,reflectivity\n"
+    record = one(tmp_path, head + rows(",", SWEEP, Y, 0.7 + 1e-4 * NOISE))
+    is_pair(record, SWEEP, Y)
+    assert (record.u_unit, record.y_unit) == ("T", "mdeg")
+
+
 def test_settings_below_the_names_of_rows_that_are_set_in(tmp_path: Path) -> None:
     """As pandas writes a table below a dictionary of settings, whose values are a column called 0."""
     settings = "scan rate (mV/s),160.0,,,\nscan low (V),-1.0,,,\nscan high (V),1.0,,,\nnum scan,1.0,,,\n"
@@ -115,6 +124,14 @@ def test_numbers_of_cycles_in_any_language_divide_no_record(word: str, tmp_path:
     is_pair(record, wave, lagging)
 
 
+def test_numbers_of_repeats_are_no_further_input(tmp_path: Path) -> None:
+    wave, lagging = np.tile(RAMP, 3), np.tile(LAGGING, 3)
+    number, time = np.repeat([1, 2, 3], N), 0.02 * np.arange(3 * N)
+    record = one(tmp_path, "Repeat,Voltage,Current,Time\n" + rows(",", number, wave, lagging, time))
+    is_pair(record, wave, lagging)
+    assert Code.CURVES not in {note.code for note in record.notes}
+
+
 # Which columns are the loop -----------------------------------------------------------------------------------------------------
 
 
@@ -153,6 +170,15 @@ def test_of_outputs_of_one_quantity_the_one_with_a_loop(tmp_path: Path) -> None:
     height = np.round(volume ** (1 / 3) + 0.01 * NOISE, 4)
     record = one(tmp_path, "Volume [µl],Drop height [mm],CA [°]\n" + rows(",", volume, height, degrees))
     is_pair(record, volume, degrees)
+
+
+def test_the_question_where_only_the_number_of_a_row_is_known_to_be_no_input(tmp_path: Path) -> None:
+    """A calorimeter calls its signal a value, in mW; the temperature of the sample and of the reference remain."""
+    kelvin = np.linspace(0, 110, N).round(3)
+    names = "Index\tt [s]\tTs [°C]\tTr [°C]\tValue [mW]\n"
+    columns = (np.arange(N), 3.0 * np.arange(N), kelvin + 0.01 * NOISE, kelvin, -3 + 0.01 * NOISE)
+    with pytest.raises(DataError, match=r"choose, such as --input"):
+        read(written(tmp_path, names + rows("\t", *columns), "dsc.txt"))
 
 
 def test_noise_is_no_loop() -> None:
