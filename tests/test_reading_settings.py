@@ -206,3 +206,21 @@ def test_a_pointer_in_place_of_the_file(tmp_path: Path) -> None:
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69\nsize 12345\n"
     with pytest.raises(DataError, match="git lfs pull"):
         read(written(tmp_path, pointer, "loop.csv"))
+
+
+def test_steps_and_cycles_around_the_rows_of_a_cell(tmp_path: Path) -> None:
+    """The records of a cycler, each set in below its step, and the steps below their cycle."""
+    soc = np.linspace(0, 1, N).round(4)
+    volts = np.round(3.3 + 0.3 * soc + 0.05 * np.tanh(9 * soc - 4), 4)
+    text = "Cycle,Charge Capacity(mAh),Discharge Capacity(mAh),,,\n,Step,Type,Capacity(mAh),,\n"
+    text += ",,Record,Voltage(V),Current(mA),Capacity(mAh)\n"
+    for cycle in (1, 2):
+        text += f"{cycle},2.5,2.49,,,\n"
+        for step, name, way in ((1, "CC Chg", 1), (2, "CC DChg", -1)):
+            level = volts[::way] + 0.04 * way
+            records = (np.full(N, ""), np.full(N, ""), np.arange(N), level.round(4), np.full(N, 0.5 * way), 2.5 * soc)
+            text += f",{step},{name},2.5,,\n" + rows(",", *records)
+    record = one(tmp_path, text)
+    expected = np.concatenate([2.5 * soc, 2.5 * soc[::-1]])
+    np.testing.assert_allclose(record.u, np.tile(expected, 2), atol=1e-9)
+    np.testing.assert_allclose(record.y, np.tile(np.append(volts + 0.04, volts[::-1] - 0.04), 2), atol=1e-4)

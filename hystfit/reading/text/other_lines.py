@@ -119,6 +119,11 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     return Header(names, units, used, apart=place > 0, over=over)
 
 
+def _is_outer(row: Sequence[str], dialect: Dialect) -> bool:
+    """Whether a row has something over a column that is empty: one of the tables in which the rows of numbers are nested."""
+    return any(kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False))
+
+
 def _without_settings(row: Sequence[str], dialect: Dialect, at_end: Sequence[int]) -> list[str]:
     """The cells of a row without numbers over columns that are empty: those at the end, and all of them in a row of names."""
     kinds = [cells.kind(cell, dialect.decimal) for cell in row]
@@ -169,9 +174,7 @@ def _apart(text: Text, block: Block) -> int:
     those of the tables in which it is nested and any number of settings.
     """
     dialect, first = text.dialect, int(block.index[0])
-    nested = lambda row: any(
-        kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False)
-    )
+    nested = lambda row: _is_outer(row, dialect)
     fits = lambda cell, kind: kind == cells.MISSING or cells.kind(cell, dialect.decimal) == cells.TEXT
     above = text.lines[first - 1] if first > 1 else ""
     if is_mark(above) or above in heads_of_sections(text.lines, block.index):
@@ -300,5 +303,6 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
             mostly, kinds = _mostly_numbers(row, text)
             groups["cells" if k in ragged and mostly else "text"].append(k)
             begun = cells.NUMBER in (kinds[:1] if k in ragged else kinds)
-            unread += int((mostly or begun) and k < index[-1] and k not in touching)
+            outer = _is_outer(row, text.dialect)
+            unread += int((mostly or begun) and not outer and k < index[-1] and k not in touching)
     return groups, unread + len(touching)
