@@ -224,3 +224,10 @@ def test_steps_and_cycles_around_the_rows_of_a_cell(tmp_path: Path) -> None:
     expected = np.concatenate([2.5 * soc, 2.5 * soc[::-1]])
     np.testing.assert_allclose(record.u, np.tile(expected, 2), atol=1e-9)
     np.testing.assert_allclose(record.y, np.tile(np.append(volts + 0.04, volts[::-1] - 0.04), 2), atol=1e-4)
+
+
+def test_columns_without_names_are_asked_for_whichever_has_a_loop(tmp_path: Path) -> None:
+    """Time, strain, curvature, force and moment of a section: no loop tells which of them drives."""
+    columns = (0.1 * np.arange(N), 1e-3 * RAMP**2, RAMP, 2 * RAMP**2 + 1e-3 * NOISE, LAGGING)
+    with pytest.raises(DataError, match="choose, such as"):
+        read(written(tmp_path, rows(" ", *columns), "section.out"))
