@@ -53,6 +53,16 @@ def test_a_sampling_time_beside_arrays(name: str, value: float, step: float | No
         assert record.t is None if step is None else record.t[1] == pytest.approx(step)
 
 
+def test_a_sampling_rate_in_the_attributes_of_a_file(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "scope.h5", "w") as file:
+        file.attrs.update(sampling_rate=50.0, temperature=300.0)
+        file["drive_V"], file["charge_nC"] = U, Y
+    record = read(tmp_path / "scope.h5")
+    is_pair(record)
+    assert record.t[1] == pytest.approx(0.02)
+
+
 def test_step_and_rate_of_a_potential_state_the_interval(tmp_path: Path) -> None:
     head = "Cyclic Voltammetry\nScan Rate (V/s) = 0.05\nSample Interval (V) = 0.004\n\nPotential/V, Current/A\n\n"
     record = one(tmp_path, head + rows(", ", RAMP, LAGGING), "cv.txt")
