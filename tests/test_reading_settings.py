@@ -107,6 +107,16 @@ def test_comments_behind_flagged_rows(tmp_path: Path) -> None:
 # Several records or one ---------------------------------------------------------------------------------------------------------
 
 
+def test_pages_of_one_loop(tmp_path: Path) -> None:
+    field, moment = np.round(8000 * RAMP, 1), np.round(41 * LAGGING, 3)
+    page = lambda k: (
+        f"Page {k + 1}\nH (Oe);M (emu/g)\n" + rows(";", field[15 * k : 15 * k + 15], moment[15 * k : 15 * k + 15])
+    )
+    is_pair(one(tmp_path, "".join(map(page, range(4)))), field, moment)
+    loops = "".join(f"Loop {k}\nH (Oe);M (emu/g)\n" + rows(";", field, moment) for k in (1, 2))  # each a whole one
+    assert isinstance(read(written(tmp_path, loops, "loops.csv")), Dataset)
+
+
 def test_groups_that_each_begin_with_the_number_of_the_point(tmp_path: Path) -> None:
     names = "\t".join(f"Point\tTime (ms)\tDrive Voltage {k}\tPolarization {k} (uC/cm2)" for k in (1, 2, 3))
     group = [np.arange(N) + 1, 0.5 * np.arange(N)]
