@@ -203,7 +203,9 @@ class _Evidence:
         """The readings; where the best one has no loop, those of its input that have one and are as good but for their place come first."""
         best, columns = max(found, key=lambda one: one.points), self.facts.table.columns
         looped = lambda one: has_loop(columns[one.input], columns[one.output], self._parts(one))
-        if not self.facts.kinds[best.input] or looped(best):  # where names do not tell what drives, the user is asked
+        kinds = self.facts.kinds[best.input], self.facts.kinds[best.output]
+        # Where names do not tell what drives, the user is asked; the induction of a magnet may follow a straight line.
+        if not kinds[0] or PAIRS.get(kinds, 0.0) >= _TOGETHER or looped(best):
             return [*found]
         rival = lambda one: one.input == best.input and one.points > best.points - _LOOP and looped(one)
         return [dataclasses.replace(one, points=one.points + _LOOP * rival(one)) for one in found]
