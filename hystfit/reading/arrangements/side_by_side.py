@@ -39,8 +39,10 @@ def stacked(table: Table) -> Table | None:
     300 K). Columns may end at different rows. Words above the names, one over each group, name the records.
     """
     there = [k for k in range(len(table.names)) if k in table.labels or np.isfinite(table.columns[k]).any()]
+    # The first column may number the rows, and so may one of the same name in every group.
     if there and table.counts(there[0]) and column_quantity(table.names[there[0]]) in ("", "index"):
-        there = there[1:]
+        first = there[0]
+        there = [k for k in there if not (table.names[k] == table.names[first] and table.counts(k))]
     count = len(there)
     if not table.named or count < 3:
         return None

@@ -183,7 +183,8 @@ def _guess_pair(
     best = ordered[0]
     alike = _one_quantity(table, free, kinds, best) if not given else set()
     if kinds[best.input] == "index" and not given:  # a number of each result, and no input
-        raise _too_few(table, [best.output], given, clock)
+        others = [one for one in ordered if "index" not in (kinds[one.input], kinds[one.output])]
+        raise _undecided(table, *others[:2]) if len(others) > 1 else _too_few(table, [best.output], given, clock)
     pair = best.input, best.output
     if clock is not None and not given and "time" in (kinds[k] for k in pair):  # one more time
         raise _too_few(table, [k for k in pair if kinds[k] != "time"], given, clock)

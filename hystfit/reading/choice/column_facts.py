@@ -91,8 +91,13 @@ class ColumnFacts:
         roles = _roles(table, components, kinds)
         ranks = dict.fromkeys(equal, 0) | _ranks(table, [k for k in free if k not in equal], kinds, roles)
         facts = cls(table, kinds, components, roles, ranks, frozenset(equal), alone)
+        inputs = [k for k in facts.ranks if roles[k] == "input"]
+        references = [k for k in inputs if _REFERENCE.search(table.names[k])]
+        others = {kinds[k] for k in inputs if k not in references}
         efforts = [k for k in facts.ranks if table.names[k] == "u" and roles[k] and {*facts.measured} - {k}]
         roles |= dict.fromkeys(efforts, "")  # u of a controller, whose reference is followed
+        idle = [k for k in references if kinds[k] in others and k not in facts.measured]
+        roles |= dict.fromkeys(idle, "")  # a reference that nothing follows, beside the input of an open loop
         return dataclasses.replace(
             facts, roles=roles, kinds={**kinds, **{k: kinds[j] for k, j in facts.measured.items()}}
         )
@@ -216,8 +221,10 @@ class ColumnFacts:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
         one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
-        alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
-        bare = without_role(names[k]) == ""  # "ref" has the quantity of what follows it
+        words = [without_role(names[position]).split() for position in (k, j)]
+        # "ref" has the quantity of what follows it, and coil_1_setpoint that of coil_1_field
+        bare = not self.kinds[k] and all(word in words[1] for word in words[0])
+        alike = one_unit or words[0] == words[1] != []
         if self.kinds[k] not in (self.kinds[j], "" if bare else self.kinds[j]) or not (alike or bare):
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))

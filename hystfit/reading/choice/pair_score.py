@@ -21,6 +21,7 @@ from hystfit.reading.table.signal_evidence import (
     computed,
     explained,
     extent,
+    has_loop,
     levels_in_turn,
     moves_at_rest,
     proportional,
@@ -76,6 +77,7 @@ _BELONG = 3.0
 # Correlation of neighboring samples below which an input is noise about a value that is held, and its points: a sine of three samples a
 # half cycle has 0.5, and four a whole one 0.
 _WHITE, _NO_DRIVE = 0.3, -2.0
+_LOOP = 0.5  # of an output that has a loop, where another one without it would be better by its place alone
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
@@ -178,6 +180,7 @@ class _Evidence:
             if {reading.input, reading.output} <= self.facts.equal:  # how they are related does not tell which drives
                 return _UNRELATED * max(0.0, 1.0 - max(share, explained(y, u, part)) / _RELATED)
             unrelated = _UNRELATED * max(0.0, 1.0 - share / _RELATED) + _HEATING * self._heats(reading, part)
+            unrelated += _HEATING * self._is_thermostat(reading, part)
             if computed(u, y):
                 return unrelated + _COMPUTED + _COPY
             kinds = self.facts.kinds[reading.input], self.facts.kinds[reading.output]
@@ -190,13 +193,22 @@ class _Evidence:
             line = _COPY if kinds[0] == kinds[1] else _STRAIGHT if PAIRS.get(kinds, 0.0) < _TOGETHER else 0.0
             return unrelated + (line * proportional(u, y) if line else 0.0)
 
-        return [
-            dataclasses.replace(
-                reading,
-                points=reading.points + (lost(reading) if reading.points - held(reading) >= reach else _UNRELATED),
-            )
+        points = [
+            reading.points + (lost(reading) if reading.points - held(reading) >= reach else _UNRELATED)
             for reading in found
         ]
+        return self._looped([dataclasses.replace(one, points=p) for one, p in zip(found, points, strict=True)])
+
+    def _looped(self, found: Sequence[Reading]) -> list[Reading]:
+        """The readings; where the best one has no loop, those of its input that have one and are as good but for their place come first."""
+        best, columns = max(found, key=lambda one: one.points), self.facts.table.columns
+        looped = lambda one: has_loop(columns[one.input], columns[one.output], self._parts(one))
+        kinds = self.facts.kinds[best.input], self.facts.kinds[best.output]
+        # Where names do not tell what drives, the user is asked; the induction of a magnet may follow a straight line.
+        if not kinds[0] or PAIRS.get(kinds, 0.0) >= _TOGETHER or looped(best):
+            return [*found]
+        rival = lambda one: one.input == best.input and one.points > best.points - _LOOP and looped(one)
+        return [dataclasses.replace(one, points=one.points + _LOOP * rival(one)) for one in found]
 
     def _heats(self, reading: Reading, part: np.ndarray) -> bool:
         """Whether the input is the voltage or current of a heater: what it heats moves while it rests, and follows the temperature."""
@@ -207,6 +219,19 @@ class _Evidence:
         alone = [reading.output] if kinds[reading.output] not in _ELECTRIC else self.facts.ranks
         moved = [k for k in alone if kinds[k] in _MOVES and moves_at_rest(columns[reading.input], columns[k])]
         return any(explained(columns[one], columns[k], part) > _WELL for one in warm for k in moved)
+
+    def _is_thermostat(self, reading: Reading, part: np.ndarray) -> bool:
+        """Whether the pair is a heater and the temperature that it controls, which explains another column better than the heater does."""
+        kinds, columns = self.facts.kinds, self.facts.table.columns
+        if kinds[reading.output] != "temperature" or not self.facts.heats(reading.input):
+            return False
+        measured = [k for k in self.facts.ranks if PAIRS.get(("temperature", kinds[k]), 0.0) > 0 and kinds[k] != ""]
+        shares = (
+            [explained(columns[u], columns[k], part) for u in (reading.output, reading.input)]
+            for k in measured
+            if k != reading.input
+        )
+        return any(warm >= max(heater, _RELATED) for warm, heater in shares)
 
     def of_clock(self, reading: Reading) -> float:
         """Points of an output that rises as a clock does, such as the angle of a crank, while its input does not."""

@@ -10,6 +10,7 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
+from hystfit.reading.curves.unseparated_curves import numbers_cycles
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn
@@ -30,7 +31,8 @@ def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iter
         name, values = table.names[position], table.columns[position]
         if kinds[position] in ("index", "time") or _STATE.search(name):
             continue
-        if _is_direction(values, table.columns[choice.input]):
+        drive = table.columns[choice.input]
+        if _is_direction(values, drive) or (kinds[position] == "" and numbers_cycles(table, position, drive)):
             continue
         if levels := levels_in_turn(values):
             option = f"where='{name}={levels[-1]:g}' reads the samples of one level"

@@ -109,7 +109,8 @@ def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
         loop = _of_one_input(table, ordered)
     else:
         loop = _of_one_input(table, ordered[:1], ordered[1:]) if all(pair.directed for pair in pairs) else None
-    return _of_own_inputs(table, pairs) if loop is None and len(pairs) == 2 else loop
+    several = len(pairs) == 2 or (len(pairs) > 2 and not cycles and all(pair.directed for pair in pairs))
+    return _of_own_inputs(table, pairs) if loop is None and several else loop
 
 
 def _pairs(table: Table) -> list[_Pair]:
@@ -174,11 +175,11 @@ def _glued(tokens: Sequence[str]) -> tuple[str, str]:
 
 
 def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
-    """The loop of branches with an input and an output each, the columns in the order of the file."""
+    """The loop of branches with an input, an output and maybe more columns each, these in the order of the file."""
     pairs = sorted(pairs, key=lambda pair: min(pair.columns))
     rows = [
-        np.flatnonzero(np.isfinite(table.columns[i]) & np.isfinite(table.columns[o]))
-        for i, o in zip(pairs[0].columns, pairs[1].columns, strict=True)
+        np.flatnonzero(np.all([np.isfinite(table.columns[k]) for k in branch], axis=0))
+        for branch in zip(*(pair.columns for pair in pairs), strict=True)
     ]
     if min(map(len, rows)) < FEWEST:
         return None
@@ -192,7 +193,7 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
         ends = [(abs(branch[0, side]), branch[-1, side]) for branch in (first, second)]
         if pair.directed and kind in ("state of charge", "charge") and all(a <= NEAR * b for a, b in ends):
             second[:, side] = first[-1, side] - second[:, side]
-    apart = [_apart(first, second, order) for order in (1, -1)]
+    apart = [_apart(first[:, :2], second[:, :2], order) for order in (1, -1)]  # not of a leakage current, say
     if not pairs[0].directed and (min(apart) > 2 * NEAR or not (_is_branch(first[:, 0]) and _is_branch(second[:, 0]))):
         return None
     order = 1 if apart[0] <= apart[1] else -1

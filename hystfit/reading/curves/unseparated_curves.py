@@ -35,6 +35,7 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         if position in (choice.input, choice.output, *table.labels) or not np.isfinite(values).all():
             continue
         is_set = choice.time is None and kind not in ("index", "status") and levels_in_turn(values)  # as of a gate
+        is_set = is_set and not (kind == "" and numbers_cycles(table, position, u))
         if not (kind == "temperature" or is_set):
             continue
         rows = np.arange(u.size)
@@ -64,6 +65,12 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back from the end of each to the begin of the next")
     )
     return _labeled(pieces, [f"curve={k}" for k in range(len(pieces))])
+
+
+def numbers_cycles(table: Table, position: int, u: np.ndarray) -> bool:
+    """Whether a column counts stretches of rows in which the input goes on from each to the next."""
+    changes = np.flatnonzero(np.diff(table.columns[position]))
+    return table.counts(position, groups=True) and bool((np.abs(np.diff(u)[changes]) <= NEAR * np.ptp(u)).all())
 
 
 def _heated(u: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -36,6 +36,7 @@ _MAGIC = {
     b"NEWARE": "a raw file of a Neware cycler (export it as CSV or Excel)",
     b"\x00\x01\x00\x00Standard Jet": "a database of Access, as Arbin cyclers write it (export the table as CSV)",
     b"ARROW1": "a Feather file (save it as Parquet or CSV)",
+    b"version https://git-lfs": "a pointer of Git LFS (fetch the file itself with git lfs pull)",
 }
 
 # Words of column names and headers, by the encoding of files in that language.

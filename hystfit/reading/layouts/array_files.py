@@ -13,6 +13,7 @@ import numpy as np
 from hystfit.errors import DataError, optional
 from hystfit.reading.files.file_bytes import allowed
 from hystfit.reading.names.names_with_units import is_unit, split_unit
+from hystfit.reading.text.stated_interval import interval_of
 
 _CHUNK = 2**20
 DOUBLE = 8  # bytes that every number takes in the end
@@ -99,7 +100,10 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
             elif isinstance(values, np.ndarray):
                 titled = name if split_unit(name)[1] or not (unit := _unit_of(item.attrs)) else f"{name} [{unit}]"
                 arrays[titled] = _text(values) if values.dtype.kind in "SO" else values
-    return arrays
+        scalars = {key: np.ravel(value) for key, value in file.attrs.items() if np.size(value) == 1}
+    stated = {key: value for key, value in scalars.items() if value.dtype.kind in "fiu"}
+    # Of the attributes of the file, the rate or interval of the samples is read.
+    return arrays | {key: value for key, value in stated.items() if interval_of({key: value.item()})}
 
 
 def netcdf_arrays(raw: bytes) -> dict[str, np.ndarray]:

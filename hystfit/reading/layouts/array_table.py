@@ -17,6 +17,8 @@ from hystfit.reading.limits import MOST_COLUMNS
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
+from hystfit.reading.text import cells
+from hystfit.reading.text.stated_interval import interval_of
 
 _PATH = re.compile(
     r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
@@ -66,9 +68,11 @@ def table_of_arrays(
         if name == title:
             continue
         array = np.squeeze(array)
-        if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
-            array = _seconds(array)
-            stamps.add(name or "column 0")
+        if array.dtype.kind in "mMU" and array.ndim == 1 and array.size > 1:
+            passed = _of_texts(array) if array.dtype.kind == "U" else _seconds(array)
+            array = array if passed is None else passed
+            if passed is not None:
+                stamps.add(name or "column 0")
         if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
             odd.append(name)
         elif array.ndim == 1:
@@ -103,7 +107,8 @@ def table_of_arrays(
     units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
-    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+    scalars = {name: array.item() for name, array in arrays.items() if array.size == 1}
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions, interval=interval_of(scalars))
 
 
 def _column_titles(arrays: Mapping[str, np.ndarray]) -> tuple[str | None, list[str]]:
@@ -145,6 +150,16 @@ def _of_groups(
     parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
     text = f"{len(groups)} groups of columns of the same names, each a record"
     return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
+
+
+def _of_texts(texts: np.ndarray) -> np.ndarray | None:
+    """Texts that are all time stamps as seconds from the first one, shape (rows,); None for others, and where the dates are ambiguous."""
+    if not all(map(cells.is_stamp, map(cells.clean, texts.tolist()))):
+        return None
+    try:
+        return cells.seconds(texts.tolist(), "the stamps")[0]
+    except DataError:
+        return None
 
 
 def _seconds(stamps: np.ndarray) -> np.ndarray:

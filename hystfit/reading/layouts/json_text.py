@@ -22,6 +22,7 @@ from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
 from hystfit.reading.text.header import MOST_METADATA
+from hystfit.reading.text.stated_interval import interval_of
 from hystfit.reading.text.stated_results import result_of
 from hystfit.reading.text.stated_units import unit_key
 
@@ -66,7 +67,22 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
             told = [scalars.get(key) for _, _, scalars in parts]
             names = told if len({*told}) == len(told) and all(isinstance(one, str) for one in told) else names
         described = [dataclasses.replace(part, name=name) for part, name in zip(described, names, strict=True)]
-    return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
+    intervals = {interval_of({**_scalars(content), **scalars}) for *_, scalars in parts}
+    return dataclasses.replace(
+        table,
+        metadata=described[0].metadata if len(parts) == 1 else {},
+        parts=tuple(described),
+        interval=intervals.pop() if len(intervals) == 1 else None,
+    )
+
+
+def _scalars(content: Any) -> dict[str, Any]:
+    """The scalars beside the records of a file, which are those of all of them."""
+    return (
+        {key: item for key, item in content.items() if not isinstance(item, list | Mapping)}
+        if isinstance(content, Mapping)
+        else {}
+    )
 
 
 def _parsed(content: str) -> Any:

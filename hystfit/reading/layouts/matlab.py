@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import math
 from collections.abc import Mapping
@@ -30,7 +29,7 @@ def read_matlab(file: FileBytes, opening: Opening) -> Table:
         tree = _by_cell(_variables(file.raw))
     if any(map(_has_structures, tree.values())):
         return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
-    return read_arrays(functools.partial(_flatten, tree), file, opening)
+    return read_arrays(lambda _: _flatten(tree) | _scalars(tree), file, opening)
 
 
 def _of_hdf(raw: bytes) -> dict[str, np.ndarray]:
@@ -48,15 +47,24 @@ def _variables(raw: bytes) -> dict[str, Any]:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _flatten(tree: Mapping[str, Any], raw: bytes = b"", prefix: str = "") -> dict[str, np.ndarray]:
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:
     """The arrays in structures, their names joined by dots."""
     arrays: dict[str, np.ndarray] = {}
     for name, value in tree.items():
         if isinstance(value, Mapping):
-            arrays.update(_flatten(value, raw, f"{prefix}{name}."))
+            arrays.update(_flatten(value, f"{prefix}{name}."))
         elif isinstance(value, np.ndarray):
             arrays[f"{prefix}{name}"] = value
     return arrays
+
+
+def _scalars(tree: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The numbers in structures, such as a sampling interval, by their own names."""
+    found: dict[str, np.ndarray] = {}
+    for name, value in tree.items():
+        found |= _scalars(value) if isinstance(value, Mapping) else {}
+        found |= {name: np.array(value)} if isinstance(value, int | float) else {}
+    return found
 
 
 def _items(value: Any) -> list[Any]:

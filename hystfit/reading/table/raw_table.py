@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -176,10 +177,16 @@ def plain_table(
     return Table(tuple(names), tuple(units), tuple(columns), labels, zeros, zeros, line, source, sha256, notes=notes)
 
 
+# Part of the range of an input that no page of a loop covers, while a loop of its own does; and by how many of its largest steps the
+# next page begins after the end of one.
+_PAGE, _USUAL_STEPS = 0.9, 2.0
+
+
 def one_loop(titles: Sequence[str], tables: Sequence[Table]) -> Table | None:
-    """Tables with titles of the branches of a loop as one record, the second of two that rise turned; None for other titles."""
+    """The branches of a loop by their titles, the second of two that rise turned, or its pages, as one record; None for other tables."""
     words = [words_of(title) for title in titles]
-    if len(tables) < 2 or not all(word & BRANCHES for word in words) or not any(word & FALLING for word in words):
+    branches = all(word & BRANCHES for word in words) and any(word & FALLING for word in words)
+    if len(tables) < 2 or not (branches or _are_pages(tables)):
         return None
     ordered = [*tables]
     numbered = int(tables[0].counts(0))
@@ -187,6 +194,22 @@ def one_loop(titles: Sequence[str], tables: Sequence[Table]) -> Table | None:
         ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
     below = below_each_other(ordered)
     return dataclasses.replace(below, curve=np.zeros(below.rows, int), part=None, parts=(Part(),))
+
+
+def _are_pages(tables: Sequence[Table]) -> bool:
+    """Whether each table goes on where the one before it ends, in every column, and none has most of the range of one that turns."""
+    if any(table.labels for table in tables) or {*tables[0].names} != set.intersection(*({*t.names} for t in tables)):
+        return False
+    turning = []
+    for name in tables[0].names:
+        columns = [table.columns[table.names.index(name)] for table in tables]
+        steps = np.concatenate([np.diff(column) for column in columns])
+        gaps = [abs(after[0] - before[-1]) for before, after in itertools.pairwise(columns)]
+        if not max(gaps) <= _USUAL_STEPS * np.abs(steps).max(initial=0.0):
+            return False
+        if steps.min(initial=0.0) < 0 < steps.max(initial=0.0):
+            turning.append(max(map(np.ptp, columns)) / np.ptp(np.concatenate(columns)))
+    return min(turning, default=1.0) < _PAGE
 
 
 def below_each_other(tables: Sequence[Table]) -> Table:

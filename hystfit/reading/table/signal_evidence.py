@@ -34,6 +34,9 @@ _EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.2
 _AT_JUMPS = 0.95  # of all changes of the steps, in the largest tenth of them: of a sine that part is 0.16
 _LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
+# By how much the squares of the differences of neighbors are larger across the branches of a loop than along them: noise alone has up to
+# 2.0 in 1800 draws of 40 to 60 samples, and a loop with noise of 0.15 of its range 2.6 to 3.4.
+_LOOPED = 2.5
 _MOST_SAMPLES, _FEWEST = 4000, 40  # samples that are looked at, and below which nothing is said of a relation
 _FEWEST_COMPUTED = 8  # samples below which a straight line is no evidence that one column was computed from the other
 
@@ -129,8 +132,27 @@ def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     if _crossings(y) > 2 * _swings(u) + 1:  # twice for a butterfly, and once for the end of a record
         return 0.0
     y = (y - y.mean()) / np.ptp(y)
-    order = np.lexsort((u, np.gradient(u) > 0, part))
-    return float(np.clip(1.0 - 0.5 * np.sum(np.diff(y[order]) ** 2) / np.sum(y**2), 0.0, 1.0))
+    return float(np.clip(1.0 - 0.5 * _between_neighbors(y, u, np.gradient(u) > 0, part) / np.sum(y**2), 0.0, 1.0))
+
+
+def has_loop(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> bool:
+    """Whether samples of neighboring inputs differ more where those of rising and falling inputs are compared with each other.
+
+    Args:
+        part: as for `explained`.
+    """
+    u, y, part = (sample(values) for values in (u, y, part))
+    both = np.isfinite(u) & np.isfinite(y)
+    u, y, part = u[both], y[both], part[both]
+    if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return False
+    apart = _between_neighbors(y, u, np.gradient(u) > 0, part)
+    return _between_neighbors(y, u, np.zeros(u.size), part) > _LOOPED * apart
+
+
+def _between_neighbors(y: np.ndarray, u: np.ndarray, way: np.ndarray, part: np.ndarray) -> float:
+    """Sum of the squares of the differences of neighbors in the order of the input, those of each way and record for themselves."""
+    return float(np.sum(np.diff(y[np.lexsort((u, way, part))]) ** 2))
 
 
 def _crossings(values: np.ndarray) -> int:

@@ -164,7 +164,9 @@ def kind(cell: str, decimal: str) -> str:
 def parse(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a column, NaN where there is none, and the kind of every cell; both of shape (rows,)."""
     parts = [_parse_chunk(cells[k : k + 2048], decimal) for k in range(0, len(cells), 2048)]
-    return np.concatenate([values for values, _ in parts]), np.concatenate([kinds for _, kinds in parts])
+    values, kinds = np.concatenate([part for part, _ in parts]), np.concatenate([part for _, part in parts])
+    over = np.isinf(values)  # "1e400", beyond the range of a double, and "inf"
+    return np.where(over, np.nan, values), np.where(over, MISSING, kinds)
 
 
 def _parse_chunk(cells: Sequence[str], decimal: str) -> tuple[np.ndarray, np.ndarray]:

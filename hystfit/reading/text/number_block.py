@@ -123,15 +123,17 @@ def _of_width(rows: list[list[str]], dialect: Dialect) -> tuple[list[int], list[
 
 
 def _with_remark(row: list[str], dialect: Dialect) -> bool:
-    """Whether a row of numbers is followed by a text, such as the event at that sample."""
+    """Whether a row of numbers is followed by a text, such as the event at that sample, or by a comment of any length."""
     width = dialect.width
-    if not width < len(row) <= width + BESIDE:
+    commented = len(row) > width and row[width].startswith(_COMMENT_MARKS)
+    if not width < len(row) <= width + BESIDE and not commented:
         return False
     kinds = [cells.kind(cell, dialect.decimal) for cell in row]
+    misplaced = any(kind == cells.TEXT != of for kind, of in zip(kinds, dialect.kinds, strict=False))
     return (
-        cells.TEXT not in kinds[:width]
+        not misplaced
         and cells.NUMBER in kinds[:width]
-        and {*kinds[width:]} <= {cells.TEXT, cells.MISSING}
+        and (commented or {*kinds[width:]} <= {cells.TEXT, cells.MISSING})
     )
 
 
@@ -143,6 +145,7 @@ def _parse_columns(
     stamped, short = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
     any_number, spoiled = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
     leading: np.ndarray | None = None
+    set_out, lacking = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)  # rows of tables that hold this one
     values: list[np.ndarray | None] = []
     for column, kind in zip(columns, dialect.kinds, strict=True):
         numbers = None
@@ -154,10 +157,13 @@ def _parse_columns(
                 any_number |= kinds == cells.NUMBER
                 text = kinds == cells.TEXT
                 leading = kinds == cells.NUMBER if leading is None else leading
+                lacking |= kinds == cells.MISSING
                 spoiled |= text
                 short[text] &= np.array([cells.is_word(column[k]) for k in np.flatnonzero(text)], dtype=bool)
+            elif leading is None:
+                set_out |= kinds != cells.MISSING
         values.append(numbers)
-    fits = stamped & any_number & ~spoiled
+    fits = stamped & any_number & ~spoiled & ~(set_out & lacking)
     below = np.arange(count) > (np.argmax(fits) if fits.any() else count)
     return values, fits, stamped & spoiled & short & below & (np.zeros(count, bool) if leading is None else leading)
 

@@ -16,7 +16,7 @@ from hystfit.reading.names.coded_names import with_meanings
 from hystfit.reading.names.column_names import is_channel
 from hystfit.reading.names.names_with_units import is_unit, split_unit
 from hystfit.reading.text import cells
-from hystfit.reading.text.dialect import Text
+from hystfit.reading.text.dialect import Dialect, Text
 from hystfit.reading.text.header import is_listed, listed_names, read_header, titled_names
 from hystfit.reading.text.number_block import Block, is_comment, is_mark
 from hystfit.reading.text.stated_units import stated_units
@@ -72,12 +72,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     low = max(0, first - 12)
     empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
     at_end = [k for k in empty if k >= len(dialect.kinds.rstrip(cells.MISSING))]
-    is_setting = lambda j, cell: j in at_end and cells.kind(cell, dialect.decimal) == cells.NUMBER
     width = dialect.width if at_end else None  # of rows that end in an empty cell, over and beyond which settings stand
-    cut = {
-        k - low: ["" if is_setting(j, cell) else cell for j, cell in enumerate(block.rows[k][:width])]
-        for k in range(low, first)
-    }
+    cut = {k - low: _without_settings(block.rows[k][:width], dialect, at_end) for k in range(low, first)}
     names, units, used = read_header(text.lines[low:first], dialect.width, dialect.delimiter, dialect.decimal, cut)
     for nameless in (at_end, extra, [*extra, *at_end], empty):
         if used or not nameless:
@@ -123,6 +119,19 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     return Header(names, units, used, apart=place > 0, over=over)
 
 
+def _is_outer(row: Sequence[str], dialect: Dialect) -> bool:
+    """Whether a row has something over a column that is empty: one of the tables in which the rows of numbers are nested."""
+    return any(kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False))
+
+
+def _without_settings(row: Sequence[str], dialect: Dialect, at_end: Sequence[int]) -> list[str]:
+    """The cells of a row without numbers over columns that are empty: those at the end, and all of them in a row of names."""
+    kinds = [cells.kind(cell, dialect.decimal) for cell in row]
+    names = all(kinds[j : j + 1] == [cells.TEXT] for j, kind in enumerate(dialect.kinds) if kind == cells.NUMBER)
+    empty = [j for j, kind in enumerate(dialect.kinds) if kind == cells.MISSING] if names else at_end
+    return ["" if j in empty and kinds[j] == cells.NUMBER else cell for j, cell in enumerate(row)]
+
+
 def _beside(rows: Sequence[Sequence[str]], kinds: str) -> tuple[list[str], list[str]]:
     """Names and units in the settings of an oscilloscope to the left of its instants and its values."""
     found: tuple[list[str], list[str]] = ([""] * len(kinds), [""] * len(kinds))
@@ -159,21 +168,21 @@ def _over(text: Text, block: Block, place: int) -> tuple[str, ...]:
 
 
 def _apart(text: Text, block: Block) -> int:
-    """Line after the names where one or two lines that are no rows of the table stand between them and the numbers; 0 without them.
+    """Line after the names where a few lines that are no rows of the table stand between them and the numbers; 0 without them.
 
     They are words without cells ("@@Data"), rows of numbers of another width, or, where the rows of the table are set in by empty cells,
-    those of the tables in which it is nested.
+    those of the tables in which it is nested and any number of settings.
     """
     dialect, first = text.dialect, int(block.index[0])
-    nested = lambda row: any(
-        kind == cells.MISSING and cell.strip() for cell, kind in zip(row, dialect.kinds, strict=False)
-    )
-    fits = lambda cell, kind: cells.kind(cell, dialect.decimal) == cells.TEXT or (cell == "" and kind == cells.MISSING)
+    nested = lambda row: _is_outer(row, dialect)
+    fits = lambda cell, kind: kind == cells.MISSING or cells.kind(cell, dialect.decimal) == cells.TEXT
     above = text.lines[first - 1] if first > 1 else ""
     if is_mark(above) or above in heads_of_sections(text.lines, block.index):
         return first - 1
-    for place in range(first - 1, max(0, first - 1 - FEW), -1):
+    for place in range(first - 1, max(0, first - 1 - ABOVE), -1):
         between = block.rows[place]
+        if place < first - FEW and not nested(between):
+            break
         mostly, kinds = _mostly_numbers(between, text)
         label = is_comment(text.lines[place]) or (kinds[:1] == [cells.TEXT] and cells.NUMBER in kinds)  # "Cycle 1"
         other = len(between) != dialect.width and (len(between) < 2 or mostly)
@@ -294,5 +303,6 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
             mostly, kinds = _mostly_numbers(row, text)
             groups["cells" if k in ragged and mostly else "text"].append(k)
             begun = cells.NUMBER in (kinds[:1] if k in ragged else kinds)
-            unread += int((mostly or begun) and k < index[-1] and k not in touching)
+            outer = _is_outer(row, text.dialect)
+            unread += int((mostly or begun) and not outer and k < index[-1] and k not in touching)
     return groups, unread + len(touching)

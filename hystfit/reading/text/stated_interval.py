@@ -5,9 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hystfit.params.units import conversion, quantity
+from hystfit.reading.names.names_with_units import split_unit
 
 _OF_SAMPLES = r"(?:sampl(?:e|es|ing)|scan|acquisition|acq|daq|logging|abtast\w*|mess\w*)"
 _RATE = rf"{_OF_SAMPLES}[ _.-]*(?:rate|freq\w*|frequenz)|abtastrate|messrate|abtastfrequenz|fs|采样频率|采样率"
@@ -22,7 +23,13 @@ _LINE = re.compile(
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
 )
+# The step and the rate of a potential: "Sample Interval (V) = 0.001", "Scan Rate (V/s) = 0.05".
+_SWEEP = re.compile(
+    rf"(?P<key>sample interval|scan rate)\s*\((?P<unit>m?V)(?:/s)?\)\s*[=:]\s*(?P<number>{_NUMBER})", re.IGNORECASE
+)
 _HERTZ = re.compile(r"([km]?)(?:hz|sa?/s|samples/s|1/s|sps|)", re.IGNORECASE)
+# Names of a sampling time [s] in control, where it is shorter than this; beside a sample, Ts is its temperature.
+_SAMPLING_TIME, _LONGEST_SAMPLING = ("Ts", "T_s"), 1.0
 _AGREE = 0.01  # part of an interval within which a clock has it: its stamps are rounded
 
 
@@ -32,7 +39,27 @@ def stated_interval(above: Sequence[str]) -> float | None:
     for names, values in itertools.pairwise(line.split(",") for line in above[-2:]):
         below = (value for name, value in zip(names, values, strict=False) if name.strip().lower() == "increment")
         found |= {float(value) for value in below if re.fullmatch(_NUMBER, value.strip())}
-    return found.pop() if len(found) == 1 else None
+    return found.pop() if len(found) == 1 else _of_sweep(above) if not found else None
+
+
+def _of_sweep(above: Sequence[str]) -> float | None:
+    """The time between two rows of a sweep of voltage [s], by its step and its rate; None where the header states none."""
+    found: dict[str, float] = {}
+    for match in filter(None, (_SWEEP.fullmatch(line.strip()) for line in above if len(line) < 200)):
+        found[match["key"].lower()] = float(match["number"]) * (conversion(match["unit"], "V") or 1.0)
+    step, rate = found.get("sample interval"), found.get("scan rate")
+    return step / rate if step and rate else None
+
+
+def interval_of(settings: Mapping[str, object]) -> float | None:
+    """The same from scalars beside arrays, by their names: {"Ts": 0.001}, {"sampling_rate_Hz": 1000}."""
+    named = ((*split_unit(name.rpartition(".")[2]), value) for name, value in settings.items())
+    lines = (
+        f"{'dt' if name in _SAMPLING_TIME and value < _LONGEST_SAMPLING else name}{unit and f' [{unit}]'}: {value}"
+        for name, unit, value in named
+        if isinstance(value, int | float)
+    )
+    return stated_interval([*lines])
 
 
 def _interval(line: str) -> float | None:

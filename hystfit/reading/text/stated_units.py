@@ -17,7 +17,7 @@ _PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:o
 
 def unit_key(name: str) -> str:
     """The column whose unit a setting or a column of this name states ("loading_unit", "Units of force"), in lower case; "" for others."""
-    match = _UNIT_KEY.fullmatch(name)
+    match = _UNIT_KEY.fullmatch(name.strip("_"))
     return "" if match is None else (match["of"] or match["by"]).lower()
 
 
@@ -32,6 +32,7 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
         return all_of_them
     settings = [pair for line in above if (pair := setting_of(line)) is not None]
     known = {unit_key(key): unit for key, unit in settings}
+    known = _below_title(above) | known
     if any(listed := _by_quantity(settings, names)):
         return listed
     if any(named := [unit if name and is_unit(unit := known.get(name.lower(), "")) else "" for name in names]):
@@ -47,6 +48,22 @@ def stated_units(above: Sequence[str], names: Sequence[str], delimiter: str | No
                 continue
             return ["", *_of_volts(units, above, delimiter), *[""] * (width - 1 - len(units))]
     return [""] * width
+
+
+def _below_title(above: Sequence[str]) -> dict[str, str]:
+    """Units by the names of their columns, in lower case, in lines that are set in below one that says "units:", as in YAML."""
+    found: dict[str, str] = {}
+    depth: int | None = None  # of the title, while lines are set in below it
+    for line in above:
+        text = line.lstrip("#%! ")
+        inside = len(line) - len(text)
+        if text.strip().lower() in ("unit:", "units:"):
+            depth = inside
+        elif depth is not None and inside > depth and (pair := setting_of(text)) is not None:
+            found[pair[0].lower()] = pair[1]
+        else:
+            depth = None
+    return found
 
 
 def _by_quantity(settings: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
