@@ -12,7 +12,7 @@ from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn
+from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn, swings
 
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
@@ -25,17 +25,17 @@ _WITH_INPUT, _WITH_OUTPUT = 0.5, 0.9
 def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iterator[Note]:
     """A warning for each of these columns of numbers that is a further input, with how to read the samples of one of its levels."""
     kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
-    of_loop = {kinds[choice.input], kinds[choice.output], "velocity", ""}
     for position in positions:
         name, values = table.names[position], table.columns[position]
         if kinds[position] in ("index", "time") or _STATE.search(name):
             continue
-        if _is_direction(values, table.columns[choice.input]):
+        drive = table.columns[choice.input]
+        if _is_direction(values, drive) or (kinds[position] == "" and _counts_cycles(table, position, drive)):
             continue
         if levels := levels_in_turn(values):
             option = f"where='{name}={levels[-1]:g}' reads the samples of one level"
             yield _note(name, "set to", levels, option)
-        elif kinds[position] not in of_loop and (held := _held_apart(table, choice, position)):
+        elif kinds[position] not in ("velocity", "") and (held := _held_apart(table, choice, position)):
             _, first, stop = max(held, key=lambda one: one[2] - one[1])
             clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
             window = f"{clock[first]:.10g}:{clock[stop - 1]:.10g}"
@@ -56,6 +56,11 @@ def _held_apart(table: Table, choice: Choice, position: int) -> list[tuple[float
     held = held_levels(values)
     loop = ((table.columns[choice.input], _WITH_INPUT), (table.columns[choice.output], _WITH_OUTPUT))
     return [] if held and any(explained(one, values, together) > most for one, most in loop) else held
+
+
+def _counts_cycles(table: Table, position: int, drive: np.ndarray) -> bool:
+    """Whether a column numbers the cycles of the input, or parts of them: it goes up by one, and each number has one cycle at most."""
+    return table.counts(position, groups=True) and swings(drive) <= 2 * np.unique(table.columns[position]).size + 1
 
 
 def _is_direction(values: np.ndarray, drive: np.ndarray) -> bool:

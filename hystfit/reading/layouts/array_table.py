@@ -17,6 +17,7 @@ from hystfit.reading.limits import MOST_COLUMNS
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
+from hystfit.reading.text import cells
 
 _PATH = re.compile(
     r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
@@ -66,8 +67,8 @@ def table_of_arrays(
         if name == title:
             continue
         array = np.squeeze(array)
-        if array.dtype.kind in "mM" and array.ndim == 1 and array.size > 1:
-            array = _seconds(array)
+        if array.ndim == 1 and array.size > 1 and (clock := _clock(array, f"{source}, {name!r}")) is not None:
+            array = clock
             stamps.add(name or "column 0")
         if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
             odd.append(name)
@@ -145,6 +146,18 @@ def _of_groups(
     parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
     text = f"{len(groups)} groups of columns of the same names, each a record"
     return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
+
+
+def _clock(array: np.ndarray, where: str) -> np.ndarray | None:
+    """Dates, durations, or texts of which each is a time stamp, as seconds from the first one, shape (rows,); None for other arrays."""
+    if array.dtype.kind in "mM":
+        return _seconds(array)
+    if array.dtype.kind not in "US":
+        return None
+    texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in array.tolist()]
+    if not all(cells.is_stamp(cells.clean(text)) for text in texts):
+        return None
+    return cells.seconds(texts, where)[0]
 
 
 def _seconds(stamps: np.ndarray) -> np.ndarray:

@@ -85,8 +85,8 @@ def _columnar(value: Any, depth: int = 0) -> Any:
     if depth > DEEPEST:
         raise DataError(f"the JSON is nested more than {DEEPEST} times; write each column as a list under its name")
     if isinstance(value, Mapping):
-        if isinstance(value.get("columns"), list) and isinstance(value.get("data"), list):
-            return dict(zip(map(_title, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
+        if rows := _rows_of_columns(value):
+            return dict(zip(map(_title, value["columns"]), map(list, zip(*rows, strict=True)), strict=True))
         if len(value) >= _FEWEST and all(key.isdigit() for key in value):  # rows by their number, as pandas writes them
             return _columnar(list(value.values()), depth + 1)
         return {key: _columnar(item, depth + 1) for key, item in value.items()}
@@ -102,6 +102,17 @@ def _columnar(value: Any, depth: int = 0) -> Any:
         if len(widths) == 1 and not any(isinstance(cell, list | Mapping) for row in value for cell in row):
             return _of_rows(value)
     return value
+
+
+def _rows_of_columns(value: Mapping[str, Any]) -> list[list[Any]]:
+    """The rows beside a list "columns" of their names, whatever they are called ("data", "values"); none without such a list."""
+    columns = value.get("columns")
+    if not isinstance(columns, list):
+        return []
+    fits = lambda row: isinstance(row, list) and len(row) == len(columns)
+    lists = [item for key, item in value.items() if key != "columns" and isinstance(item, list) and item]
+    found = [item for item in lists if all(map(fits, item))]
+    return found[0] if len(found) == 1 else []
 
 
 def _title(column: Any) -> str:
@@ -183,6 +194,7 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
     scalars: dict[str, Any] = {}
     for key, item in tree.items():
         name = f"{prefix}{key}"
+        item = item[0] if _is_only_mapping(item) else item
         if isinstance(item, Mapping) and (column := _column(name, item)) is not None:
             arrays |= column
         elif isinstance(item, Mapping):
@@ -198,6 +210,11 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
         elif item is not None:
             scalars[name] = item
     return arrays, scalars
+
+
+def _is_only_mapping(item: Any) -> bool:
+    """Whether a list holds one mapping with lists in it, as the series of a query, and no description of a column."""
+    return isinstance(item, list) and len(item) == 1 and isinstance(item[0], Mapping) and _column("", item[0]) is None
 
 
 def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
