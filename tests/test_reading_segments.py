@@ -223,3 +223,52 @@ def test_one_array_of_several_columns_is_no_pair(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", B=np.stack([X, F, X * 0.5], axis=1))
     with pytest.raises(DataError):
         read(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("words", ['ZONE T="specimen {}"', "Run {}", "# loop {}"])
+def test_lines_of_words_that_differ_in_their_numbers_begin_records(tmp_path: Path, words: str) -> None:
+    """Zones of Tecplot, and runs below their numbers; one of these lines is a remark."""
+    head = "Displacement (mm) Load (N)\n".replace(" (", "(")
+    data = read_text(tmp_path, head + "".join(words.format(k) + "\n" + table(X, k * F, mark=" ") for k in (1, 2, 3)))
+    assert isinstance(data, Dataset)
+    assert [record.u.size for record in data] == [ROWS] * 3
+    np.testing.assert_allclose(data[2].y, 3 * F, rtol=1e-4)
+
+
+def test_a_remark_between_rows_begins_no_record(tmp_path: Path) -> None:
+    text = "x(mm) F(N)\n" + table(X[:90], F[:90], mark=" ") + "valve 3 opened\n" + table(X[90:], F[90:], mark=" ")
+    data = read_text(tmp_path, text)
+    assert isinstance(data, Record)
+    assert data.u.size == ROWS
+
+
+def interval_of(data: Record | Dataset) -> float:
+    record = data if isinstance(data, Record) else data[0]
+    assert record.t is not None
+    return float(np.median(np.diff(record.t)))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("fs", 50), ("sample_rate_hz", 50), ("dt", 0.02), ("dt_ms", 20), ("SampleFrequency", 50.0)]
+)
+def test_the_rate_beside_arrays_gives_the_time(tmp_path: Path, key: str, value: float) -> None:
+    channels = [
+        {"name": "stroke", "unit": "mm", "data": X.tolist()},
+        {"name": "force", "unit": "N", "data": F.tolist()},
+    ]
+    assert interval_of(read_text(tmp_path, json.dumps({key: value, "channels": channels}), "a.json")) == pytest.approx(
+        0.02
+    )
+    np.savez(tmp_path / "a.npz", stroke=X, force=F, **{key: np.array(value)})
+    assert interval_of(read(tmp_path / "a.npz")) == pytest.approx(0.02)
+
+
+def test_the_names_of_columns_in_an_attribute(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        data = file.create_dataset("data", data=np.column_stack([PLACE * 0.02, X, F]))
+        data.attrs["columns"] = ["time_s", "stroke_mm", "load_N"]
+    record = read(tmp_path / "a.h5")
+    assert isinstance(record, Record)
+    assert (*pair(record), record.u_unit, record.y_unit) == ("data/stroke_mm", "data/load_N", "mm", "N")
+    np.testing.assert_array_equal(record.y, F)

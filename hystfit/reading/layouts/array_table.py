@@ -18,6 +18,7 @@ from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
 from hystfit.reading.text import cells
+from hystfit.reading.text.stated_interval import interval_among
 
 _PATH = re.compile(
     r"(?P<group>[^\[]+)[./](?P<name>[^./\[]+(?:\s*\[.*\])?)"
@@ -101,10 +102,11 @@ def table_of_arrays(
     if odd:
         shown = ", ".join(odd[:8])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
+    scalars = {name: array.item() for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "fiu"}
     units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
-    return dataclasses.replace(table, named="" not in arrays, stamps=positions)
+    return dataclasses.replace(table, named="" not in arrays, stamps=positions, interval=interval_among(scalars))
 
 
 def _column_titles(arrays: Mapping[str, np.ndarray]) -> tuple[str | None, list[str]]:

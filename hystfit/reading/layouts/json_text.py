@@ -12,16 +12,18 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.layouts.array_table import table_of_arrays
-from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
+from hystfit.reading.limits import DEEPEST, FEWEST, LONGEST, NEAR
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
 from hystfit.reading.text.header import MOST_METADATA
+from hystfit.reading.text.stated_interval import interval_among
 from hystfit.reading.text.stated_results import result_of
 from hystfit.reading.text.stated_units import unit_key
 
@@ -39,12 +41,13 @@ def read_json(text: TextFile) -> Table | None:
     if not start or start not in "[{":
         return None
     try:
-        content = _parsed(text.content)
+        content, cut = _parsed(text.content)
     except (ValueError, RecursionError) as error:
         if start == "[" and not isinstance(error, RecursionError):
             return None  # text that begins with a section such as [Header]
         raise DataError(f"{text.source} begins as JSON and is not: {error}; write it again") from error
-    return table_of_tree(content, text, Note(Code.FILE_FORMAT, "JSON"))
+    table = table_of_tree(content, text, Note(Code.FILE_FORMAT, "JSON"))
+    return table.noted(warn(Code.LEFT_OUT, "left out: the last line, which ends within its JSON")) if cut else table
 
 
 def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table:
@@ -60,6 +63,8 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
     tables = [_table(file, _with_units(arrays, units), note) for arrays, _, _ in parts]
     table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
+    intervals = {interval_among(scalars) for _, _, scalars in parts}
+    table = dataclasses.replace(table, interval=intervals.pop()) if len(intervals) == 1 else table
     if len(parts) > 1 and len({*(part.name for part in described), ""}) <= len(parts):
         names = [f"record={k}" for k in range(len(parts))]
         for key in reversed([*parts[0][2]]):  # the first setting that tells them apart, as in "specimen": "W1"
@@ -69,15 +74,24 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
     return dataclasses.replace(table, metadata=described[0].metadata if len(parts) == 1 else {}, parts=tuple(described))
 
 
-def _parsed(content: str) -> Any:
-    """The value of a JSON text; the list of the values of its lines where each is one."""
+def _parsed(content: str) -> tuple[Any, bool]:
+    """The value of a JSON text, the list of the values of its lines where each is one; and whether the last line is cut off.
+
+    A program that is stopped leaves its last line unfinished.
+    """
     try:
-        return json.loads(content)
+        return json.loads(content), False
     except ValueError:
         lines = [line for line in content.splitlines() if line.strip()]
         if len(lines) < 2:
             raise
-        return [json.loads(line) for line in lines]
+        values = [json.loads(line) for line in lines[:-1]]
+        try:
+            return [*values, json.loads(lines[-1])], False
+        except ValueError:
+            if len(values) < FEWEST:
+                raise
+            return values, True
 
 
 def _columnar(value: Any, depth: int = 0) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hystfit.params.units import conversion, quantity
 
@@ -17,7 +17,7 @@ _INTERVAL = (
 )
 _NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _LINE = re.compile(
-    rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])])?"
+    rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])]|_(?P<behind>k?hz|[mu]?s|sec))?"
     rf"\"?\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
@@ -35,6 +35,12 @@ def stated_interval(above: Sequence[str]) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
+def interval_among(settings: Mapping[str, object]) -> float | None:
+    """The time between two rows [s] that settings by their names state, such as {"fs": 50}; None where they state none, or several."""
+    short = {key.rpartition(".")[2].rpartition("/")[2]: f"{value}" for key, value in settings.items()}
+    return stated_interval([f"{key}: {value}" for key, value in short.items()])
+
+
 def _interval(line: str) -> float | None:
     """The interval in one line [s]; None for other lines, and where its numbers differ."""
     line = line.strip()
@@ -47,7 +53,7 @@ def _interval(line: str) -> float | None:
     # Equal numbers between commas are those of several channels; another comma is a decimal mark
     parts = {",".join(piece if len({*piece}) > 1 else piece[:1]) for piece in pieces}
     values = {float(part.replace(",", ".")) if re.fullmatch(_NUMBER, part) else math.nan for part in parts}
-    unit = (match["unit"] or match["after"] or "").strip()
+    unit = (match["unit"] or match["behind"] or match["after"] or "").strip()
     if len(values) != 1 or not (value := values.pop()) > 0:
         return None
     if match["rate"]:
