@@ -272,3 +272,24 @@ def test_the_names_of_columns_in_an_attribute(tmp_path: Path) -> None:
     assert isinstance(record, Record)
     assert (*pair(record), record.u_unit, record.y_unit) == ("data/stroke_mm", "data/load_N", "mm", "N")
     np.testing.assert_array_equal(record.y, F)
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_groups_with_a_clock_and_a_signal_each(tmp_path: Path, stamped: bool) -> None:
+    """Signals of a control loop that are logged at times of their own: each value holds until the next one."""
+    h5py = pytest.importorskip("h5py")
+    seconds = {"OP": PLACE, "PV": PLACE[::2]}
+    stamps = lambda at: [f"2017-10-06 12:{k // 60:02d}:{k % 60:02d}.5".encode() for k in at]
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, at in seconds.items():
+            group = file.create_group(name)
+            group["Time"] = stamps(at) if stamped else at.astype(float)
+            group["Values"] = (X if name == "OP" else F)[at]
+            group["Quality"] = np.full(at.size, 192)
+    record = read(tmp_path / "a.h5")
+    assert isinstance(record, Record)
+    assert pair(record) == ("OP", "PV")
+    np.testing.assert_array_equal(record.u, X)
+    np.testing.assert_array_equal(record.y, np.repeat(F[::2], 2))
+    assert record.t is not None
+    np.testing.assert_allclose(record.t - record.t[0], PLACE)
