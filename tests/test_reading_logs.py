@@ -445,3 +445,28 @@ def test_how_a_logger_averaged_is_no_name(tmp_path: Path) -> None:
         ("Pressure_Avg", "kPa"),
         ("Strain_Avg", "microstrain"),
     }
+
+
+def test_the_last_line_of_a_log_may_be_cut_off(tmp_path: Path) -> None:
+    """JSON in lines, of a program that was stopped within the last one; a line that is cut off elsewhere is an error."""
+    lines = [json.dumps({"drive (V)": u, "x (um)": y}) for u, y in zip(U, Y, strict=True)]
+    record = one(tmp_path, "\n".join([*lines, lines[0][:15]]), "log.jsonl")
+    is_loop(record, ("V", "um"))
+    assert any(note.severity is Severity.WARNING for note in record.notes)
+    whole = one(tmp_path, "\n".join(lines), "log.jsonl")
+    assert not any(note.severity is Severity.WARNING for note in whole.notes)
+    with pytest.raises(DataError, match="is not"):
+        one(tmp_path, "\n".join([*lines[:9], lines[9][:15], *lines[10:]]), "log.jsonl")
+
+
+def test_a_pointer_to_a_file_kept_elsewhere_is_no_file(tmp_path: Path) -> None:
+    text = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'4d7a' * 16}\nsize 12345\n"
+    with pytest.raises(DataError, match="git lfs pull"):
+        one(tmp_path, text)
+
+
+def test_numbers_whose_squares_are_lost_are_zeros(tmp_path: Path) -> None:
+    """Of a model with no units, or of memory that was never written."""
+    rows = "".join(f"{1e-300 * u:.6e},{1e-300 * y:.6e}\n" for u, y in zip(U, Y, strict=True))
+    with pytest.raises(DataError, match="found 0 column"):
+        one(tmp_path, "V (V),x (um)\n" + rows)

@@ -27,7 +27,9 @@ _CONDITION = re.compile(
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
-_LABEL = 3  # characters of the number or letter of an object
+_LABELED = re.compile(
+    r"(.*?[^\W\d_])(?: +(\S{1,3})|[_-]?(\d{1,3}|(?<=[a-z_-])[A-Z]))"
+)  # an object by its number or letter
 
 
 def stacked(table: Table) -> Table | None:
@@ -79,8 +81,9 @@ def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     if not apart or len({(base, unit) for base, _, unit in titles}) > 1:
         return None
     names = [f"{value} {unit}".strip() for _, value, unit in titles]
-    below = _below_each_other(table, [[there[0], k] for k in there[1:]], names)
-    return below and dataclasses.replace(below, names=(below.names[0], titles[0][0] or "output"))
+    output = titles[0][0] or "output"
+    alike = dataclasses.replace(table, names=tuple(output if k in there[1:] else n for k, n in enumerate(table.names)))
+    return _below_each_other(alike, [[there[0], k] for k in there[1:]], names)
 
 
 def _at_conditions(table: Table, clock: int, rest: Sequence[int]) -> Table | None:
@@ -101,9 +104,12 @@ def _condition(name: str) -> tuple[str, str, str] | None:
 
 
 def _object(name: str) -> tuple[str, str, str] | None:
-    """An empty name, the title of one of several objects ("Pixel A", "Device 3"), and no unit; None for other names."""
-    word, _, label = _bare(name).rpartition(" ")
-    return ("", f"{word} {label}", "") if names_objects(word) and len(label) <= _LABEL else None
+    """An empty name, the title of one of several objects ("Pixel A", "Device3", "SpecimenB_kN"), and no unit; None for other names."""
+    for text in (split_unit(name)[0], _bare(name)):
+        match = _LABELED.fullmatch(text)
+        if match and names_objects(match[1]):
+            return "", f"{match[1]} {match[2] or match[3]}", ""
+    return None
 
 
 def _bare(name: str) -> str:

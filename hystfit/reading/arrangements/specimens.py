@@ -54,11 +54,12 @@ def divided(table: Table) -> Table | None:
 
 
 def _turns(table: Table, clock: int) -> tuple[int, int] | None:
-    """Position of a column of text whose values take turns, with the same time in each turn, and their number; None without one.
+    """Position of a column whose texts or numbers take turns, with the same time in each turn, and their count; None without one.
 
     The joints of a robot and the channels of a logger have a row each at every time.
     """
-    for position, labels in table.labels.items():
+    for position in (k for k in range(len(table.names)) if k != clock):
+        labels = table.labels.get(position, table.columns[position])
         count = np.unique(labels).size
         if count < 2 or table.rows % count or table.rows < OF_RECORD * count:
             continue
@@ -70,8 +71,8 @@ def _turns(table: Table, clock: int) -> tuple[int, int] | None:
 
 def _parted(table: Table, position: int, changes: np.ndarray) -> Table:
     """The table as a record for each value of a column, which changes after these rows."""
-    labels = _labels(table, position)
-    names = [] if labels is None else [str(labels[k]) for k in (0, *(changes + 1))]
+    labels = _names_in(table, position)
+    names = [str(labels[k]) for k in (0, *(changes + 1))]
     base = table.parts[0] if table.parts else Part()
     text = f"{len(names)} records, told apart by column {table.names[position]!r}: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
     return dataclasses.replace(
@@ -89,8 +90,15 @@ def _labels(table: Table, position: int) -> np.ndarray | None:
     numbered = names_objects(name) and not (values % 1).any()
     if not np.isfinite(values).all() or not (numbered or _is_condition(table, position)):
         return None
-    title = split_unit(name)[0]
-    distinct, back = np.unique(values, return_inverse=True)
+    return _names_in(table, position)
+
+
+def _names_in(table: Table, position: int) -> np.ndarray:
+    """The text in a column, or its numbers with its name as text, shape (rows,)."""
+    if position in table.labels:
+        return table.labels[position]
+    title = split_unit(table.names[position])[0]
+    distinct, back = np.unique(table.columns[position], return_inverse=True)
     return np.array([f"{title}={value:g}" for value in distinct])[back]
 
 

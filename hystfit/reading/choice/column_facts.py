@@ -55,6 +55,7 @@ _PAIR = 2  # columns of a loop
 _HEATERS = frozenset({"heater", "heaters", "heating", "furnace", "heizung", "heizer"})
 HEATED = 10.0  # degrees over which a temperature must vary to be an input
 _RELATIVE = ("%", "ppm")  # units of changes beside the quantity itself
+_ELEMENT = re.compile(r"\[\d+\]$")  # of an array
 _REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
 
 
@@ -221,10 +222,9 @@ class ColumnFacts:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
         one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
-        words = [without_role(names[position]).split() for position in (k, j)]
-        # "ref" has the quantity of what follows it, and coil_1_setpoint that of coil_1_field
-        bare = not self.kinds[k] and all(word in words[1] for word in words[0])
-        alike = one_unit or words[0] == words[1] != []
+        alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
+        # "ref" has the quantity of what follows it, as a set value without quantity and unit has.
+        bare = without_role(names[k]) == "" or not (units[k] or column_quantity(names[k]))
         if self.kinds[k] not in (self.kinds[j], "" if bare else self.kinds[j]) or not (alike or bare):
             return False
         return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
@@ -354,17 +354,26 @@ def _axes(names: Sequence[str]) -> dict[int, str]:
 
 
 def _ranks(table: Table, free: Sequence[int], kinds: Mapping[int, str], roles: Mapping[int, str]) -> dict[int, int]:
-    """Place of each column among those of its quantity, of components of a force that which moves most first."""
+    """Place of each column among those of its quantity, of components of a force that which moves most first.
+
+    The elements of one of several arrays (q[0], q[1], tau[0], tau[1]) have one place: which joint of a robot moves is told by the signals.
+    """
     count: dict[tuple[str, str], int] = {}
+    of_array: dict[tuple[tuple[str, str], str], int] = {}
     ranks = {}
     bases = [split_unit(name)[0].strip() for name in table.names]
+    arrays = {k: base[: match.start()] for k, base in enumerate(bases) if (match := _ELEMENT.search(base))}
+    several = len({*arrays.values()}) > 1
     forces = {k: bases[k][:-1] for k, axis in _axes(bases).items() if axis and kinds[k] == "force"}
     first = {stem: k for k, stem in reversed(forces.items())}
     place = lambda k: (first[forces[k]], -extent(table.columns[k])) if k in forces else (k, 0.0)
     for k in sorted(free, key=lambda k: (secondary(table.names[k]), *place(k))):
         group = (kinds[k], roles[k])
-        ranks[k] = count.get(group, 0)
-        count[group] = ranks[k] + 1
+        array = arrays.get(k, "") if several else ""
+        ranks[k] = of_array.get((group, array), count.get(group, 0))
+        if array:
+            of_array[group, array] = ranks[k]
+        count[group] = max(count.get(group, 0), ranks[k] + 1)
     return ranks
 
 

@@ -26,7 +26,6 @@ _WITH_INPUT, _WITH_OUTPUT = 0.5, 0.9
 def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iterator[Note]:
     """A warning for each of these columns of numbers that is a further input, with how to read the samples of one of its levels."""
     kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
-    of_loop = {kinds[choice.input], kinds[choice.output], "velocity", ""}
     for position in positions:
         name, values = table.names[position], table.columns[position]
         if kinds[position] in ("index", "time") or _STATE.search(name):
@@ -37,7 +36,7 @@ def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iter
         if levels := levels_in_turn(values):
             option = f"where='{name}={levels[-1]:g}' reads the samples of one level"
             yield _note(name, "set to", levels, option)
-        elif kinds[position] not in of_loop and (held := _held_apart(table, choice, position)):
+        elif kinds[position] not in ("velocity", "") and (held := _held_apart(table, choice, position)):
             _, first, stop = max(held, key=lambda one: one[2] - one[1])
             clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
             window = f"{clock[first]:.10g}:{clock[stop - 1]:.10g}"

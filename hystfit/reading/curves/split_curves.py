@@ -87,8 +87,8 @@ def split_curves(
             "most; remove them, or write fewer curves in a file"
         )
     bounds = np.append(np.flatnonzero(np.diff(number, prepend=-1)), table.rows)
-    if choice.time is not None and clock_goes_on(table.columns[choice.time], bounds[1:-1]):
-        text = f"{len(bounds) - 1} blocks are read as one record: the time goes on at its usual steps from each to the next"
+    if what := _goes_on(table, choice, bounds[1:-1]):
+        text = f"{len(bounds) - 1} blocks are read as one record: {what} from each to the next"
         notes.append(Note(Code.CURVES, text))
         return [("", np.arange(table.rows))], False
     pieces = [np.arange(a, b) for a, b in itertools.pairwise(bounds)]
@@ -114,6 +114,16 @@ def split_curves(
     return list(zip(labels, pieces, strict=True)), True
 
 
+def _goes_on(table: Table, choice: Choice, starts: np.ndarray) -> str:
+    """What shows that blocks, which begin at these rows, are pages of one record: its time or the number of its samples; "" without any."""
+    if choice.time is not None:
+        goes_on = clock_goes_on(table.columns[choice.time], starts)
+        return "the time goes on at its usual steps" if goes_on else ""
+    numbered = any(table.counts(k) for k in range(len(table.names)) if k not in (choice.input, choice.output))
+    jump = numbered and any(_jumps(table.columns[k], starts - 1).any() for k in (choice.input, choice.output))
+    return "the number of the sample goes on" if numbered and not jump else ""
+
+
 def _conditions(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> list[str]:
     """A label of every curve by the measured condition that tells them apart, such as the current of a damper; none without one."""
     for position, name in enumerate(table.names if table.named else ()):
@@ -129,16 +139,22 @@ def _conditions(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> l
 
 
 def _one_loop(table: Table, choice: Choice, pieces: Sequence[np.ndarray], notes: list[Note]) -> np.ndarray | None:
-    """Rows of blocks that are branches of one loop without a clock, each beginning where the previous one ends; None of others."""
+    """Rows of blocks that are branches of one loop, each beginning where the previous one ends; None of others.
+
+    If there is a clock, it goes on from each block to the next.
+    """
     u, y = table.columns[choice.input], table.columns[choice.output]
-    if choice.time is not None or not _follow_each_other(u, y, pieces):
+    rows = np.concatenate(pieces)
+    starts = np.cumsum([piece.size for piece in pieces])[:-1]
+    apart = choice.time is not None and not clock_goes_on(table.columns[choice.time][rows], starts)
+    if apart or not _follow_each_other(u, y, pieces):
         return None
     text = (
         f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the previous one ends, and the input "
         "reverses"
     )
     notes.append(Note(Code.CURVES, text))
-    return np.concatenate(pieces)
+    return rows
 
 
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:

@@ -15,7 +15,7 @@ from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import levels_in_turn
+from hystfit.reading.table.signal_evidence import levels_in_turn, swings
 
 _MOST = 100  # curves at temperatures of their own
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
@@ -68,9 +68,14 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
 
 
 def numbers_cycles(table: Table, position: int, u: np.ndarray) -> bool:
-    """Whether a column counts stretches of rows in which the input goes on from each to the next."""
-    changes = np.flatnonzero(np.diff(table.columns[position]))
-    return table.counts(position, groups=True) and bool((np.abs(np.diff(u)[changes]) <= NEAR * np.ptp(u)).all())
+    """Whether a column numbers the cycles of the input, or parts of them, from each of which the input goes on to the next.
+
+    A number that holds for several cycles may be that of a setting.
+    """
+    numbers = table.columns[position]
+    if not table.counts(position, groups=True) or swings(u) > 2 * np.unique(numbers).size + 1:
+        return False
+    return bool((np.abs(np.diff(u)[np.flatnonzero(np.diff(numbers))]) <= NEAR * np.ptp(u)).all())
 
 
 def _heated(u: np.ndarray, temperature: np.ndarray) -> np.ndarray:

@@ -97,6 +97,8 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
             values = item[()]
             if isinstance(values, np.ndarray) and values.dtype.names is not None:
                 arrays.update({f"{name}/{field}": values[field] for field in values.dtype.names})
+            elif isinstance(values, np.ndarray) and (titles := _titles_of(item.attrs, values.shape)):
+                arrays.update({f"{name}/{title}": values[:, k] for k, title in enumerate(titles)})
             elif isinstance(values, np.ndarray):
                 titled = name if split_unit(name)[1] or not (unit := _unit_of(item.attrs)) else f"{name} [{unit}]"
                 arrays[titled] = _text(values) if values.dtype.kind in "SO" else values
@@ -104,6 +106,13 @@ def hdf5_arrays(raw: bytes) -> dict[str, np.ndarray]:
     stated = {key: value for key, value in scalars.items() if value.dtype.kind in "fiu"}
     # Of the attributes of the file, the rate or interval of the samples is read.
     return arrays | {key: value for key, value in stated.items() if interval_of({key: value.item()})}
+
+
+def _titles_of(attributes: Mapping[str, Any], shape: tuple[int, ...]) -> list[str]:
+    """The names of the columns of a matrix: the only attribute that is a list of as many different texts; [] for others."""
+    lists = (np.ravel(attributes[key]) for key in attributes) if len(shape) == 2 else ()
+    found = [_text(texts).tolist() for texts in lists if texts.size == shape[1] and texts.dtype.kind in "SO"]
+    return found[0] if len(found) == 1 and len({*found[0]}) == shape[1] > 1 else []
 
 
 def netcdf_arrays(raw: bytes) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening
-from hystfit.reading.limits import MOST_COLUMNS
+from hystfit.reading.limits import FEWEST, MOST_COLUMNS
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table, below_each_other, plain_table
@@ -61,6 +61,7 @@ def table_of_arrays(
     """
     if (records := _of_groups(arrays, source, sha256, notes)) is not None:
         return records
+    arrays = _below_each_other(arrays, source) or arrays
     columns: dict[str, np.ndarray] = {}
     odd, stamps = [], set()
     title, named = _column_titles(arrays)
@@ -68,11 +69,9 @@ def table_of_arrays(
         if name == title:
             continue
         array = np.squeeze(array)
-        if array.dtype.kind in "mMU" and array.ndim == 1 and array.size > 1:
-            passed = _of_texts(array) if array.dtype.kind == "U" else _seconds(array)
-            array = array if passed is None else passed
-            if passed is not None:
-                stamps.add(name or "column 0")
+        if array.ndim == 1 and array.size > 1 and (clock := _clock(array, f"{source}, {name!r}")) is not None:
+            array = clock
+            stamps.add(name or "column 0")
         if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
             odd.append(name)
         elif array.ndim == 1:
@@ -104,10 +103,10 @@ def table_of_arrays(
     if odd:
         shown = ", ".join(odd[:8])
         notes.append(Note(Code.LEFT_OUT, f"left out: {len(odd)} variables that are not columns: {shown}"))
+    scalars = {name: array.item() for name, array in arrays.items() if array.size == 1 and array.dtype.kind in "fiu"}
     units = ["s" if name in stamps else split_unit(name, names)[1] for name in names]
     table = plain_table(names, [columns[name] for name in names], source, sha256, tuple(notes), units)
     positions = frozenset(k for k, name in enumerate(names) if name in stamps)
-    scalars = {name: array.item() for name, array in arrays.items() if array.size == 1}
     return dataclasses.replace(table, named="" not in arrays, stamps=positions, interval=interval_of(scalars))
 
 
@@ -134,10 +133,7 @@ def _of_groups(
     arrays: Mapping[str, np.ndarray], source: str, sha256: str | None, notes: Sequence[Note]
 ) -> Table | None:
     """The records of groups that have columns of the same names, of which two may be those of a loop; None where there are none."""
-    groups: dict[str, dict[str, np.ndarray]] = {}
-    for match in filter(None, map(_PATH.fullmatch, arrays)):
-        if np.squeeze(arrays[match[0]]).ndim == 1:
-            groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
+    groups = _groups(arrays)
     first = next(iter(groups.values()), {})
     signals = [name for name in first if column_quantity(name) not in ("", "time", "index")]
     if len(groups) < 2 or len(signals) < 2 or any(group.keys() != first.keys() for group in groups.values()):
@@ -152,13 +148,57 @@ def _of_groups(
     return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
 
 
-def _of_texts(texts: np.ndarray) -> np.ndarray | None:
-    """Texts that are all time stamps as seconds from the first one, shape (rows,); None for others, and where the dates are ambiguous."""
-    if not all(map(cells.is_stamp, map(cells.clean, texts.tolist()))):
+def _groups(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
+    """The columns of each group by their names."""
+    groups: dict[str, dict[str, np.ndarray]] = {}
+    for match in filter(None, map(_PATH.fullmatch, arrays)):
+        if np.squeeze(arrays[match[0]]).ndim == 1:
+            groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
+    return groups
+
+
+def _below_each_other(arrays: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray] | None:
+    """The signals of groups that have a clock and a signal each, as a time, a name and a value for each sample; None for other groups.
+
+    Each signal of a control loop is logged at times of its own, so that their lengths differ.
+    """
+    groups = _groups(arrays)
+    first = next(iter(groups.values()), {})
+    sizes = [{array.size for array in group.values()} for group in groups.values()]
+    if len(groups) < 2 or any(group.keys() != first.keys() for group in groups.values()):
+        return None
+    if any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
+        return None  # signals of equal length are columns
+    joined = {name: np.concatenate([np.squeeze(group[name]) for group in groups.values()]) for name in first}
+    clocks = {name: _clock(array, f"{source}, {name!r}") for name, array in joined.items()}
+    clocks |= {
+        name: array for name, array in joined.items() if column_quantity(name) == "time" and clocks[name] is None
+    }
+    times = [clock for clock in clocks.values() if clock is not None and clock.dtype.kind in "fiu"]
+    numbers = [array for name, array in joined.items() if clocks[name] is None and array.dtype.kind in "fiub"]
+    signals = [array for array in numbers if np.unique(array[np.isfinite(array)]).size > 1]
+    if len(times) != 1 or len(signals) != 1:
+        return None
+    order = np.argsort(times[0], kind="stable")
+    names = np.repeat([*groups], [size.pop() for size in sizes])
+    return {"time [s]": times[0][order], "signal": names[order], "value": signals[0][order]}
+
+
+def _clock(array: np.ndarray, where: str) -> np.ndarray | None:
+    """Dates, durations, or texts of which each is a time stamp, as seconds from the first one, shape (rows,).
+
+    None for other arrays, and for dates that can be read in two ways.
+    """
+    if array.dtype.kind in "mM":
+        return _seconds(array)
+    if array.dtype.kind not in "US":
+        return None
+    texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in array.tolist()]
+    if not all(cells.is_stamp(cells.clean(text)) for text in texts):
         return None
     try:
-        return cells.seconds(texts.tolist(), "the stamps")[0]
-    except DataError:
+        return cells.seconds(texts, where)[0]
+    except DataError:  # dates that can be read in two ways
         return None
 
 

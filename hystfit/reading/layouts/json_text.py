@@ -12,11 +12,12 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.layouts.array_table import table_of_arrays
-from hystfit.reading.limits import DEEPEST, LONGEST, NEAR
+from hystfit.reading.limits import DEEPEST, FEWEST, LONGEST, NEAR
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import words_of
@@ -40,12 +41,13 @@ def read_json(text: TextFile) -> Table | None:
     if not start or start not in "[{":
         return None
     try:
-        content = _parsed(text.content)
+        content, cut = _parsed(text.content)
     except (ValueError, RecursionError) as error:
         if start == "[" and not isinstance(error, RecursionError):
             return None  # text that begins with a section such as [Header]
         raise DataError(f"{text.source} begins as JSON and is not: {error}; write it again") from error
-    return table_of_tree(content, text, Note(Code.FILE_FORMAT, "JSON"))
+    table = table_of_tree(content, text, Note(Code.FILE_FORMAT, "JSON"))
+    return table.noted(warn(Code.LEFT_OUT, "left out: the last line, which ends within its JSON")) if cut else table
 
 
 def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table:
@@ -85,15 +87,24 @@ def _scalars(content: Any) -> dict[str, Any]:
     )
 
 
-def _parsed(content: str) -> Any:
-    """The value of a JSON text; the list of the values of its lines where each is one."""
+def _parsed(content: str) -> tuple[Any, bool]:
+    """The value of a JSON text, the list of the values of its lines where each is one; and whether the last line is cut off.
+
+    A program that is stopped leaves its last line unfinished.
+    """
     try:
-        return json.loads(content)
+        return json.loads(content), False
     except ValueError:
         lines = [line for line in content.splitlines() if line.strip()]
         if len(lines) < 2:
             raise
-        return [json.loads(line) for line in lines]
+        values = [json.loads(line) for line in lines[:-1]]
+        try:
+            return [*values, json.loads(lines[-1])], False
+        except ValueError:
+            if len(values) < FEWEST:
+                raise
+            return values, True
 
 
 def _columnar(value: Any, depth: int = 0) -> Any:
@@ -101,8 +112,8 @@ def _columnar(value: Any, depth: int = 0) -> Any:
     if depth > DEEPEST:
         raise DataError(f"the JSON is nested more than {DEEPEST} times; write each column as a list under its name")
     if isinstance(value, Mapping):
-        if isinstance(value.get("columns"), list) and isinstance(value.get("data"), list):
-            return dict(zip(map(_title, value["columns"]), map(list, zip(*value["data"], strict=False)), strict=False))
+        if rows := _rows_of_columns(value):
+            return dict(zip(map(_title, value["columns"]), map(list, zip(*rows, strict=True)), strict=True))
         if len(value) >= _FEWEST and all(key.isdigit() for key in value):  # rows by their number, as pandas writes them
             return _columnar(list(value.values()), depth + 1)
         return {key: _columnar(item, depth + 1) for key, item in value.items()}
@@ -118,6 +129,17 @@ def _columnar(value: Any, depth: int = 0) -> Any:
         if len(widths) == 1 and not any(isinstance(cell, list | Mapping) for row in value for cell in row):
             return _of_rows(value)
     return value
+
+
+def _rows_of_columns(value: Mapping[str, Any]) -> list[list[Any]]:
+    """The rows beside a list "columns" of their names, whatever they are called ("data", "values"); none without such a list."""
+    columns = value.get("columns")
+    if not isinstance(columns, list):
+        return []
+    fits = lambda row: isinstance(row, list) and len(row) == len(columns)
+    lists = [item for key, item in value.items() if key != "columns" and isinstance(item, list) and item]
+    found = [item for item in lists if all(map(fits, item))]
+    return found[0] if len(found) == 1 else []
 
 
 def _title(column: Any) -> str:
@@ -199,6 +221,7 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
     scalars: dict[str, Any] = {}
     for key, item in tree.items():
         name = f"{prefix}{key}"
+        item = item[0] if _is_only_mapping(item) else item
         if isinstance(item, Mapping) and (column := _column(name, item)) is not None:
             arrays |= column
         elif isinstance(item, Mapping):
@@ -214,6 +237,11 @@ def _leaves(tree: Mapping[Any, Any], prefix: str = "") -> tuple[dict[str, np.nda
         elif item is not None:
             scalars[name] = item
     return arrays, scalars
+
+
+def _is_only_mapping(item: Any) -> bool:
+    """Whether a list holds one mapping with lists in it, as the series of a query, and no description of a column."""
+    return isinstance(item, list) and len(item) == 1 and isinstance(item[0], Mapping) and _column("", item[0]) is None
 
 
 def _column(name: str, item: Mapping[str, Any]) -> dict[str, np.ndarray] | None:

@@ -27,6 +27,7 @@ _TERMINAL = re.compile(
     r"|([VI])(?:_?(?:[Ff]orce|[Mm]eas|[Ss]ense|[Rr]ead|[Ww]rite|[Dd]rain|[Gg]ate|[GDSB]{2}|[gdsb]{2}|[Gg]|rms|RMS|pp|dc|DC|ac|AC)|_[DSBdsb])\d?"
     r"|(V)[DSBdsb]\d?"
 )
+_REMARK = re.compile(r"\s*[(\[][^()\[\]]*[)\]]")  # on a name: Cycle Count(Digital Position)
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
 _TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
 # Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
@@ -58,8 +59,9 @@ def column_quantity(name: str, unit: str = "") -> str:
     if RATIO.fullmatch(base) and not RELATIVE_PRESSURE.search(base):
         base = base[0]
     base, of_matrix = re.subn(r"\[\d+\]$", "", base.strip().removesuffix("(t)"))
-    if of_matrix and "_" in base:
-        return by_unit  # a column of a matrix x_F: the name is not that of the column
+    if of_matrix and "_" in base:  # a column of a matrix x_F has no name of its own, and tau_J[3] is a torque
+        spelled = {WORDS[word] for word in base.lower().split("_") if len(word) > 1 and word in WORDS}
+        return by_unit or (spelled.pop() if len(spelled) == 1 else "")
     if _CHANNEL.fullmatch(base):
         return by_unit  # its letter is that of the channel
     if _TEMPERATURES.fullmatch(base):
@@ -68,7 +70,7 @@ def column_quantity(name: str, unit: str = "") -> str:
         base = terminal[1] or terminal[2] or terminal[3]
     if base in _LETTERS and by_unit in ("", _LETTERS[base]):
         return _LETTERS[base]
-    kinds = _named_quantities(base)
+    kinds = _named_quantities(_REMARK.sub(" ", base)) or _named_quantities(base)
     if by_unit == "stress" and {"potential", "tension"}.intersection(_words(base)):
         return "pressure"  # of water in soil and plants
     for strong in ("temperature", "error", "status", "frequency", "phase"):  # the unit C alone would be a charge

@@ -34,6 +34,11 @@ def factor_of(unit: str) -> tuple[float, str]:
     return 1.0, unit
 
 
+def _named_with(name: str, unit: str, other: str) -> str:
+    """A name with another unit in the place of its own; without the brackets around it where the other one is none."""
+    return name.replace(unit, other) if other else re.sub(rf"\s*[\[(]?{re.escape(unit)}[\])]?", "", name)
+
+
 def unscaled(table: Table) -> Table | None:
     """The columns in their units without the factors that these are written with; None where there is none."""
     found = {k: factor_of(unit) for k, unit in enumerate(table.units)}
@@ -47,7 +52,7 @@ def unscaled(table: Table) -> Table | None:
     return dataclasses.replace(
         table,
         names=replaced(
-            table.names, lambda k: _NEGATED.sub("", table.names[k].replace(table.units[k], scaled[k][1]), 1)
+            table.names, lambda k: _NEGATED.sub("", _named_with(table.names[k], table.units[k], scaled[k][1]), 1)
         ),
         units=replaced(table.units, lambda k: scaled[k][1]),
         columns=replaced(table.columns, lambda k: scaled[k][0] * table.columns[k]),

@@ -13,6 +13,7 @@ from hystfit.reading.limits import FEW, JUMP, MAJORITY, ODD
 from hystfit.reading.table.raw_table import Table
 
 _TOO_LARGE = 9e36  # 9.9e37 and 9.91e37 of SCPI instruments, 1e99, the largest float and double
+_TOO_SMALL = 1e-100  # the third power of which is still a double: no quantity in any unit is as small
 _CODES = (-999.0, -999.25, -999.9, -9999.0, -9999.9, -99999.0, 9999.0, 99999.0, 999999.0, -999999.0)
 _TIMES, _OTHER_TIMES = 10.0, (5.0, 20.0)  # what a lost mark multiplies a number with, and what it never does
 _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other values, as a multiple of their range
@@ -21,18 +22,19 @@ _FAR = 1.0, 0.3  # distance of a positive and of a negative code from the other 
 def without_infinite(table: Table) -> tuple[Table, dict[int, tuple[int, int, float]]]:
     """The table with NaN in place of infinite and too large numbers, and for each column with such numbers what was replaced.
 
-    That is the number of infinite values, of too large ones, and the first of these.
+    That is the number of infinite values, of too large ones, and the first of these. Numbers whose squares are lost to rounding are zeros.
     """
     columns, replaced = [], {}
     for position, values in enumerate(table.columns):
         with np.errstate(invalid="ignore"):
             beyond = np.abs(values) > _TOO_LARGE
+            values = np.where(np.abs(values) < _TOO_SMALL, 0.0, values)
         if beyond.any():
             large = values[beyond & np.isfinite(values)]
             replaced[position] = int(beyond.sum()) - large.size, large.size, float(large[0]) if large.size else np.inf
             values = np.where(beyond, np.nan, values)
         columns.append(values)
-    return (dataclasses.replace(table, columns=tuple(columns)) if replaced else table), replaced
+    return dataclasses.replace(table, columns=tuple(columns)), replaced
 
 
 def replaced_notes(replaced: tuple[int, int, float], role: str) -> list[Note]:

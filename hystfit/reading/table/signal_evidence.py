@@ -129,7 +129,7 @@ def explained(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> float:
     u, y, part = u[both], y[both], part[both]
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
-    if _crossings(y) > 2 * _swings(u) + 1:  # twice for a butterfly, and once for the end of a record
+    if _crossings(y) > 2 * swings(u) + 1:  # twice for a butterfly, and once for the end of a record
         return 0.0
     y = (y - y.mean()) / np.ptp(y)
     return float(np.clip(1.0 - 0.5 * _between_neighbors(y, u, np.gradient(u) > 0, part) / np.sum(y**2), 0.0, 1.0))
@@ -162,7 +162,7 @@ def _crossings(values: np.ndarray) -> int:
     return int(np.count_nonzero(ends[1:] != ends[:-1]))
 
 
-def _swings(values: np.ndarray) -> int:
+def swings(values: np.ndarray) -> int:
     """How often a column moves by more than a small part of its range in the one direction and then in the other.
 
     Where amplitudes grow, an output that saturates passes from end to end of its range in every cycle, and an input in the last ones.

@@ -178,7 +178,7 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
             f"{source}: no row of numbers found in {len(lines)} lines; it begins {filled[0].strip()[:60]!r}. "
             "Give delimiter= and decimal= if there are numbers in it"
             if filled
-            else f"{source} holds {len(lines)} blank lines and nothing else"
+            else f"{source} holds no text but blank lines; record or copy it again"
         )
     if best.delimiter == "," and best.decimal == "." and delimiter is None and decimal is None:
         _check_comma(filled, best, source)

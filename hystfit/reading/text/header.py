@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -49,6 +50,7 @@ UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[
 _OF_CHANNEL = re.compile(
     r"\W*(?:(?:ch|channel|kanal|signal|column)[ _.]?\d*[ _.]?)?(name|unit)[ _]?\d*\s*[:=]\s*(\S.*)", re.IGNORECASE
 )
+_VALUE = re.compile(r"\S+\s*=\s*[^\s,;]+")  # of a setting in the name of a column
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _COUNTED = re.compile(rf"{_COMMENT}\s*\d+")  # how many rows follow
@@ -146,7 +148,13 @@ def _is_header(parts: list[str], decimal: str) -> bool:
     kinds = [cells.kind(part, decimal) for part in parts if not re.fullmatch(r"[\[(<][-1][\])>]", part)]
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
         return False
-    return not any("=" in part or part.endswith(":") for part in parts)  # those are settings
+    return not any(_is_setting(part) for part in parts)
+
+
+def _is_setting(cell: str) -> bool:
+    """Whether a cell is no name of a column but a setting, or the word before one: "T=300 K", "Time:"; not "N=10 strain (%)"."""
+    rest = _VALUE.sub("", cell).strip()
+    return cell.endswith(":") or ("=" in cell and (is_unit(rest) or not column_quantity(rest)))
 
 
 def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list[str], list[str] | None, int]:
@@ -184,9 +192,13 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
     titled = (k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0]) and any(rows[k][1:]))
     of_names = next(titled, of_names)
     names = rows[of_names]
-    alike = not (distinct(names) or _grouped(names))  # Force, Force under A, B
-    if alike and used < len(rows) and len(set(rows[used])) == len(names):
-        names, used = [f"{one} {two}".strip() for one, two in zip(rows[used], names, strict=True)], used + 1
+    if not distinct(names) and used < len(rows):  # Force, Force under A, B, and mean, std, mean, std under x, "", F, ""
+        over = [*itertools.accumulate(rows[used], lambda before, cell: cell or before)]
+        of_over, of_names = ({*map(column_quantity, row)} - {"", "error", "index"} for row in (over, names))
+        quantities = len(of_over) > 1 and not of_names
+        joined = [f"{one} {two}".strip() for one, two in zip(over, names, strict=True)]
+        if distinct(joined) and (quantities or not _grouped(names)):
+            names, used = joined, used + 1
     if units is not None and place is not None:
         units = [unit or in_case(name, cell) for unit, name, cell in zip(units, names, bare[place], strict=True)]
     return names, units, used
@@ -302,7 +314,9 @@ def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], in
             return None
     units = [cell[0] for cell in rows[-1]] if len(rows) > 1 else []
     bare = [a == b and not RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
-    without = len(units) < width and all(map(is_unit, units))  # brackets, below fewer columns
+    without = len(units) < width and all(
+        is_unit(cell) or is_symbol(cell) for cell in units
+    )  # brackets, below fewer columns
     if not units or (any(bare) and not without) or len(top) != width:
         return None
     names, told = [[name] for name in top], [""] * width
@@ -316,7 +330,7 @@ def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], in
             else:
                 names[place].append(cell[0])
     whole = [" ".join(words) for words in names]
-    units = [unit or split_unit(name, whole)[1] for unit, name in zip(told, whole, strict=True)]
+    units = [in_case(name, unit) or unit or split_unit(name, whole)[1] for unit, name in zip(told, whole, strict=True)]
     return whole, units, len(above) - len(lines)
 
 

@@ -161,7 +161,7 @@ def _parse_columns(
                 spoiled |= text
                 short[text] &= np.array([cells.is_word(column[k]) for k in np.flatnonzero(text)], dtype=bool)
             elif leading is None:
-                set_out |= kinds != cells.MISSING
+                set_out |= kinds == cells.NUMBER  # a text is a comment
         values.append(numbers)
     fits = stamped & any_number & ~spoiled & ~(set_out & lacking)
     below = np.arange(count) > (np.argmax(fits) if fits.any() else count)

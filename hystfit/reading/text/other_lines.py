@@ -22,6 +22,7 @@ from hystfit.reading.text.number_block import Block, is_comment, is_mark
 from hystfit.reading.text.stated_units import stated_units
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
+_WORDED = re.compile(r"\W*[^\W\d_]{2,}")
 _NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
 _SETTINGS = {"source": (0, 1), "horizontal units": (1, 0), "vertical units": (1, 1)}  # name or unit of which column
 _WORDS = {
@@ -145,16 +146,19 @@ def _beside(rows: Sequence[Sequence[str]], kinds: str) -> tuple[list[str], list[
 
 
 def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:
-    """Comments above the first row and between rows that differ in their numbers alone, as in "# loop at 50 A/m".
+    """Comments above the first row and between rows that differ in their numbers alone, as in "# loop at 50 A/m"; so lines of words there.
 
     Args:
         lines: of the file.
         index: those that are rows.
     """
     between = [lines[k + 1] for k in index[:-1][np.diff(index) == 2]]
+    above = {_NUMBERS.sub("0", line) for line in lines[: index[0]]}
     alike: dict[str, set[str]] = {}
-    for line in filter(is_comment, [*lines[: index[0]], *between]):
-        alike.setdefault(_NUMBERS.sub("0", line), set()).add(line)
+    for line in [*lines[: index[0]], *between]:
+        plain = _NUMBERS.sub("0", line)
+        if is_comment(line) or (_WORDED.match(line) and plain in above):  # ZONE T="specimen 2"
+            alike.setdefault(plain, set()).add(line)
     return {line for group in alike.values() if len(group) > 1 for line in group if not group.isdisjoint(between)}
 
 

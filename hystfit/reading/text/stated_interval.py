@@ -18,7 +18,7 @@ _INTERVAL = (
 )
 _NUMBER = r"[+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?"
 _LINE = re.compile(
-    rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])])?"
+    rf"\W*(?:(?P<rate>{_RATE})|(?:{_INTERVAL}))\s*(?:[\[(](?P<unit>[^\])]+)[\])]|_(?P<behind>k?hz|[mu]?s|sec))?"
     rf"\"?\s*[:=,;\t ]\s*\"?(?P<numbers>{_NUMBER}(?:[\s,;]+{_NUMBER})*)"
     r"\s*(?P<after>[A-Za-zµμ/]*)\W*",
     re.IGNORECASE,
@@ -53,7 +53,7 @@ def _of_sweep(above: Sequence[str]) -> float | None:
 
 def interval_of(settings: Mapping[str, object]) -> float | None:
     """The same from scalars beside arrays, by their names: {"Ts": 0.001}, {"sampling_rate_Hz": 1000}."""
-    named = ((*split_unit(name.rpartition(".")[2]), value) for name, value in settings.items())
+    named = ((*split_unit(re.split(r"[./]", name)[-1]), value) for name, value in settings.items())
     lines = (
         f"{'dt' if name in _SAMPLING_TIME and value < _LONGEST_SAMPLING else name}{unit and f' [{unit}]'}: {value}"
         for name, unit, value in named
@@ -74,7 +74,7 @@ def _interval(line: str) -> float | None:
     # Equal numbers between commas are those of several channels; another comma is a decimal mark
     parts = {",".join(piece if len({*piece}) > 1 else piece[:1]) for piece in pieces}
     values = {float(part.replace(",", ".")) if re.fullmatch(_NUMBER, part) else math.nan for part in parts}
-    unit = (match["unit"] or match["after"] or "").strip()
+    unit = (match["unit"] or match["behind"] or match["after"] or "").strip()
     if len(values) != 1 or not (value := values.pop()) > 0:
         return None
     if match["rate"]:
