@@ -459,12 +459,6 @@ def test_the_last_line_of_a_log_may_be_cut_off(tmp_path: Path) -> None:
         one(tmp_path, "\n".join([*lines[:9], lines[9][:15], *lines[10:]]), "log.jsonl")
 
 
-def test_a_pointer_to_a_file_kept_elsewhere_is_no_file(tmp_path: Path) -> None:
-    text = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'4d7a' * 16}\nsize 12345\n"
-    with pytest.raises(DataError, match="git lfs pull"):
-        one(tmp_path, text)
-
-
 def test_numbers_whose_squares_are_lost_are_zeros(tmp_path: Path) -> None:
     """Of a model with no units, or of memory that was never written."""
     rows = "".join(f"{1e-300 * u:.6e},{1e-300 * y:.6e}\n" for u, y in zip(U, Y, strict=True))

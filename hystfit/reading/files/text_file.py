@@ -6,14 +6,12 @@ import dataclasses
 import functools
 from collections.abc import Iterable, Sequence
 
-from hystfit.errors import DataError
 from hystfit.outcome import Note
 from hystfit.reading.files.encodings import decode
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.lines import lines_of
 from hystfit.reading.files.typed_numbers import without_types
 
-_POINTER = "version https://git-lfs.github.com/spec/"  # first line of what Git LFS keeps in the place of a large file
 HEAD = 200  # lines by which layouts are recognized
 
 
@@ -75,12 +73,8 @@ def text_of(file: FileBytes, opening: Opening) -> TextFile:
     """The text in the bytes of a file.
 
     Raises:
-        DataError: the bytes are not text, or text that stands for a file elsewhere.
+        DataError: the bytes are not text.
     """
     content, notes = decode(file.raw, file.source, opening.encoding)
-    if content.startswith(_POINTER):
-        raise DataError(
-            f"{file.source} is a pointer of Git LFS and not the file itself: fetch that by 'git lfs pull', or download it from its page"
-        )
     content, typed = without_types(content)
     return TextFile(content, file.source, file.sha256, (*file.notes, *notes, *typed), opening)
