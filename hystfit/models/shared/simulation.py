@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from hystfit.config import require_x64
+from hystfit.config import require_x64, shares_programs
 from hystfit.data.batch import in_room
 from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shared.sample_scan import first_samples, scan_samples
@@ -100,10 +100,10 @@ class AbstractDynamics(eqx.Module):
         Raises:
             ModelError: as `simulate`.
         """
-        u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
-        if not self.causal:
+        if not (self.causal and shares_programs()):
             return np.asarray(simulate(self, u, dt)[0])
-        try:  # one program serves records of any length
+        u, dt = (np.asarray(values) for values in checked_drive(self, u, dt))
+        try:
             return np.asarray(_outputs(self, in_room(u, hold=True), in_room(dt), np.int64(u.size)))[: u.size]
         except (TypeError, ValueError):
             check_one_device(self)
