@@ -233,8 +233,9 @@ def _states(model: AbstractDynamics, u: Array, dt: Array, count: Array) -> Array
         state = model.step(state, *sample)[0]
         return state, state
 
+    begin = model.init(u[0])
     with first_samples(count):
-        return scan_samples(once, model.init(u[0]), (jnp.concatenate([u[:1], u[:-1]]), u, dt))[1]
+        return scan_samples(once, begin, (jnp.concatenate([u[:1], u[:-1]]), u, dt))[1]
 
 
 def check_one_device(model: Any) -> None:
