@@ -1,5 +1,7 @@
 """Scans that end at the length of a record: programs then serve records of any length."""
 
+import contextlib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,9 +109,23 @@ def test_the_output_of_a_record_that_is_not_fitted_to_its_end_is_whole():
     model = MODELS["bouc-wen"]
     with expect_few_runs():
         problem = hf.Problem(model, record)
-        assert Batch.of(record).with_room().counts.tolist() == [60]
+        np.testing.assert_array_equal(Batch.of(record).with_room().counts, [60])  # type: ignore[arg-type]
         output = problem.predict(problem.space.vector(model))[0]
         free = AbstractDynamics.free_run(model, u)
     expected = np.asarray(hf.simulate(model, u)[0])
     np.testing.assert_allclose(output, expected, rtol=1e-12)
     np.testing.assert_allclose(free, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_problem_that_is_cut_to_its_window_keeps_its_residuals(shared):
+    """Its arrays are shorter than its record: a scan over all samples of the record wrote the others over the last output."""
+    u = _loop(150)
+    record = hf.Record(u=u, y=0.9 * u, weight=(np.arange(150) < 64).astype(float))
+    model = MODELS["bouc-wen"]
+    problem = hf.Problem(model, record)
+    x = problem.space.vector(model)
+    expected = (np.asarray(hf.simulate(model, u)[0]) - record.y)[:64]
+    with expect_few_runs() if shared else contextlib.nullcontext():
+        residual = problem.trimmed().residuals(x)
+    np.testing.assert_allclose(residual[0], np.pad(expected, (0, residual.shape[1] - 64)), atol=1e-12)

@@ -71,7 +71,7 @@ class Batch(eqx.Module):
         """The same samples in arrays of common lengths, see `room`, and how many of each record are simulated.
 
         Args:
-            counts: shape (R,); by default up to the last sample that counts.
+            counts: shape (R,), at most the length of the arrays; by default up to the last sample that counts.
         """
         records, length = self.u.shape
         wide = room(length, records)

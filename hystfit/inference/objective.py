@@ -39,11 +39,7 @@ class Objective(eqx.Module):
 
     def predict(self, x: Float[Array, " p"]) -> Float[Array, "R T"]:
         """Free run of every record at physical parameters x."""
-
-        def one(record: Any) -> Array:
-            return self._output(x, record)
-
-        return by_record(one, self.batch.u.shape[0])
+        return by_record(lambda record: self._output(x, record), self.batch.u.shape[0])
 
     def _output(self, x: Float[Array, " p"], record: Any) -> Float[Array, " T"]:
         """Free run of one record."""
@@ -165,7 +161,8 @@ _predict = compiled(Objective.predict)
 
 
 def predicted(objective: Objective, x: Any, counts: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R T"]:
-    """`Objective.predict` on the host, of the first samples of each record."""
+    """`Objective.predict` on the host, of the first samples of each record, as far as the arrays of the objective go."""
+    counts = np.minimum(counts, objective.batch.u.shape[1])
     wide = dataclasses.replace(objective, batch=objective.batch.with_room(counts))
     return np.asarray(_predict(wide, to_device(x)))
 

@@ -27,9 +27,8 @@ _CONDITION = re.compile(
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
-_LABELED = re.compile(
-    r"(.*?[^\W\d_])(?: +(\S{1,3})|[_-]?(\d{1,3}|(?<=[a-z_-])[A-Z]))"
-)  # an object by its number or letter
+# An object by its number or letter.
+_LABELED = re.compile(r"(.*?[^\W\d_])(?: +(\S{1,3})|[_-]?(\d{1,3}|(?<=[a-z_-])[A-Z]))")
 
 
 def stacked(table: Table) -> Table | None:

@@ -61,7 +61,7 @@ def table_of_arrays(
     """
     if (records := _of_groups(arrays, source, sha256, notes)) is not None:
         return records
-    arrays = _below_each_other(arrays, source) or arrays
+    arrays = _signals_in_rows(arrays) or arrays
     columns: dict[str, np.ndarray] = {}
     odd, stamps = [], set()
     title, named = _column_titles(arrays)
@@ -69,7 +69,7 @@ def table_of_arrays(
         if name == title:
             continue
         array = np.squeeze(array)
-        if array.ndim == 1 and array.size > 1 and (clock := _clock(array, f"{source}, {name!r}")) is not None:
+        if array.ndim == 1 and array.size > 1 and (clock := _clock(array)) is not None:
             array = clock
             stamps.add(name or "column 0")
         if array.dtype.kind not in "fiubUS" or array.ndim not in (1, 2) or array.size < 2:
@@ -157,7 +157,7 @@ def _groups(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]
     return groups
 
 
-def _below_each_other(arrays: Mapping[str, np.ndarray], source: str) -> dict[str, np.ndarray] | None:
+def _signals_in_rows(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
     """The signals of groups that have a clock and a signal each, as a time, a name and a value for each sample; None for other groups.
 
     Each signal of a control loop is logged at times of its own, so that their lengths differ.
@@ -170,7 +170,7 @@ def _below_each_other(arrays: Mapping[str, np.ndarray], source: str) -> dict[str
     if any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
         return None  # signals of equal length are columns
     joined = {name: np.concatenate([np.squeeze(group[name]) for group in groups.values()]) for name in first}
-    clocks = {name: _clock(array, f"{source}, {name!r}") for name, array in joined.items()}
+    clocks = {name: _clock(array) for name, array in joined.items()}
     clocks |= {
         name: array for name, array in joined.items() if column_quantity(name) == "time" and clocks[name] is None
     }
@@ -184,7 +184,7 @@ def _below_each_other(arrays: Mapping[str, np.ndarray], source: str) -> dict[str
     return {"time [s]": times[0][order], "signal": names[order], "value": signals[0][order]}
 
 
-def _clock(array: np.ndarray, where: str) -> np.ndarray | None:
+def _clock(array: np.ndarray) -> np.ndarray | None:
     """Dates, durations, or texts of which each is a time stamp, as seconds from the first one, shape (rows,).
 
     None for other arrays, and for dates that can be read in two ways.
@@ -197,7 +197,7 @@ def _clock(array: np.ndarray, where: str) -> np.ndarray | None:
     if not all(cells.is_stamp(cells.clean(text)) for text in texts):
         return None
     try:
-        return cells.seconds(texts, where)[0]
+        return cells.seconds(texts, "")[0]
     except DataError:  # dates that can be read in two ways
         return None
 

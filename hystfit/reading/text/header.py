@@ -314,9 +314,8 @@ def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], in
             return None
     units = [cell[0] for cell in rows[-1]] if len(rows) > 1 else []
     bare = [a == b and not RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
-    without = len(units) < width and all(
-        is_unit(cell) or is_symbol(cell) for cell in units
-    )  # brackets, below fewer columns
+    # Without brackets, below fewer columns.
+    without = len(units) < width and all(is_unit(cell) or is_symbol(cell) for cell in units)
     if not units or (any(bare) and not without) or len(top) != width:
         return None
     names, told = [[name] for name in top], [""] * width

@@ -146,7 +146,7 @@ def _beside(rows: Sequence[Sequence[str]], kinds: str) -> tuple[list[str], list[
 
 
 def heads_of_sections(lines: Sequence[str], index: np.ndarray) -> set[str]:
-    """Comments above the first row and between rows that differ in their numbers alone, as in "# loop at 50 A/m"; so lines of words there.
+    """Comments above the first row and between rows that differ in their numbers alone, as in "# loop at 50 A/m", and such lines of words.
 
     Args:
         lines: of the file.
