@@ -53,7 +53,7 @@ lint: setup
 	$(BIN)/lint-imports --no-cache
 
 types: setup
-	$(BIN)/basedpyright
+	$(BIN)/pyrefly check --min-severity error
 
 tests: setup  ## the tests, without the slow ones (QUICK= for all)
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 1 -q $(if $(QUICK),-m "not slow",$(EVERY_SHAPE))

@@ -172,8 +172,13 @@ class Results:
     def finish(self) -> None:
         """Write results.json and end the program with the exit status listed at the top of this file."""
         failed, status = self.failures(), self.status
-        content = {"status": status, "quick": self.quick, "numbers": self.numbers, "failed": failed}
-        content["skipped"] = self.skipped  # reason by part
+        content = {
+            "status": status,
+            "quick": self.quick,
+            "numbers": self.numbers,
+            "failed": failed,
+            "skipped": self.skipped,
+        }
         (self.out / "results.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         seconds = time.perf_counter() - self.started
         counts = f"{len(self.numbers)} numbers, {len(failed)} missed, {len(self.skipped)} parts skipped"

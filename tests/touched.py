@@ -58,7 +58,7 @@ def main() -> int:
     tests = tests_of(files)
     print(f"{len(files)} changed files: types of {len(typed)}, {len(tests)} test files", flush=True)
     binaries = Path(sys.executable).parent
-    commands = [[binaries / "basedpyright", *typed]] if typed else []
+    commands = [[binaries / "pyrefly", "check", "--min-severity", "error", *typed]] if typed else []
     if tests:
         commands.append(
             [sys.executable, "-m", "pytest", "-n", "2", "--dist", "load", "-q", "-x", "-m", "not slow", *tests]

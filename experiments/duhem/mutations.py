@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cases
 import estimators
-import jax.numpy as jnp
 import numpy as np
 from common import Mutation, Results, substitute
 from run import free_run, gradient, noise_free, papers_form
@@ -32,12 +33,13 @@ def _flipped_rls() -> None:
 
 
 def _frozen_covariance() -> None:
-    potter = Rls._potter
-    Rls._potter = lambda self, root, phi: (potter(self, root, phi)[0], root)
+    correct = Rls.correct
+    Rls.correct = lambda self, state, phi, error: correct(self, state, phi, error)._replace(root=state.root)
 
 
 def _short_memory() -> None:
-    Rls._forgetting = lambda self, trace: jnp.asarray(0.97)
+    correct = Rls.correct
+    Rls.correct = lambda self, *rest: correct(dataclasses.replace(self, forgetting=0.97), *rest)
 
 
 def _tight_prior() -> None:

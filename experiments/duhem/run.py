@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"  # threads slow down matrices of eight columns
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -271,7 +272,7 @@ def main() -> None:
     hf.enable_x64()
     estimators.quiet()
     results = Results(HERE, options.quick, options.out)
-    parts = noise_free(results)
+    parts: dict[str, Any] = noise_free(results)
     parts["gradient"] = gradient(results)
     parts["paper"] = papers_form(results)
     parts["small step"] = small_step(results)

@@ -29,14 +29,14 @@ def _columns(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
 
 def _runs(known: np.ndarray) -> list[tuple[int, int]]:
     """First sample and end of each run of equal values."""
-    edges = [0, *(np.flatnonzero(np.diff(known.astype(int))) + 1), known.size]
+    edges = [0, *(np.flatnonzero(np.diff(known.astype(int))) + 1).tolist(), known.size]
     return list(itertools.pairwise(edges))
 
 
 def sysidentpy(rows: Rows) -> tuple[np.ndarray, int] | None:
     """Polynomial NARX of degree 2 with the sign of the input's rate, terms by FROLS; simulated freely from the last given outputs."""
-    from sysidentpy.basis_function import Polynomial  # pyright: ignore[reportMissingImports]
-    from sysidentpy.model_structure_selection import FROLS  # pyright: ignore[reportMissingImports]
+    from sysidentpy.basis_function import Polynomial  # pyrefly: ignore[missing-import]
+    from sysidentpy.model_structure_selection import FROLS  # pyrefly: ignore[missing-import]
 
     records = np.array([row["record"] for row in rows])
     u, y = _columns(rows)
@@ -72,7 +72,7 @@ def sysidentpy(rows: Rows) -> tuple[np.ndarray, int] | None:
 def resspylab(rows: Rows) -> tuple[np.ndarray, int] | None:
     """Voce-Chaboche with two backstresses, from nominal values; for steel coupons."""
     import pandas as pd
-    from RESSPyLab import VCsimCurve, vc_param_opt  # pyright: ignore[reportMissingImports]
+    from RESSPyLab import VCsimCurve, vc_param_opt  # pyrefly: ignore[missing-import]
 
     u, y = _columns(rows)
     known = np.isfinite(y)

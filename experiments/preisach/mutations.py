@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 
 import equinox as eqx
-import identify
+import identification
 import jax.numpy as jnp
 import numpy as np
 import plant
@@ -28,15 +28,15 @@ def curves(results: Results) -> None:
 
 def properties(results: Results) -> None:
     """S2 to S5."""
-    run.lag(results, identify.static_model(identify.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)))
+    run.lag(results, identification.static_model(identification.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)))
     run.wiping_out(results)
     run.minor_loops(results)
 
 
 def tracked(results: Results) -> None:
     """The loop's design, and S8 to S10 on the unchanged plant."""
-    record = identify.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)
-    models = {"": identify.static_model(record), "table ": identify.table_model(record)}
+    record = identification.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)
+    models = {"": identification.static_model(record), "table ": identification.table_model(record)}
     made, secant = run.loop(results, models[""])
     names = ("FF", "FB", "line+FB", "FF+FB", "table FF+FB")
     runs = tracking.arms(run.MAJOR, models, secant, made, {}, names)
@@ -47,8 +47,8 @@ def tracked(results: Results) -> None:
 
 def fast(results: Results) -> None:
     """S15."""
-    record = identify.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)
-    run.frequency(results, record, identify.static_model(record))
+    record = identification.reversal_record(plant.actuator(), 0.01, 2.0, seed=1)
+    run.frequency(results, record, identification.static_model(record))
 
 
 def _line() -> None:
@@ -77,7 +77,7 @@ def _no_triangles() -> None:
 
 
 def _over_smooth() -> None:
-    substitute(identify.fit_preisach, functools.partial(_smoother, identify.fit_preisach))
+    substitute(identification.fit_preisach, functools.partial(_smoother, identification.fit_preisach))
 
 
 def _smoother(original, record, model, **options):

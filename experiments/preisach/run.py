@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import figures
 import numpy as np
 from common import Results, arguments, table
-from identify import reversal_record, static_model, table_model, with_relaxation
+from identification import reversal_record, static_model, table_model, with_relaxation
 from measured import measured
 from plant import PLANTS, RELAXATION, STRONGER, actuator, legs, measure
 from tracking import arms, feedforward, loop_design, robust_damping, track

@@ -184,7 +184,7 @@ def _write_inverse(
     path: Path, target: Record, inverse: Inverse, bands: InverseBands | None, units: dict[str, str | None]
 ) -> None:
     u, y = (unit or "" for unit in units.values())
-    columns = {} if target.t is None else {named("t", target.t_unit): target.t}
+    columns: dict[str, Any] = {} if target.t is None else {named("t", target.t_unit): target.t}
     columns |= {named("reference", y): target.y, named("u", u): inverse.u, named("y", y): inverse.y}
     columns["status"] = inverse.status
     if bands is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.options import Output, Reading, Split, bounds_of, named_values
 from hystfit.errors import DataError
@@ -145,7 +145,7 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"],
 
     if not Path(path).is_file():
         raise DataError(f"no file {path!r} with the {'reference' if missing == 'input' else 'input'}")
-    options = dataclasses.asdict(reading)
+    options: dict[str, Any] = dataclasses.asdict(reading)
     treatment = Treatment(**{key: options.pop(key) for key in _TREATMENT})
     table = table_of(path, **{key: options.pop(key) for key in _LAYOUT})
     column = np.arange(float(table.rows)) * (missing == "input")

@@ -140,7 +140,8 @@ class Session:
         """Choose models for a record, and read starting values off it; "auto" takes that with the fewest parameters that suits the loop."""
         require_x64()
         self._translate = translate
-        self.record, self._source, self.result = record, source or Source(), None
+        self.record, self._source = record, source or Source()
+        self.result: FitResult | None = None
         suited = _suited(record)
         chosen = suited[0] if model == "auto" else model
         self.choices = tuple(dict.fromkeys([chosen, *suited]))

@@ -263,8 +263,14 @@ class PrandtlIshlinskii(AbstractHysteresis):
     def settings(self) -> dict[str, int | bool | str]:
         count, plays = self.w.shape
         path = round(float(self.s0)) if self.hardening.size else 0
-        shape = {"plays": plays, "degree": self.b.size + self.rise.size, "envelopes": count}
-        return shape | {"operator": self.operator, "hardening": path, "rest": self.rest}
+        return {
+            "plays": plays,
+            "degree": self.b.size + self.rise.size,
+            "envelopes": count,
+            "operator": self.operator,
+            "hardening": path,
+            "rest": self.rest,
+        }
 
     def reach(self) -> tuple[float, float]:
         """A quarter of the range beyond it on either side."""

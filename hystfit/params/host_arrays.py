@@ -56,8 +56,10 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         return eqx.filter_jit(function, compiler_options=program_options(unoptimized))
 
     def program_for(structure: Any, unoptimized: bool) -> Callable[..., _R]:
+        of_trees: Callable[..., _R] = function
+
         def of_leaves(*leaves: Any) -> _R:
-            return function(*structure.unflatten(leaves))
+            return of_trees(*structure.unflatten(leaves))
 
         of_leaves.__name__ = function.__name__
         program = jax.jit(of_leaves, compiler_options=program_options(unoptimized))

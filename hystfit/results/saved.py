@@ -201,9 +201,12 @@ def _labels(record: Record) -> dict[str, Any]:
     fields = {
         field.name: getattr(record, field.name) for field in dataclasses.fields(record) if field.name not in _ARRAYS
     }
-    plain = {"reading": dict(record.reading), "metadata": dict(record.metadata)}
-    plain["stated"] = [dataclasses.asdict(one) for one in record.stated]
-    return fields | plain | {"notes": [note.to_dict() for note in record.notes]}
+    return fields | {
+        "reading": dict(record.reading),
+        "metadata": dict(record.metadata),
+        "stated": [dataclasses.asdict(one) for one in record.stated],
+        "notes": [note.to_dict() for note in record.notes],
+    }
 
 
 def _labels_of(stored: Stored) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def tail_shape(score: Float[np.ndarray, " n"]) -> float:
 def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] | None:
     """A mixture fitted to a target, and the draws of the last rounds, balanced; None where none is found."""
     d, batches = len(target.center), []
-    mixture: Mixture | None = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
+    mixture = Mixture(np.ones(1), np.zeros((1, d)), _WIDER * np.eye(d)[None])
     for number in range(1, _ROUNDS + 1):
         batches.append(Batch.of(target, mixture, rng, mixture.round_size))
         steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
@@ -160,7 +160,8 @@ def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] |
             return mixture, recent
         if not recent.effective:
             break
-        mixture = mixture.split(recent, rng) if number == _ALONE else mixture.refitted(recent)
-        if mixture is None:
+        following = mixture.split(recent, rng) if number == _ALONE else mixture.refitted(recent)
+        if following is None:
             break
+        mixture = following
     return None

@@ -117,7 +117,8 @@ class _Channel:
 
     def __init__(self, ukf: Ukf, limits: tuple[float, float], dt: float):
         self.ukf, self.limits, self.dt = ukf, limits, dt
-        self.state, self.memory = ukf.init(), None
+        self.state = ukf.init()
+        self.memory: Resume | None = None
 
     def model(self) -> AbstractHysteresis:
         """As identified so far."""

@@ -104,9 +104,13 @@ class StandardErrors:
         by_rule = lambda table, k: {rule: or_none(values[k]) for rule, values in table.items()}
         rows = {}
         for k, name in enumerate(self.result.free_names):
-            rows[name] = {"value": self.result[name].value, "unit": self.result[name].unit}
-            rows[name] |= {"stderr": by_rule(self.errors, k), "ratio": by_rule(self.ratios, k)}
-            rows[name]["factor"] = by_rule(self.factors, k)
+            rows[name] = {
+                "value": self.result[name].value,
+                "unit": self.result[name].unit,
+                "stderr": by_rule(self.errors, k),
+                "ratio": by_rule(self.ratios, k),
+                "factor": by_rule(self.factors, k),
+            }
         return {
             "schema": SCHEMA,
             "model": self.result.name,

@@ -79,7 +79,7 @@ class Curve(AbstractHysteresis):
     """A curve without memory, y = law(b, u); it needs no reversal of its input."""
 
     rate_independent: ClassVar[bool] = True
-    from_saturation: ClassVar[bool] = True  # pyright: ignore[reportIncompatibleMethodOverride]
+    from_saturation: ClassVar[bool] = True
     b: Float[Array, " p"] = hf.param(1.0, doc="coefficients")
     law: str = eqx.field(static=True, default="DanWood")
 

@@ -6,6 +6,7 @@ import io
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,13 @@ def _by_numpy(body: str, dialect: Dialect) -> np.ndarray | None:
 def _by_pandas(body: str, dialect: Dialect) -> np.ndarray | None:
     import pandas as pd
 
-    options = {"header": None, "na_filter": False, "quoting": 3, "skip_blank_lines": False, "dtype": np.float64}
+    options: dict[str, Any] = {
+        "header": None,
+        "na_filter": False,
+        "quoting": 3,
+        "skip_blank_lines": False,
+        "dtype": np.float64,
+    }
     if int(pd.__version__.partition(".")[0]) < 3:
         options["float_precision"] = "round_trip"  # later versions always round correctly
     try:

@@ -132,9 +132,11 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
         record.name: ((), (), ()) if record.name in inner else _of_record(record, sample or Sample(), correct)
         for record in records
     }
-    rows, corrections, notes = ({name: one[k] for name, one in read.items()} for k in range(3))
-    for record in records:  # several measurements in one record: its values are of none of them
-        notes[record.name] = (*(n for n in record.notes if n.code is Code.CONDITIONS), *notes[record.name])
+    rows, corrections, own = ({name: one[k] for name, one in read.items()} for k in range(3))
+    # Several measurements in one record: its values are of none of them.
+    notes = {
+        record.name: (*(n for n in record.notes if n.code is Code.CONDITIONS), *own[record.name]) for record in records
+    }
     some = lambda by_record: {name: value for name, value in by_record.items() if value}
     return LoopValues(rows, some(corrections), some(notes))
 
