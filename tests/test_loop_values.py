@@ -1,6 +1,7 @@
 """Quantities of measured loops: closed forms of an ellipse, repeats of noisy loops, and results that an instrument states."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.stated import Stated
+from hystfit.quality.loops import closed_loops, cycles
+from hystfit.quality.shape import loop_shape
 from hystfit.results.measured.loop_branches import crossing
 from hystfit.results.measured.loop_values import quantities
 
@@ -15,9 +18,9 @@ PHASE = np.linspace(0, 2 * np.pi, 2001)
 MAGNETIC = {"u_unit": "A/m", "y_unit": "T", "u_name": "H", "y_name": "B"}
 
 
-def ellipse(noise=0.0, seed=0, delay=0.4, cycles=1, count=2001, **labels):
+def ellipse(noise=0.0, seed=0, delay=0.4, turns=1, count=2001, **labels):
     """u = 3 cos x, y = 2 cos(x - delay), from the largest input."""
-    phase = np.linspace(0, 2 * np.pi * cycles, count)
+    phase = np.linspace(0, 2 * np.pi * turns, count)
     y = 2 * np.cos(phase - delay) + np.random.default_rng(seed).normal(0, noise or 1e-12, count)
     return hf.Record(3 * np.cos(phase), y, **{**MAGNETIC, **labels})
 
@@ -88,14 +91,14 @@ def test_standard_errors_are_the_scatter_of_noisy_repeats():
 def test_the_error_of_the_loss_of_several_cycles_is_their_scatter():
     """Cycles share no noise but that of the branches between them."""
     force = {"u_unit": "mm", "y_unit": "kN", "u_name": "x", "y_name": "F", "delay": -0.4}
-    repeats = [values_of(ellipse(0.05, seed, cycles=10, count=1001, **force)) for seed in range(60)]
+    repeats = [values_of(ellipse(0.05, seed, turns=10, count=1001, **force)) for seed in range(60)]
     for name in ("loop_area", "secant_stiffness", "equivalent_damping_percent"):
         scatter = np.std([found[name].value for found in repeats])
         assert 0.6 < np.median([found[name].stderr for found in repeats]) / scatter < 1.6
 
 
 def test_several_cycles_are_averaged():
-    one, many = values_of(ellipse(0.02, count=401)), values_of(ellipse(0.02, cycles=16, count=401 * 16))
+    one, many = values_of(ellipse(0.02, count=401)), values_of(ellipse(0.02, turns=16, count=401 * 16))
     assert many["loop_area"].count > 10 * one["loop_area"].count
     assert many["coercive_input"].stderr < 0.5 * one["coercive_input"].stderr
     assert many["coercive_input"].value == pytest.approx(3 * np.sin(0.4), abs=4 * many["coercive_input"].stderr)
@@ -284,3 +287,40 @@ def test_a_jump_between_two_samples_lies_anywhere_between_them():
         missed.append(at - 1.0)
         errors.append(error)
     np.testing.assert_allclose(np.mean(errors), np.sqrt(np.mean(np.square(missed))), rtol=0.2)
+
+
+def test_cycles_that_each_go_further_are_measured_where_both_branches_are() -> None:
+    """Indentation with partial unloading: what follows the depth reached before is first loading, and belongs to no loop."""
+    u, y, reached = [0.0], [0.0], 0.0
+    for top in (1.0, 2.0, 3.0, 4.0):
+        rise, fall = np.linspace(u[-1], top, 400)[1:], np.linspace(top, 0.6 * top, 400)[1:]
+        back = ((rise - u[-1]) / max(reached - u[-1], 1e-9)).clip(0, 1) ** 0.9
+        u += [*rise, *fall]
+        y += [*np.where(rise < reached, y[-1] + (reached**2 - y[-1]) * back, rise**2), *_unloaded(top, fall)]
+        reached = top
+    record = hf.Record(np.array(u), np.array(y))
+    shape = loop_shape(record.u, record.y, closed_loops(record.u), cycles(record.u))
+    assert shape is not None
+    assert (shape.circulation, shape.crossing) == ("clockwise", False)
+    low, high = _unloaded(3.0, 1.8), 9.0
+    rising = low * 1.2 + (high - low) * 1.2 / 1.9
+    falling = 9.0 * 1.35 / 2.1 * (1 - (0.15 / 1.35) ** 2.1)
+    assert shape.area == pytest.approx(falling - rising, rel=0.01)
+
+
+def _unloaded(top: float, depth: Any) -> Any:
+    return top**2 * ((depth - 0.55 * top) / (0.45 * top)) ** 1.1
+
+
+def test_small_reversals_on_the_branches_of_one_loop_are_not_its_cycles() -> None:
+    """A valve that steps three forward and one back: its loop begins with the record, and the way back of a step is no loop."""
+    steps = np.cumsum(np.tile([0.1, 0.1, 0.1, -0.1], 50))
+    rise = np.array([0.0, *steps[steps <= 10.0]])
+    u = np.concatenate([rise, rise[-1] - rise[1:]])
+    y = [1.0]
+    for value in u[1:]:
+        y.append(min(max(y[-1], value - 1), value + 1))
+    shape = loop_shape(u, np.array(y), closed_loops(u), cycles(u))
+    assert shape is not None
+    assert shape.circulation == "counter-clockwise"
+    assert shape.area == pytest.approx(2 * (np.ptp(u) - 2), rel=0.02)

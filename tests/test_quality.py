@@ -27,12 +27,13 @@ from hystfit.quality import lag as lagging
 from hystfit.quality import loops as geometry
 from hystfit.quality.check import examine
 from hystfit.quality.coverage import Coverage, coverage_notes
+from hystfit.quality.degradation import strength_left
 from hystfit.quality.delay import estimate_delay
 from hystfit.quality.determination import Verdict
 from hystfit.quality.held_out import held_out
 from hystfit.quality.needs import Needs
 from hystfit.quality.resonance import _filtered, lagged
-from hystfit.quality.shape import loop_shape, strength_left
+from hystfit.quality.shape import loop_shape
 from hystfit.quality.summary import outliers_of, summarize
 
 from .conftest import examined

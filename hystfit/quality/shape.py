@@ -1,14 +1,14 @@
-"""Shape of the loop: width, circulation, closure, asymmetry, pinching, stiffness degradation, rate dependence."""
+"""Shape of the loop: width, circulation, closure, asymmetry, pinching, rate dependence."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hystfit.data.circulation import RESOLVED
+from hystfit.quality.degradation import LIKE_DURATION, SMALL
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops, loop_area, loop_branches
@@ -16,17 +16,10 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops
 # Least area of an open loop over that of the box around it, where a straight line is taken from the output (a film on a diamagnetic
 # substrate): the narrowest loops of piezo actuators have ten thousandths of the box around all.
 NARROWEST = 1e-3
-_LATE_BY = (
-    2  # samples by which a recorded turning point may be late: one between samples, and one by which the output leads
-)
-_LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
-_UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
 _CROSSING = 0.3  # net area over that between the branches below which these cross
 _LEAST_LOBES = 0.01  # area between branches that cross, over that of the box around the loop
 _LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
-_SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
-_LATE = 4  # late branches, whose median shows damage
 _ONE_STEP = 1.5  # steps between the samples at the ends of a cycle, by which its end may miss its start
 
 
@@ -131,12 +124,24 @@ def _is_resolved(u: np.ndarray, y: np.ndarray, chosen: list[tuple[int, int]], ar
 
 
 def _spans(u: np.ndarray, loops: list[Loop], cycles: np.ndarray) -> tuple[list[tuple[int, int, float]], bool]:
-    """First and last sample and stroke of the closed loops, or of the cycles where no loop closes over half the range; and which."""
+    """First and last sample and stroke of the closed loops, or of the cycles where no loop covers half the range; and which."""
+    every = [(loop.start, loop.stop, loop.stroke) for loop in loops]
     # A loop that begins with the record begins on the curve of first loading, which it does not meet again.
-    complete = [loop for loop in loops if loop.start > 0] or ([] if len(cycles) else loops)
-    if max((loop.stroke for loop in complete), default=0.0) > 0.5 * np.ptp(u):
-        return [(loop.start, loop.stop, loop.stroke) for loop in complete], True
-    return [(a, c, float(abs(u[b] - u[a]))) for a, b, c in cycles.tolist()], False
+    returning = [span for span in every if span[0] > 0]
+    parts = [_both_ways(u, *cycle) for cycle in cycles.tolist()]
+    between = [(start, stop, float(np.ptp(u[start : stop + 1]))) for start, stop in parts]
+    for spans, closed in ((returning, True), (between, False), (every, True)):
+        if max((stroke for _, _, stroke in spans), default=0.0) > 0.5 * np.ptp(u):
+            return spans, closed
+    return between, False
+
+
+def _both_ways(u: np.ndarray, start: int, turn: int, stop: int) -> tuple[int, int]:
+    """First and last sample of the part of a cycle that has both branches: that of cycles that grow ends at the level it began at."""
+    x = u if u[turn] < u[start] else -u
+    level = min(x[start], x[stop])
+    begun, ended = np.flatnonzero(x[start : turn + 1] >= level), np.flatnonzero(x[turn : stop + 1] >= level)
+    return start + int(begun[-1]), turn + int(ended[0])
 
 
 def _is_loop(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> bool:
@@ -151,9 +156,7 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
     returning = [
         (a, c)
         for a, b, c in cycles.tolist()
-        if abs(u[b] - u[a]) > 0.5 * largest
-        and abs(u[c] - u[a]) < _SMALL * np.ptp(u[a : c + 1])
-        and _is_loop(u, y, a, c)
+        if abs(u[b] - u[a]) > 0.5 * largest and abs(u[c] - u[a]) < SMALL * np.ptp(u[a : c + 1]) and _is_loop(u, y, a, c)
     ]
     late = returning[-max(3, len(returning) // 2) :] or [(a, b) for a, b, stroke in spans if stroke >= 0.5 * largest]
     return float(np.median([_Measures.of(u[a : b + 1], y[a : b + 1]).pinching for a, b in late]))
@@ -261,117 +264,6 @@ def _closure(u: np.ndarray, y: np.ndarray, start: int, stop: int) -> float | Non
     return float(100 * (end - y[start]) / largest)
 
 
-def stiffness_left(
-    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray, noise: float = 0.0
-) -> float | None:
-    """Secant stiffness of late branches over that of the first branch of the same stroke.
-
-    Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
-    before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
-    with it (a loop elsewhere in the range may be softer without damage). Shorter branches than all of those have nothing to be
-    compared with: any hysteresis is softer at small strokes; nor have branches of another duration, as a lag reduces the stiffness of
-    fast ones. Without damage the ratio is near 1 or above.
-
-    Args:
-        u: input, shape (T,).
-        y: output, shape (T,).
-        t: time, shape (T,); None where there is none, so that samples are counted.
-        cycles: see `loops.cycles`, shape (C, 3).
-        noise: change of the input that noise may make.
-
-    Returns:
-        The median of the last four ratios; None with fewer.
-    """
-    turns = np.unique(cycles)
-    turns = turns[np.isfinite(y[turns])]
-    stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(_reached(u, y, turns, noise)))
-    middle = 0.5 * (u[turns][1:] + u[turns][:-1])
-    farthest = np.maximum.accumulate(stroke)
-    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > (1 + SAME_LEVEL) * farthest[:-1]])
-    if not first.any():
-        return None
-    known = stroke[first]
-    repeated = ~first & (stroke > _SMALL * farthest[-1]) & (stroke > (1 - SAME_LEVEL) * known.min())
-    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < _SMALL * farthest[-1]
-    lasted = np.diff(turns if t is None else t[turns])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slower = lasted / np.interp(stroke, known, lasted[first])
-    repeated &= (slower > 1 / _LIKE_DURATION) & (slower < _LIKE_DURATION)
-    before = np.interp(stroke[repeated], known, change[first] / known)
-    if not (before > 0).all():
-        return None
-    left = change[repeated] / stroke[repeated] / before
-    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
-
-
-def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> np.ndarray:
-    """The outputs that the branches reach at their turning points, shape (turns,).
-
-    Friction changes its sign within a sample, so that a sample taken just after the turning point has the output of the next branch: the
-    largest output, in the direction of a branch, of its last samples is that which it reached.
-    """
-    known = np.isfinite(y)
-    reached = y[turns].copy()
-    if known.sum() < 2:
-        return reached
-    every = slice(None) if known.all() else known
-    follows = (u[every] - u[every].mean()) @ y[every]
-    for k, (a, b) in enumerate(itertools.pairwise([0, *turns])):
-        apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
-        near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
-        near = near[np.isfinite(near)]
-        if near.size:
-            reached[k] = near.max() if follows * (u[b] - u[a]) > 0 else near.min()
-    return reached
-
-
-def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
-    """Range of the output over branches longer than all before, over its largest range on a shorter branch before.
-
-    Hysteresis without damage covers on a longer branch what it covered on a shorter one (softening included: the peak lies inside
-    the branch). Arguments as in `stiffness_left`.
-
-    Returns:
-        The median of the last four ratios; None with fewer.
-    """
-    turns = np.unique(cycles)
-    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
-    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
-    reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
-    before = np.maximum.accumulate(reached)[:-1]
-    longer = (stroke[1:] > (1 + SAME_LEVEL) * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
-    left = reached[1:][longer] / before[longer]
-    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
-
-
-def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: float = 0.0) -> float | None:
-    """Slope just after reversals of late branches over that of the first ones, of branches as long as all before.
-
-    Hysteresis without damage unloads with the stiffness that it had at first, however long the branches have become. Arguments as in
-    `stiffness_left`.
-
-    Returns:
-        The median of the last four slopes over that of the first two; None with fewer than five such branches.
-    """
-    turns = np.unique(cycles)
-    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
-    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
-    if stroke.size <= _LATE:
-        return None
-    growing = (stroke > _SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
-    reach = _UNLOADING * stroke[growing].min()
-    reached = dict(zip(turns, _reached(u, y, turns, noise), strict=True))
-    slopes = []
-    for a, b in itertools.compress(branches, growing):
-        near = slice(a, a + int(np.argmax(np.abs(u[a : b + 1] - u[a]) > reach)) + 1)
-        if near.stop - a < SEVERAL + 1:
-            return None
-        end = slice(near.stop - max(1, (near.stop - a) // 4), near.stop)
-        slopes.append(float((y[end].mean() - reached[a]) / (u[end].mean() - u[a])))
-    first = float(np.median(slopes[:2]))
-    return float(np.median(slopes[-_LATE:])) / first if len(slopes) > _LATE and first > 0 else None
-
-
 def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray) -> float | None:
     """Change of the loop's area from the slow to the fast ones of similar cycles, as a fraction of the mean area.
 
@@ -384,7 +276,7 @@ def rate_effect(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.n
     if len(like) < 2:
         return None
     durations = np.array([t[c] - t[a] for a, c in like])
-    if durations.max() < _LIKE_DURATION * durations.min():
+    if durations.max() < LIKE_DURATION * durations.min():
         return None
     areas = np.array([loop_area(u[a : c + 1], y[a : c + 1]) for a, c in like])
     is_slow = durations > np.sqrt(durations.min() * durations.max())

@@ -15,6 +15,7 @@ from hystfit.data.circulation import of_rate, trend
 from hystfit.data.preparation import EVEN, CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
+from hystfit.quality.degradation import stiffness_left, strength_left, unloading_left
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
 from hystfit.quality.faults import (
@@ -42,7 +43,7 @@ from hystfit.quality.record_quality import (
     Sampling,
 )
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
-from hystfit.quality.shape import loop_shape, rate_effect, stiffness_left, strength_left, unloading_left
+from hystfit.quality.shape import loop_shape, rate_effect
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
 

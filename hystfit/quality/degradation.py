@@ -1,0 +1,127 @@
+"""What is left of stiffness and strength in later cycles: damage shows in branches, whatever the shape of the loop."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL
+
+LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
+SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
+# Samples by which a recorded turning point may be late: one between samples, and one by which the output leads.
+_LATE_BY = 2
+_UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
+_LATE = 4  # late branches, whose median shows damage
+
+
+def stiffness_left(
+    u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray, noise: float = 0.0
+) -> float | None:
+    """Secant stiffness of late branches over that of the first branch of the same stroke.
+
+    Every branch between two turning points has a stroke |du| and a secant stiffness |dy / du|. Branches longer than all
+    before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
+    with it (a loop elsewhere in the range may be softer without damage). Shorter branches than all of those have nothing to be
+    compared with: any hysteresis is softer at small strokes; nor have branches of another duration, as a lag reduces the stiffness of
+    fast ones. Without damage the ratio is near 1 or above.
+
+    Args:
+        u: input, shape (T,).
+        y: output, shape (T,).
+        t: time, shape (T,); None where there is none, so that samples are counted.
+        cycles: see `loops.cycles`, shape (C, 3).
+        noise: change of the input that noise may make.
+
+    Returns:
+        The median of the last four ratios; None with fewer.
+    """
+    turns = np.unique(cycles)
+    turns = turns[np.isfinite(y[turns])]
+    stroke, change = np.abs(np.diff(u[turns])), np.abs(np.diff(_reached(u, y, turns, noise)))
+    middle = 0.5 * (u[turns][1:] + u[turns][:-1])
+    farthest = np.maximum.accumulate(stroke)
+    first = (stroke > 0) & np.concatenate([[True], stroke[1:] > (1 + SAME_LEVEL) * farthest[:-1]])
+    if not first.any():
+        return None
+    known = stroke[first]
+    repeated = ~first & (stroke > SMALL * farthest[-1]) & (stroke > (1 - SAME_LEVEL) * known.min())
+    repeated &= np.abs(middle - np.interp(stroke, known, middle[first])) < SMALL * farthest[-1]
+    lasted = np.diff(turns if t is None else t[turns])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slower = lasted / np.interp(stroke, known, lasted[first])
+    repeated &= (slower > 1 / LIKE_DURATION) & (slower < LIKE_DURATION)
+    before = np.interp(stroke[repeated], known, change[first] / known)
+    if not (before > 0).all():
+        return None
+    left = change[repeated] / stroke[repeated] / before
+    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
+
+
+def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> np.ndarray:
+    """The outputs that the branches reach at their turning points, shape (turns,).
+
+    Friction changes its sign within a sample, so that a sample taken just after the turning point has the output of the next branch: the
+    largest output, in the direction of a branch, of its last samples is that which it reached.
+    """
+    known = np.isfinite(y)
+    reached = y[turns].copy()
+    if known.sum() < 2:
+        return reached
+    every = slice(None) if known.all() else known
+    follows = (u[every] - u[every].mean()) @ y[every]
+    for k, (a, b) in enumerate(itertools.pairwise([0, *turns])):
+        apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
+        near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
+        near = near[np.isfinite(near)]
+        if near.size:
+            reached[k] = near.max() if follows * (u[b] - u[a]) > 0 else near.min()
+    return reached
+
+
+def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
+    """Range of the output over branches longer than all before, over its largest range on a shorter branch before.
+
+    Hysteresis without damage covers on a longer branch what it covered on a shorter one (softening included: the peak lies inside
+    the branch). Arguments as in `stiffness_left`.
+
+    Returns:
+        The median of the last four ratios; None with fewer.
+    """
+    turns = np.unique(cycles)
+    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
+    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
+    before = np.maximum.accumulate(reached)[:-1]
+    longer = (stroke[1:] > (1 + SAME_LEVEL) * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
+    left = reached[1:][longer] / before[longer]
+    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
+
+
+def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: float = 0.0) -> float | None:
+    """Slope just after reversals of late branches over that of the first ones, of branches as long as all before.
+
+    Hysteresis without damage unloads with the stiffness that it had at first, however long the branches have become. Arguments as in
+    `stiffness_left`.
+
+    Returns:
+        The median of the last four slopes over that of the first two; None with fewer than five such branches.
+    """
+    turns = np.unique(cycles)
+    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
+    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    if stroke.size <= _LATE:
+        return None
+    growing = (stroke > SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
+    reach = _UNLOADING * stroke[growing].min()
+    reached = dict(zip(turns, _reached(u, y, turns, noise), strict=True))
+    slopes = []
+    for a, b in itertools.compress(branches, growing):
+        near = slice(a, a + int(np.argmax(np.abs(u[a : b + 1] - u[a]) > reach)) + 1)
+        if near.stop - a < SEVERAL + 1:
+            return None
+        end = slice(near.stop - max(1, (near.stop - a) // 4), near.stop)
+        slopes.append(float((y[end].mean() - reached[a]) / (u[end].mean() - u[a])))
+    first = float(np.median(slopes[:2]))
+    return float(np.median(slopes[-_LATE:])) / first if len(slopes) > _LATE and first > 0 else None
