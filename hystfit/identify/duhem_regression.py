@@ -30,7 +30,7 @@ from hystfit.errors import DataError, ModelError, ParameterError
 from hystfit.identify.base import AbstractIdentifier, Info, Judgment, Run, Sample
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.duhem import Duhem
-from hystfit.models.shared.polynomial import legendre_to_powers, powers_to_legendre
+from hystfit.models.shared.polynomial import legendre_powers, powers_to_legendre
 from hystfit.models.shared.shapes import Scalar
 from hystfit.models.shared.simulation import simulate
 from hystfit.models.shared.starting import first_output, input_range, output_range
@@ -229,9 +229,8 @@ class DuhemRegressor(eqx.Module):
         center, half, shift, size = (float(v) for v in (self.center, self.half, self.shift, self.size))
         matrix = np.zeros((self.p, self.p))
         for start, count in ((0, self.m), (self.m + 1, self.n)):
-            for i in range(count):
-                powers = legendre_to_powers(np.eye(count)[i], center, half)
-                matrix[start : start + count, start + i] = size / half * powers
+            end = start + count
+            matrix[start:end, start:end] = size / half * legendre_powers(count, center, half)
         matrix[0, self.m] = shift / half  # f is relative to the center of the output range
         matrix[self.m, self.m] = 1 / half
         return matrix

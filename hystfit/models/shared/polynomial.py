@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import jax.numpy as jnp
@@ -54,9 +55,18 @@ def derivative_matrix(n: int) -> np.ndarray:
 
 def legendre_to_powers(coefficients: np.ndarray, center: float, half: float) -> np.ndarray:
     """Coefficients of 1, v, v^2, ... of a Legendre series in (v - center) / half."""
-    series = Legendre(np.asarray(coefficients, float), domain=[center - half, center + half])
-    powers = series.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
-    return np.pad(powers, (0, len(coefficients) - powers.size))
+    return legendre_powers(len(coefficients), center, half) @ np.asarray(coefficients, float)
+
+
+@functools.lru_cache(maxsize=256)
+def legendre_powers(n: int, center: float, half: float) -> np.ndarray:
+    """Matrix that maps n coefficients of a Legendre series in (v - center) / half to those of 1, v, v^2, ..., shape (n, n)."""
+    matrix = np.zeros((n, n))
+    for i in range(n):
+        series = Legendre.basis(i, domain=[center - half, center + half])
+        matrix[: i + 1, i] = series.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef
+    matrix.setflags(write=False)
+    return matrix
 
 
 def powers_to_legendre(powers: np.ndarray, center: float, half: float) -> np.ndarray:
