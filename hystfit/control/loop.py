@@ -191,6 +191,7 @@ def run_loop(
     return LoopResult(np.arange(len(wanted)) / rate, wanted, u, y, ahead, saturated, _notes(u, saturated, limits))
 
 
+@eqx.filter_jit
 def _rest(loop: Loop, u0: Array, reference: Array) -> _Carry:
     state = loop.plant.init(u0)
     _, y = loop.plant.step(state, u0, u0, jnp.zeros(()))
