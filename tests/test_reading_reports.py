@@ -86,13 +86,13 @@ def test_names_and_units_of_tables_in_notes(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(record.y, MOMENT, atol=1e-9)
 
 
-@pytest.mark.parametrize("element", ["L1", "V1"])
-def test_spice_names_its_voltages_and_currents(element: str, tmp_path: Path) -> None:
-    """V(drive) is the voltage of the node drive, not a quantity V in drives."""
+@pytest.mark.parametrize(("node", "element"), [("drive", "L1"), ("drive", "V1"), ("h", "L1")])
+def test_spice_names_its_voltages_and_currents(node: str, element: str, tmp_path: Path) -> None:
+    """V(drive) is the voltage of the node drive, not a quantity V in drives; nor is V(h) in hours."""
     path = tmp_path / "ltspice.txt"
     rows = [f"{1e-3 * k}\t{row.replace(' ', chr(9))}" for k, row in enumerate(ROWS)]
-    path.write_text("\n".join([f"time\tV(drive)\tI({element})", *rows]) + "\n", encoding="utf-8")
-    record = hf.read(path, input="V(drive)", output=f"I({element})")
+    path.write_text("\n".join([f"time\tV({node})\tI({element})", *rows]) + "\n", encoding="utf-8")
+    record = hf.read(path, input=f"V({node})", output=f"I({element})")
     assert (record.u_unit, record.y_unit) == ("V", "A")
 
 

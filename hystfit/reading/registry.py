@@ -15,6 +15,7 @@ from hystfit.errors import DataError
 from hystfit.reading.arrangements.adjusted import with_adjusted
 from hystfit.reading.arrangements.charge_throughput import with_throughput
 from hystfit.reading.arrangements.long_format import widened
+from hystfit.reading.arrangements.row_loops import with_row_loops
 from hystfit.reading.arrangements.side_by_side import stacked
 from hystfit.reading.arrangements.signed_amplitude import with_signed_amplitude
 from hystfit.reading.arrangements.specimens import divided
@@ -184,7 +185,7 @@ ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (
     divided,
 )
 # The same for arrangements whose columns are replaced by others, so that they apply only where the user names none.
-REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, stacked, widened)
+REPLACING: tuple[Callable[[Table], Table | None], ...] = (unfolded, with_row_loops, stacked, widened)
 
 _LAYOUTS = KnownLayouts()  # of the texts read by this process
 

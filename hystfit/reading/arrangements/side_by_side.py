@@ -26,7 +26,7 @@ _CONDITION = re.compile(
 )  # a value and its unit behind a name
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
-_SMOOTHER = 0.3
+SMOOTHER = 0.3
 # An object by its number or letter.
 _LABELED = re.compile(r"(.*?[^\W\d_])(?: +(\S{1,3})|[_-]?(\d{1,3}|(?<=[a-z_-])[A-Z]))")
 
@@ -151,7 +151,7 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
         return None
     drives, sensors = np.column_stack(table.columns[:inputs]), np.column_stack(table.columns[inputs:])
     change = lambda axis: sum(float(np.nanmean(np.abs(np.diff(side, axis=axis)))) for side in (drives, sensors))
-    ratio = 1 / _SMOOTHER if table.rows < inputs else _SMOOTHER  # a loop has more samples than there are loops
+    ratio = 1 / SMOOTHER if table.rows < inputs else SMOOTHER  # a loop has more samples than there are loops
     if not table.named and not table.labels and table.rows > 1 and change(1) < ratio * change(0):
         number = np.repeat(np.arange(table.rows), inputs)
         loops = dataclasses.replace(
@@ -213,4 +213,11 @@ def _goes_on(clock: np.ndarray, number: np.ndarray) -> bool:
 
 def _base(name: str) -> str:
     """Name of a column without its unit and its number."""
-    return _NUMBER.sub("", split_unit(name)[0].strip()).lower()
+    return numbered(name)[0].lower()
+
+
+def numbered(name: str) -> tuple[str, int | None]:
+    """Name of a column without its unit and its number, and this number; None without one."""
+    text = split_unit(name)[0].strip()
+    match = _NUMBER.search(text)
+    return (text, None) if match is None else (text[: match.start()], int(match[0].strip(" _.#-[]")))

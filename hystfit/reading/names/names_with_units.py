@@ -123,7 +123,9 @@ def _in_brackets(name: str) -> tuple[str, str] | None:
         unit = worded[1]
     known = not _NODE.fullmatch(unit) and bool(is_unit(unit) or in_case(base, unit))
     closed = known or not re.search(r"[\])>]", unit)
-    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and (not known or unit == "in"):  # the node "in"
+    lettered = len(unit) == 1 and unit.islower() and name == f"{base}({unit})" and base in _ELECTRIC
+    node = unit == "in" or (lettered and quantity(unit) != _ELECTRIC[base])  # V(h) is no time
+    if (of_circuit := _OF_CIRCUITS.fullmatch(base)) and (not known or node):
         return name, "V" if of_circuit[1] else "A"
     if not (base and closed):
         return None

@@ -1,0 +1,69 @@
+"""Tables with a loop in each row, whose samples stand beside each other: u_0, u_1, ..., y_0, y_1, ..."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hystfit.outcome import Code, Note
+from hystfit.reading.arrangements.side_by_side import SMOOTHER, numbered
+from hystfit.reading.limits import FEWEST, OF_RECORD
+from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.raw_table import Part, Table
+
+
+def with_row_loops(table: Table) -> Table | None:
+    """The samples of each row below each other, a record for each row; None for other tables.
+
+    There are more samples in a row than rows, and they change less from sample to sample than from row to row, unless the rows are too few
+    for samples. A column beside the samples that has another value in every row names the records; the others are their properties.
+    """
+    runs = _runs(table)
+    if len(runs) < 2 or len({len(run) for run in runs.values()}) > 1:
+        return None
+    samples = np.array([[table.columns[k] for k in run] for run in runs.values()])  # (quantities, samples, rows)
+    length, rows = samples.shape[1:]
+    change = lambda axis: float(np.nanmean(np.abs(np.diff(samples, axis=axis)))) if samples.shape[axis] > 1 else np.inf
+    if not np.isfinite(samples).all() or rows >= length or (rows >= FEWEST and SMOOTHER * change(1) > change(2)):
+        return None
+    others = [k for k in range(len(table.names)) if not any(k in run for run in runs.values())]
+    texts = {
+        k: [*map(str, table.labels[k])] if k in table.labels else [f"{v:g}" for v in table.columns[k]] for k in others
+    }
+    name = next((k for k in others if len({*texts[k]}) == rows > 1), None)
+    base = table.parts[0] if table.parts else Part()
+    number = np.repeat(np.arange(rows), length)
+    loops = dataclasses.replace(
+        table.select([run[0] for run in runs.values()]).take(number),
+        names=tuple(runs),
+        columns=tuple(one.T.ravel() for one in samples),
+        curve=number,
+        part=number,
+        parts=tuple(
+            Part(
+                name=""
+                if name is None
+                else texts[name][row]
+                if name in table.labels
+                else f"{table.names[name]} {texts[name][row]}",
+                metadata=base.metadata | {table.names[k]: texts[k][row] for k in others if k != name},
+            )
+            for row in range(rows)
+        ),
+    )
+    return loops.noted(Note(Code.CURVES, f"{rows} loops of {length} samples, one in each row"))
+
+
+def _runs(table: Table) -> dict[str, list[int]]:
+    """Positions of the columns of each name that differ in a number alone, which goes up by one; with the unit in the name."""
+    found: dict[str, list[tuple[int, int]]] = {}
+    for position, name in enumerate(table.names if table.named else ()):
+        base, number = numbered(name)
+        if number is not None and position not in table.labels:
+            found.setdefault(f"{base} [{unit}]" if (unit := split_unit(name)[1]) else base, []).append(
+                (number, position)
+            )
+    long = {base: run for base, run in found.items() if len(run) >= OF_RECORD}
+    counted = all([number for number, _ in run] == [*range(run[0][0], run[0][0] + len(run))] for run in long.values())
+    return {base: [position for _, position in run] for base, run in long.items()} if counted else {}
