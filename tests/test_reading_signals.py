@@ -54,6 +54,22 @@ def test_settings_beyond_rows_that_end_in_one_empty_cell(tmp_path: Path) -> None
     assert record.dt == pytest.approx(5e-5)
 
 
+@pytest.mark.parametrize("later", [0.004, 0.01])
+def test_channels_with_times_of_their_own_in_one_table(later: float, tmp_path: Path) -> None:
+    """Of each row one channel is empty, as where the messages of two sensors are joined by their times."""
+    t = 0.02 * np.arange(400)
+    u, y = 60 * np.sin(2 * t), 9 * np.sin(2 * (t + later) - 0.2)
+    lines = [f"{a:.3f},{b:.5f},\n{a + later:.3f},,{c:.5f}\n" for a, b, c in zip(t, u, y, strict=True)]
+    path = tmp_path / "joined.csv"
+    path.write_text("t,u_V,x_um\n" + "".join(lines), encoding="utf-8")
+    record = hf.read(path)
+    assert len(record) == 799  # behind the last input there is none to interpolate
+    at = np.isfinite(record.y)
+    assert at.sum() == 399
+    np.testing.assert_allclose(record.u[at], 60 * np.sin(2 * record.t[at]), atol=60 * (2 * 0.02) ** 2 / 8 + 1e-4)
+    np.testing.assert_allclose(record.u[~at], u, atol=1e-5)
+
+
 # Rates of a flux and of a charge ------------------------------------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from hystfit.params.units import quantity
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.conditions import changed_conditions
 from hystfit.reading.curves.split_curves import divider_of
-from hystfit.reading.limits import FEW, OF_RECORD
+from hystfit.reading.limits import FEW, MAJORITY, OF_RECORD
 from hystfit.reading.names.column_names import column_unit
 from hystfit.reading.table import sentinels
 from hystfit.reading.table.raw_table import Part, Table
@@ -96,6 +96,8 @@ def _samples(table: Table, data: _Data, notes: list[Note], gaps: str) -> tuple[T
             )
         )
         table, data = _taken(table, data, np.arange(table.rows - 1))
+    if gaps == "error":
+        _interpolate(data, notes)
     if gaps == "error" and (others := _rows_of_others(data)).any():
         notes.append(Note(Code.LEFT_OUT, f"left out: {others.sum()} rows of other columns"))
         table, data = _taken(table, data, ~others)
@@ -108,6 +110,24 @@ def _samples(table: Table, data: _Data, notes: list[Note], gaps: str) -> tuple[T
         )
         table, data = _taken(table, data, np.arange(table.rows)[::-1])
     return table, data
+
+
+def _interpolate(data: _Data, notes: list[Note]) -> None:
+    """Put the input, which moves along a line from sample to sample, where an output with a clock of its own was sampled."""
+    u, y, t = data["input"], data["output"], data.get("time", np.zeros(0))
+    alone = np.isfinite(y) & np.isnan(u)
+    known = np.isfinite(u)
+    if (
+        alone.sum() <= MAJORITY * np.isfinite(y).sum()
+        or not t.size
+        or not np.isfinite(t).all()
+        or (np.diff(t) < 0).any()
+    ):
+        return
+    if known.any():
+        data["input"] = np.where(alone, np.interp(t, t[known], u[known], left=np.nan, right=np.nan), u)
+        text = f"{alone.sum()} outputs have times of their own, at which the input is interpolated between its samples"
+        notes.append(Note(Code.MISSING_VALUES, text))
 
 
 def _taken(table: Table, data: _Data, rows: np.ndarray) -> tuple[Table, _Data]:
