@@ -668,6 +668,13 @@ def test_degrees_without_their_sign_are_those_of_a_temperature(tmp_path: Path) -
     assert (record.u_unit, record.y_unit) == ("degC", "%")
 
 
+def test_percents_and_degrees_in_every_cell(tmp_path: Path) -> None:
+    rows = "\n".join(f"{u:.8f}%;{y:.8f}°" for u, y in zip(FIELD, MOMENT, strict=True))
+    record = one(written(tmp_path, f"PWM (%);Angle (°)\n{rows}\n"))
+    is_loop(record)
+    assert (record.u_unit, record.y_unit) == ("%", "°")
+
+
 @pytest.mark.parametrize("words", [("up", "down"), ("inc", "dec")])
 def test_branches_whose_word_is_glued_to_the_name(words: tuple[str, str], tmp_path: Path) -> None:
     """Hup, Mup, Hdown, Mdown: the rising branch first."""

@@ -16,7 +16,7 @@ from hystfit.reading.text.cells import clean
 from hystfit.reading.text.dialect import split
 from hystfit.reading.text.plain_text import plain_text
 
-_CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?(?![eE][+-]?\d)([^\W\d_][\w/^²³·*-]*|°[CF]|%)")
+_CELL = re.compile(r"([+-]?(?:\d[\d.,]*|[.,]\d+)(?:[eE][+-]?\d+)?)\s?(?![eE][+-]?\d)([^\W\d_][\w/^²³·*-]*|°[CF]?|%)")
 _POWERS = {"G": 9, "M": 6, "k": 3, "m": -3, "u": -6, "µ": -6, "μ": -6, "n": -9, "p": -12}
 _PREFIXED = re.compile(rf"([+-]?(?:\d+[.,]?\d*|[.,]\d+))\s?([{''.join(_POWERS)}]?)")
 _MARKED = re.compile(r"\d\s?[Mkuµμnp](?!\w)")  # a prefix that is no unit
