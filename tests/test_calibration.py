@@ -160,9 +160,10 @@ def dask(workers: int, processes: bool):
         yield cluster
 
 
-def test_dask_workers_make_the_same_chunks(honest, tmp_path):
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_dask_workers_make_the_same_chunks(honest, tmp_path, processes):
     study, again = honest[1], tmp_path / "dask"
-    with dask(1, processes=True) as cluster:
+    with dask(1, processes=processes) as cluster:
         found = calibrate(
             TRUTH, DATA, noise="iid", replicates=20, fix=["rho"], folder=again, scheduler=cluster.scheduler_address
         )
