@@ -915,9 +915,7 @@ def test_rounding_errors_that_recur_every_cycle_are_not_described_by_terms():
 # -- measured loops ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "count"), list(itertools.product(("M130_27s", "MnZn_ferrite"), (40, 63, 120)))
-)
+@pytest.mark.parametrize(("name", "count"), list(itertools.product(("M130_27s", "MnZn_ferrite"), (40, 63, 120))))
 @pytest.mark.slow
 def test_thinned_measured_loops_get_an_answer(measured, name, count):
     rows = np.genfromtxt(measured / "tidy" / f"mag_bh_{name}.csv", delimiter=",", skip_header=1)

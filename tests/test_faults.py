@@ -181,19 +181,25 @@ def test_a_folder_that_vanishes_ends_a_run_in_words(old, tmp_path, sampler):
         hf.sample(old, folder=tmp_path / "run", seed=1, noise="iid", progress=remove, **settings)
 
 
-def test_a_run_file_that_is_damaged_is_computed_again(old, tmp_path):
-    for sampler, names in (("nuts", ("nuts-0-00001.npz", "nuts-0-warm.npz")), ("emcee", ("emcee-00000.npz",))):
-        run = tmp_path / sampler
-        draw = lambda: hf.sample(old, folder=run, seed=1, noise="iid", **RUNS[sampler])  # noqa: B023
-        whole = draw().draws
-        for name in names:
-            content = (run / name).read_bytes()
-            for damaged in (b"no archive", *(content[:cut] for cut in (0, len(content) // 2, len(content) - 20))):
-                (run / name).write_bytes(damaged)
-                np.testing.assert_array_equal(draw().draws, whole)
-        (run / "run.json").write_text("{")
-        with pytest.raises(DataError, match="damaged: remove"):
-            draw()
+@pytest.mark.parametrize(
+    ("sampler", "names"),
+    [
+        pytest.param("nuts", ("nuts-0-00001.npz", "nuts-0-warm.npz"), marks=pytest.mark.slow),
+        ("emcee", ("emcee-00000.npz",)),
+    ],
+)
+def test_a_run_file_that_is_damaged_is_computed_again(old, tmp_path, sampler, names):
+    run = tmp_path / sampler
+    draw = lambda: hf.sample(old, folder=run, seed=1, noise="iid", **RUNS[sampler])
+    whole = draw().draws
+    for name in names:
+        content = (run / name).read_bytes()
+        for damaged in (b"no archive", *(content[:cut] for cut in (0, len(content) // 2, len(content) - 20))):
+            (run / name).write_bytes(damaged)
+            np.testing.assert_array_equal(draw().draws, whole)
+    (run / "run.json").write_text("{")
+    with pytest.raises(DataError, match="damaged: remove"):
+        draw()
 
 
 def test_runs_of_shell_verbs_are_judged_by_what_they_leave(old, tmp_path):
