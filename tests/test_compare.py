@@ -601,10 +601,8 @@ def _numbers(comparison):
     return rows, {name: result.x.tolist() for name, result in comparison.fits.items()}
 
 
-@pytest.mark.usefixtures("few_families")
-def test_a_comparison_is_the_same_with_any_number_of_workers():
-    one, two = (hf.compare(stepped_loops(), workers=workers) for workers in (1, 2))
-    assert _numbers(one) == _numbers(two)
+def test_a_comparison_is_the_same_with_any_number_of_workers(default):
+    assert _numbers(default) == _numbers(hf.compare(stepped_loops(), workers=2))
 
 
 @pytest.mark.slow

@@ -163,9 +163,14 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 
 
 # What takes longest to compile, and models whose parts are checked alone. In the quick form relays and both schemes of the loop keep the
-# laws; the tests of Jiles-Atherton, of the oscillator, of dampers, steel and degrading loops fit by their derivatives, and those of Duhem
-# and of the resonance have derivatives of their own.
+# laws; the tests of Jiles-Atherton, of the oscillator, of dampers, friction, steel, forces and degrading loops fit by their derivatives,
+# and those of Duhem and of the resonance have derivatives of their own.
 SLOW = (
+    "force",
+    "lugre",
+    "maxwell slip",
+    "self-similar",
+    "springpot",
     "generalized plays",
     "duhem, explicit",
     "duhem, exact",
