@@ -226,7 +226,7 @@ def test_a_model_that_cannot_make_the_loop_is_poor():
 
 
 def test_a_record_that_never_turns_back_is_no_loop():
-    u = np.linspace(0, 10, 300)
+    u = np.linspace(0, 10, T.size)
     assert hf.fit(hf.BoucWen(), hf.Record(u=u, y=u + 0.1 * np.sin(u))).status == "no-loop"
 
 
