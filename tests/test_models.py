@@ -169,7 +169,6 @@ SLOW = (
     "force",
     "lugre",
     "maxwell slip",
-    "self-similar",
     "springpot",
     "generalized plays",
     "duhem, explicit",
