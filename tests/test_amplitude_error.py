@@ -73,10 +73,14 @@ def test_strokes_cut_off_by_the_ends_have_the_swing_of_their_neighbor() -> None:
     np.testing.assert_allclose(strokes.swing_of(3 * u, np.full(u.size, True)), 6.0)
 
 
-def test_mean_of_unbounded_weights_is_the_solution_with_the_dense_covariance() -> None:
-    record = loop(device(0.3, 0.5), 1.0, 3)
-    fit = hf.fit("preisach-signed:n=6:spacing=uniform", record)
-    posterior = hf.sample(fit, "weights", chains=1, draws=60, extend=1, noise="ou")
+@pytest.fixture(scope="module")
+def of_one_loop() -> hf.Posterior:
+    fit = hf.fit("preisach-signed:n=6:spacing=uniform", loop(device(0.3, 0.5), 1.0, 3))
+    return hf.sample(fit, "weights", chains=1, draws=60, extend=1, noise="ou")
+
+
+def test_mean_of_unbounded_weights_is_the_solution_with_the_dense_covariance(of_one_loop: hf.Posterior) -> None:
+    posterior, fit = of_one_loop, of_one_loop.result
     problem = fit.problem.with_loss("linear")
     residual, jacobian = (rows[problem.used] for rows in problem.linearize(fit.x))
     at = np.arange(residual.size)
@@ -125,9 +129,6 @@ def test_the_error_is_zero_at_fitted_amplitudes_and_grows_with_the_output(sample
     assert (beyond.sd(np.ones(20), np.ones(20)) == 0).all()  # an input that does not move
 
 
-def test_one_amplitude_gives_no_error_at_others() -> None:
-    record = loop(device(0.3, 0.5), 1.0, 3)
-    fit = hf.fit("preisach-signed:n=6:spacing=uniform", record)
-    posterior = hf.sample(fit, "weights", chains=1, draws=60, extend=1)
-    assert AmplitudeError.of(posterior) is None
-    assert AmplitudeError.of(dataclasses.replace(posterior, sampler="nuts")) is None
+def test_one_amplitude_gives_no_error_at_others(of_one_loop: hf.Posterior) -> None:
+    assert AmplitudeError.of(of_one_loop) is None
+    assert AmplitudeError.of(dataclasses.replace(of_one_loop, sampler="nuts")) is None

@@ -151,7 +151,7 @@ def test_a_current_against_a_voltage_at_one_rate_holds_for_it_alone():
     t = np.arange(0, 60, 0.2)
     u = 0.5 + 0.5 * np.sin(2 * np.pi * t / 20)
     y = 20 * np.gradient(u, t) + 3 * u + NOISE.normal(0, 0.02, t.size)
-    of = lambda y_unit: hf.fit("bouc-wen-force", hf.Record(u, y, t, u_unit="V", y_unit=y_unit), starts=1)
+    of = lambda y_unit: hf.fit("prandtl-ishlinskii-stop:plays=10", hf.Record(u, y, t, u_unit="V", y_unit=y_unit))
     assert has(of("mA").notes, Code.RATE)
     assert not has(of("N").notes, Code.RATE)
 

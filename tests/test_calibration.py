@@ -21,6 +21,7 @@ from hystfit.uncertainty import replicates
 from hystfit.uncertainty.calibration import RANKS, Calibration, calibrate
 
 TRUTH = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
+PARAMETERS = {"fix": ["rho"], "free": ["h0"]}
 U = np.sin(2 * np.pi * 2 * np.arange(300) / 300) * (0.4 + 0.6 * np.arange(300) / 300)
 DATA = hf.Record(u=U, y=np.asarray(hf.simulate(TRUTH, U)[0]))
 
@@ -67,7 +68,7 @@ def test_too_many_failures_fail_a_study_and_are_listed():
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
-    return folder, calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder)
+    return folder, calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=folder)
 
 
 def test_a_study_without_one_replicate_says_why_and_gives_no_number():
@@ -82,7 +83,7 @@ def test_a_study_without_one_replicate_says_why_and_gives_no_number():
 def test_a_right_set_up_passes(honest):
     study = honest[1]
     assert study.passes(0.01), str(study)
-    assert study.names == ("c", "mu", "tau", "offset")
+    assert study.names == ("c", "mu", "tau", "h0", "offset")
     assert len(study.ranks) + len(study.failures) == 60
     low, high = study.coverage_band(0.95, 0.999)
     assert np.all((study.coverage() >= low) & (study.coverage() <= high))
@@ -90,7 +91,7 @@ def test_a_right_set_up_passes(honest):
 
 
 def test_iid_under_slow_noise_fails():
-    study = calibrate(TRUTH, DATA, noise="ou", assumed="iid", replicates=40, fix=["rho"])
+    study = calibrate(TRUTH, DATA, noise="ou", assumed="iid", replicates=40, **PARAMETERS)
     assert not study.passes(), str(study)
     assert study.coverage().mean() < 0.8
 
@@ -100,11 +101,11 @@ def test_a_study_goes_on_from_its_chunks(honest):
     seen: list[str] = []
     (folder / "chunk-00002.npz").unlink()
     (folder / ".chunk-00002.npz").write_bytes(b"half")  # what a kill leaves
-    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, progress=seen.append)
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=folder, progress=seen.append)
     np.testing.assert_array_equal(again.ranks, study.ranks)
     assert len(seen) == 1
     with pytest.raises(DataError, match="another study"):
-        calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, seed=1)
+        calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=folder, seed=1)
 
 
 @pytest.mark.parametrize("damage", ["empty", "half", "noise"])
@@ -116,7 +117,7 @@ def test_a_damaged_chunk_is_made_again(honest, damage):
         {"empty": b"", "half": whole[: len(whole) // 2], "noise": b"PK\x03\x04" + bytes(range(200))}[damage]
     )
     seen: list[str] = []
-    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder, progress=seen.append)
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=folder, progress=seen.append)
     np.testing.assert_array_equal(again.ranks, study.ranks)
     assert len(seen) == 1
     assert file.read_bytes() != b""
@@ -132,14 +133,14 @@ def test_a_chunk_that_breaks_is_told_and_not_kept(honest, tmp_path, monkeypatch)
         return run_chunk(study, number)
 
     monkeypatch.setattr(replicates, "run_chunk", breaking)
-    found = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
+    found = calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=tmp_path)
     assert len(found.failures) == 10
     assert all("chunk broke" in why for _, why in found.failures)
     assert found.broken == ("chunk 1 broke: MemoryError: no memory left",)
     assert not (tmp_path / "chunk-00001.npz").exists()
     assert found.status == "miscalibrated"  # a sixth of the replicates failed
     monkeypatch.setattr(replicates, "run_chunk", run_chunk)
-    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=tmp_path)
+    again = calibrate(TRUTH, DATA, noise="iid", replicates=60, **PARAMETERS, folder=tmp_path)
     np.testing.assert_array_equal(again.ranks, honest[1].ranks)
 
 
@@ -160,11 +161,12 @@ def dask(workers: int, processes: bool):
         yield cluster
 
 
-def test_dask_workers_make_the_same_chunks(honest, tmp_path):
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_dask_workers_make_the_same_chunks(honest, tmp_path, processes):
     study, again = honest[1], tmp_path / "dask"
-    with dask(1, processes=True) as cluster:
+    with dask(1, processes=processes) as cluster:
         found = calibrate(
-            TRUTH, DATA, noise="iid", replicates=20, fix=["rho"], folder=again, scheduler=cluster.scheduler_address
+            TRUTH, DATA, noise="iid", replicates=20, **PARAMETERS, folder=again, scheduler=cluster.scheduler_address
         )
     np.testing.assert_array_equal(found.ranks, study.ranks[:20])
     assert len(list(again.glob("chunk-*.npz"))) == 2
@@ -192,7 +194,7 @@ def test_dask_workers_that_are_not_there_end_a_study_and_keep_its_chunks(
                 DATA,
                 noise="iid",
                 replicates=2000,
-                fix=["rho"],
+                **PARAMETERS,
                 scheduler=cluster.scheduler_address,
                 folder=tmp_path,
                 progress=told,
@@ -231,11 +233,11 @@ def test_a_scheduler_without_dask_names_the_extra(monkeypatch):
         calibrate(TRUTH, DATA, noise="iid", replicates=1, scheduler="tcp://nowhere:1")
 
 
-def test_what_a_fit_freed_is_calibrated_too(tmp_path):
-    found = calibrate(TRUTH, DATA, noise="iid", replicates=10, fix=["rho"], free=["h0"], folder=tmp_path)
-    assert "h0" in found.names
+def test_what_a_fit_freed_is_calibrated_too(honest):
+    folder, study = honest
+    assert "h0" in study.names
     with pytest.raises(DataError, match="another study"):
-        calibrate(TRUTH, DATA, noise="iid", replicates=10, fix=["rho"], folder=tmp_path)
+        calibrate(TRUTH, DATA, noise="iid", replicates=60, fix=["rho"], folder=folder)
 
 
 def test_weights_of_zero_and_values_on_bounds_have_priors_inside():

@@ -362,6 +362,7 @@ def test_every_part_of_the_page_of_a_fit_names_options_as_at_the_shell(tmp_path)
     assert not re.search(r"\b(input|output|units)='", page)
 
 
+@pytest.mark.usefixtures("few_families")
 def test_check_proposes_to_read_each_curve_as_a_record(tmp_path, capsys):
     """Loops of one stroke may be cycles of one experiment; those of different strokes are read as records by themselves."""
     u = 5 * np.sin(np.linspace(0, 2 * np.pi, 60))

@@ -47,7 +47,7 @@ def test_check_says_where_nothing_can_be_tested(tmp_path: Path, capsys: pytest.C
 
 def test_preisach_is_fitted_and_simulated_at_the_shell(nested: Path, tmp_path: Path) -> None:
     fit = tmp_path / "fit"
-    command = ["fit", str(nested), "--model", "preisach", "--method", "preisach", "--out", str(fit)]
+    command = ["fit", str(nested), "--model", "preisach:n=12", "--method", "preisach", "--out", str(fit)]
     assert run(command) == 0
     content = json.loads((fit / "result.json").read_text())
     assert content["method"]["name"] == "preisach"
@@ -104,7 +104,7 @@ def test_bad_families_of_reversal_curves_at_the_shell(tmp_path: Path, capsys: py
         found = json.loads(capsys.readouterr().out)
         assert found["preisach"]["status"] == "fails"
         assert all(word in str(found["findings"]) for word in words)
-        assert run(["fit", file, "--by", "curve", "--model", "preisach-forc", "--json"]) == status
+        assert run(["fit", file, "--by", "curve", "--model", "preisach-forc:n=10", "--json"]) == status
         notes = str(json.loads(capsys.readouterr().out)["notes"])
         assert all(word in notes for word in words)
     lines = Path(reversal_file(tmp_path, "turned.csv")).read_text().splitlines()

@@ -10,6 +10,7 @@ from hystfit import priors
 from hystfit.cli import run
 from hystfit.cli.uncertainty import parse_priors
 from hystfit.errors import ParameterError
+from hystfit.uncertainty.calibration import RANKS, Calibration
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +38,16 @@ def test_sample_writes_a_posterior_and_says_that_a_short_run_is_not_enough(fitdi
     assert {"posterior.nc", "corner.png", "bands.png"} <= {file.name for file in out.iterdir()}
     assert {"model.json", "records.npz"} <= {file.name for file in (out / "fit").iterdir()}
     assert "hystfit-new" not in (out / "report.html").read_text()
-    assert hf.load_posterior(out).draws.shape[0] == 16
 
-    record = hf.load_fit(fitdir).data[0]
+    posterior, record = hf.load_posterior(out), hf.load_fit(fitdir).data[0]
+    assert posterior.draws.shape[0] == 16
+    low, _, high = posterior.bands(hf.Record(u=record.u, y=record.y + 0.1, t=record.t, name="loop"))
     loop, columns = tmp_path / "loop.csv", np.column_stack([record.t, record.u, record.y + 0.1])
     np.savetxt(loop, columns, delimiter=",", header="t_s,u_V,y_um", comments="")
     for shifted, option in ((False, []), (True, ["--refit-offset"])):
         place = tmp_path / f"predicted-{shifted}"
         assert run(["predict", str(out), str(loop), *option, "--out", str(place)]) in (0, 1)
         table = np.genfromtxt(place / "prediction.csv", delimiter=",", names=True)
-        low, _, high = hf.load_posterior(out).bands(hf.Record(u=record.u, y=record.y + 0.1, t=record.t, name="loop"))
         shift = 0.1 if shifted else 0.0
         np.testing.assert_allclose(table["lower"], low + shift, atol=0.005 * shifted + 1e-9)
         np.testing.assert_allclose(table["upper"], high + shift, atol=0.005 * shifted + 1e-9)
@@ -88,13 +89,25 @@ def test_errors_by_every_rule(fitdir, tmp_path, capsys):
     assert "block" in capsys.readouterr().err
 
 
-def test_calibrate_and_design_write_their_results(fitdir, tmp_path, capsys):
+@pytest.mark.parametrize("simulated", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_calibrate_writes_its_result(fitdir, tmp_path, monkeypatch, simulated):
     out = tmp_path / "c"
+    if not simulated:
+        ranks, asked = np.random.default_rng(0).integers(0, RANKS + 1, (10, 2)), {}
+        study = Calibration(("c", "mu"), ranks, RANKS, np.zeros((10, 2)), (), "laplace", "iid", "iid", "BoucWen")
+        monkeypatch.setattr(
+            "hystfit.uncertainty.calibration.calibrate", lambda model, data, **options: asked.update(options) or study
+        )
     # ten replicates are too few for a conclusion
     assert run(["calibrate", str(fitdir), "--noise", "iid", "--replicates", "10", "--out", str(out)]) == 1
     content = json.loads((out / "result.json").read_text())
     assert (content["schema"], content["status"], content["replicates"]) == ("hystfit.calibrate/1", "too-few", 10)
     assert (out / "calibration.png").stat().st_size > 0
+    if not simulated:
+        assert (asked["noise"].name, asked["replicates"], asked["fix"]) == ("iid", 10, ["rho", "h0"])
+
+
+def test_design_writes_its_result(fitdir, tmp_path):
     words = ["design", str(fitdir), "--low", "-1", "--high", "1", "--method", "families", "--samples", "200"]
     assert run([*words, "--out", str(tmp_path / "d")]) == 0
     table = np.loadtxt(tmp_path / "d" / "input.csv", delimiter=",", skiprows=1)

@@ -30,8 +30,13 @@ def blocks(name: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
 
 
-def test_commands_of_the_start_page_print_what_it_shows(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("few", [True, pytest.param(False, marks=pytest.mark.slow)])
+def test_commands_of_the_start_page_print_what_it_shows(few, tmp_path, monkeypatch, capsys, request):
     """In order, from the example file to the inverse; only the sampler and the C compiler are left out."""
+    if few:  # models: the page shows findings of `check`, and the winner of `fit`
+        request.getfixturevalue("findings_alone")
+        kinds = ("preisach", "bouc-wen", "bouc-wen+log-creep")
+        monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: kinds)
     monkeypatch.chdir(tmp_path)
     page, shown, ran = (ROOT / "docs" / "start.md").read_text(encoding="utf-8"), 0, []
     for language, body in re.findall(r"```(console|text|python)\n(.*?)```", page, flags=re.DOTALL):
@@ -94,7 +99,7 @@ def by_itself(code: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=plain)
 
 
-def test_import_starts_no_backend_and_brings_no_optional_package():
+def test_import_starts_no_backend_and_brings_no_optional_package_and_single_precision_is_refused_with_the_remedy():
     code = (
         "import sys, hystfit, hystfit.cli\n"
         "assert 'jax' not in sys.modules, 'jax'\n"
@@ -104,13 +109,6 @@ def test_import_starts_no_backend_and_brings_no_optional_package():
         "assert not jax.config.jax_enable_x64\n"
         "found = {'matplotlib', 'arviz', 'blackjax', 'emcee', 'h5py', 'jaxopt', 'openpyxl'} & set(sys.modules)\n"
         "assert not found, found\n"
-    )
-    run = by_itself(code)
-    assert run.returncode == 0, run.stderr
-
-
-def test_single_precision_is_refused_with_the_remedy():
-    code = (
         "import hystfit as hf, numpy as np\n"
         "t = np.arange(100.0)\n"
         "try:\n"

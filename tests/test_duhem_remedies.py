@@ -82,7 +82,7 @@ def test_decimation_removes_most_of_the_bias_of_explicit_regressors():
     assert pulls[True] < 0.2 * pulls[False]
 
 
-@pytest.mark.parametrize("scheme", ["midpoint", "explicit"])
+@pytest.mark.parametrize("scheme", ["midpoint", pytest.param("explicit", marks=pytest.mark.slow)])
 def test_integrated_regression_and_output_error_have_little_bias(scheme):
     worst = {"rls": [], "integrated": [], "output error": []}
     for seed in range(4):

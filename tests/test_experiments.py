@@ -28,7 +28,7 @@ def offline(folder: Path) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("form", [["--quick"], []], ids=["quick", "full"])
+@pytest.mark.parametrize("form", [["--quick"], pytest.param([], marks=pytest.mark.slow)], ids=["quick", "full"])
 def test_an_experiment_without_its_data_is_skipped(tmp_path: Path, form: list[str]) -> None:
     page = EXPERIMENTS / "measured" / "RESULTS.md"
     before = page.read_bytes()

@@ -219,6 +219,7 @@ def test_a_fit_with_a_noise_model_of_ones_own(fitted):
     assert fitted["offset"].stderr > 1.2 * white["offset"].stderr  # the echo nearly doubles slow noise
 
 
+@pytest.mark.slow
 def test_draws_with_a_noise_model_and_a_sampler_of_ones_own(folder, fitted, tmp_path):
     settings = {"noise": f"{folder / 'my_noise.py'}:MovingAverage", "draws": 6000, "seed": 1}
     posterior = hf.sample(fitted, sampler=f"{folder / 'my_sampler.py'}:RandomWalk", **settings)
@@ -243,10 +244,15 @@ def test_classes_and_objects_do_as_well_as_files(folder, fitted):
     sampler = class_from_file(str(folder / "my_sampler.py"), "RandomWalk", object)
     again = hf.fit(TRUTH, record(), noise=noise, fix=["rho"], starts=1)
     assert [again[name].value for name in NAMES] == [fitted[name].value for name in NAMES]
-    short = {"noise": noise, "seed": 1}
-    by_class = hf.sample(fitted, sampler, draws=50, chains=2, **short)
-    by_object = hf.sample(fitted, sampler(draws=50, chains=2), **short)
-    np.testing.assert_array_equal(by_class.draws, by_object.draws)
+    short = {"draws": 50, "chains": 2, "seed": 1}
+    names = (f"{folder / name}" for name in ("my_sampler.py:RandomWalk", "my_noise.py:MovingAverage"))
+    by_file = hf.sample(fitted, next(names), noise=next(names), **short)
+    by_class = hf.sample(fitted, sampler, noise=noise, **short)
+    by_object = hf.sample(fitted, sampler(draws=50, chains=2), noise=noise, seed=1)
+    assert by_file.draws.shape == (2, 50, 6)
+    assert by_file.priors["noise_echo"] == str(hf.priors.Uniform(0.0, 1.0))
+    for found in (by_class, by_object):
+        np.testing.assert_array_equal(found.draws, by_file.draws)
 
 
 @pytest.mark.usefixtures("as_users_run")

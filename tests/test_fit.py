@@ -74,7 +74,8 @@ def test_the_options_of_every_fit_are_those_of_the_public_function():
     assert FitOptions(fix={"c": 1.0}, starts=1).changed() == ["fix", "starts"]
 
 
-@pytest.mark.parametrize("method", ["dogleg", "trf", "lbfgsb"])
+# Without jaxopt, the bounded quasi-Newton method is compared in tests/test_versions.py.
+@pytest.mark.parametrize("method", ["dogleg", "trf", pytest.param("lbfgsb", marks=pytest.mark.slow)])
 def test_estimators_reach_one_optimum(fitted, piezo, method):
     other = hf.fit(hf.BoucWen(), piezo, method=method, starts=8 if method == "dogleg" else 1)
     # The start is off by thirty standard errors.
@@ -225,7 +226,7 @@ def test_a_model_that_cannot_make_the_loop_is_poor():
 
 
 def test_a_record_that_never_turns_back_is_no_loop():
-    u = np.linspace(0, 10, 300)
+    u = np.linspace(0, 10, T.size)
     assert hf.fit(hf.BoucWen(), hf.Record(u=u, y=u + 0.1 * np.sin(u))).status == "no-loop"
 
 

@@ -121,7 +121,7 @@ def test_a_penalty_that_fits_worse_wins_no_tie_between_left_out_errors():
     "common", [pytest.param(True, marks=pytest.mark.slow), False], ids=["one input", "inputs of their own"]
 )
 def test_loops_fitted_together_are_those_of_fit(common: bool) -> None:
-    for row in maps.compared("bouc-wen", 10, 1, common=common):
+    for row in maps.compared("bouc-wen", 5, 1, common=common):
         assert row.same
         assert row.estimates < maps.SAME
         assert row.errors < maps.ERRORS

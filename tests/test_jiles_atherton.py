@@ -57,6 +57,7 @@ def test_no_susceptibility_is_negative_and_loops_dissipate() -> None:
     assert 4 * IRON["k"] * IRON["Ms"] * (1 - IRON["c"]) > loss > 0  # k bounds the width: pinning takes k |dMirr|
 
 
+@pytest.mark.slow  # the search is that of every model without a closed form
 def test_the_inverse_gives_the_input_again() -> None:
     model = hf.JilesAtherton(**IRON, slope=0.7, offset=2e4)
     u = np.interp(

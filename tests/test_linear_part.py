@@ -1,5 +1,6 @@
 """Coordinates of linear parameters given the others: against generalized least squares, the density itself, and sampling without them."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,15 +10,18 @@ import scipy.linalg
 import hystfit as hf
 from hystfit import priors
 from hystfit.inference.noise import White
+from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.problem import Problem
 from hystfit.models import LogCreep, Sum
 from hystfit.outcome import Status
 from hystfit.sampling.linear_part import LinearPart
 from hystfit.sampling.sample import sample
 from hystfit.sampling.setup import given_others, prepare
-from hystfit.sampling.target import log_densities_and_z
+from hystfit.sampling.target import Target, log_densities_and_z
 
 NARROW = {"offset": priors.Normal(0.3, 0.003)}  # about as narrow as the likelihood
+
+density_at = eqx.filter_jit(lambda target, q: target(q))
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +38,14 @@ def setup(request, fitted):
     return given_others(prepare(fitted, noise=request.param, priors=NARROW), jax.random.key(0))
 
 
+def with_noise(result: hf.FitResult, name: str) -> tuple[Problem, np.ndarray]:
+    """The problem of a fit with typical noise of its size, and the fit and that noise as z."""
+    noise = NOISES.find(name).of_size(0.02)
+    problem = result.problem.with_noise(noise)
+    x = np.concatenate([result.x, problem.noise_space.vector(noise)])
+    return problem, problem.unconstrained(x)
+
+
 def test_parameters_in_which_the_output_is_linear_together_are_found(setup):
     """y = offset + c (u - mu h) + b P(u): c and mu exclude each other."""
     assert setup.target.linear is not None
@@ -42,23 +54,21 @@ def test_parameters_in_which_the_output_is_linear_together_are_found(setup):
 
 
 def test_parameters_near_a_bound_and_other_noise_have_their_own_coordinates(fitted):
-    plain = prepare(fitted, noise="iid")
-    z, names = np.asarray(plain.target.unwhitened(jnp.zeros(len(plain.names)))), plain.names
-    wide = np.where(np.isin(names[:-1], ["c", "mu"]), 1.0, 1e-6)
-    found = LinearPart.of(plain.problem, z, wide)
+    plain, z = with_noise(fitted, "iid")
+    wide = np.where(np.isin(plain.names[:-1], ["c", "mu"]), 1.0, 1e-6)
+    found = LinearPart.of(plain, z, wide)
     assert found is not None
-    assert [names[k] for k in found.places] == ["b[0]", "b[1]", "offset"]
-    student = prepare(fitted, noise="student-t")
-    assert LinearPart.of(student.problem, np.zeros(len(student.names)), np.full(len(names) - 1, 1e-6)) is None
+    assert [plain.names[k] for k in found.places] == ["b[0]", "b[1]", "offset"]
+    assert LinearPart.of(*with_noise(fitted, "student-t"), np.full(wide.size, 1e-6)) is None
 
 
 def test_density_is_that_of_all_parameters_times_the_jacobian(setup):
     target = setup.target
-    with_jacobian = jax.jit(lambda q: (target(q), jnp.linalg.slogdet(jax.jacfwd(target.unwhitened)(q))[1]))
+    stretched = jax.jit(lambda q: jnp.linalg.slogdet(jax.jacfwd(target.unwhitened)(q))[1])
     of_z, differences = jax.jit(lambda z: target.density.log_density(z)), []
     for q in np.random.default_rng(1).normal(size=(6, len(setup.names))):
-        value, stretch = with_jacobian(jnp.asarray(q))
-        differences.append(float(value - of_z(target.unwhitened(jnp.asarray(q))) - stretch))
+        q = jnp.asarray(q)
+        differences.append(float(density_at(target, q) - of_z(target.unwhitened(q)) - stretched(q)))
     assert np.ptp(differences) < 1e-8
 
 
@@ -82,9 +92,12 @@ def fitted_to_several() -> hf.FitResult:
 @pytest.mark.parametrize("noise", ["ou", *(pytest.param(name, marks=pytest.mark.slow) for name in ("iid", "ar1"))])
 def test_densities_of_many_places_are_those_of_each(fitted_to_several, noise):
     """In one scan for all signals, against whole trajectories and against coordinates computed apart."""
-    target = given_others(prepare(fitted_to_several, noise=noise), jax.random.key(0)).target
-    assert target.linear is not None
-    assert len(target.linear.places) >= 3  # c and either offset
+    problem, z = with_noise(fitted_to_several, noise)
+    linear = LinearPart.of(problem, z, np.full(len(problem.space), 0.01))
+    assert linear is not None
+    assert len(linear.places) >= 3  # c and either offset
+    target = Target.about(problem.density, jnp.asarray(z))
+    target = target.whitened(target.center, 0.05 * jnp.eye(z.size)).given_others(linear)
     assert not target.density.keeps_trajectories
     q = jnp.asarray(np.random.default_rng(4).normal(size=(5, len(target.center))))
     densities, z = log_densities_and_z(target, q)
@@ -102,8 +115,8 @@ def test_few_places_are_computed_at_once_where_a_step_has_a_loop_of_its_own():
 
 def test_gradient_is_that_of_the_density(setup):
     q, slope = jnp.asarray(np.random.default_rng(2).normal(size=len(setup.names))), 1e-5
-    value = jax.jit(lambda q: setup.target(q))
-    want = [float(value(q + slope * e) - value(q - slope * e)) / (2 * slope) for e in jnp.eye(q.size)]
+    value = lambda q: float(density_at(setup.target, q))
+    want = [(value(q + slope * e) - value(q - slope * e)) / (2 * slope) for e in jnp.eye(q.size)]
     np.testing.assert_allclose(jax.jit(jax.grad(lambda q: setup.target(q)))(q), want, rtol=1e-4, atol=1e-4)
 
 

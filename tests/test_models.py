@@ -162,9 +162,23 @@ MODELS: dict[str, tuple[AbstractHysteresis, dict[str, Any]]] = {
 }
 
 
-# What takes longest to compile, and models whose parts are checked alone; relays, the exact and the asymmetric loop and the oscillator
-# keep the laws in the quick form, and the tests of Jiles-Atherton fit by its derivatives.
+# What takes longest to compile, and models whose parts are checked alone. In the quick form relays and both schemes of the loop keep the
+# laws; the tests of Jiles-Atherton, of the oscillator, of dampers, friction, steel, forces and degrading loops fit by their derivatives,
+# and those of Duhem and of the resonance have derivatives of their own.
 SLOW = (
+    "force",
+    "lugre",
+    "maxwell slip",
+    "springpot",
+    "generalized plays",
+    "duhem, explicit",
+    "duhem, exact",
+    "degrading",
+    "damper",
+    "steel-02",
+    "voce-chaboche",
+    "second order",
+    "oscillator",
     "asymmetric, exact",
     "oscillator, hardening, held",
     "density",
