@@ -64,7 +64,7 @@ def posterior(fitted):
 
 
 def test_density_is_likelihood_prior_and_jacobian(fitted):
-    setup = prepare(fitted, noise="iid", priors={"tau": priors.Normal(2.0, 0.3)})
+    setup = prepare(fitted, noise="iid", priors={"tau": priors.LogNormal(2.0, 0.3)})  # of the kind of the default
     target, record = setup.target, fitted.data[0]
     density = eqx.filter_jit(lambda z: target.density.log_density(z))
     map_out = eqx.filter_jit(lambda z: target.density.physical(z))
@@ -74,7 +74,7 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
         x = dict(zip(setup.names, physical(z), strict=True))
         model = hf.BoucWen(c=x["c"], mu=x["mu"], tau=x["tau"], rho=0.5, offset=x["offset"])
         want = scipy.stats.norm.logpdf(record.y, np.asarray(hf.simulate(model, record.u)[0]), x["noise_white"]).sum()
-        want += scipy.stats.norm.logpdf(x["tau"], 2.0, 0.3)
+        want += scipy.stats.lognorm.logpdf(x["tau"], 0.3, scale=2.0)
         scale = 0.01 * setup.problem.scales.y
         want += scipy.stats.lognorm.logpdf(x["noise_white"], 3.0, scale=scale)
         c_scale = setup.problem.scales.size("y/u")
@@ -172,6 +172,7 @@ class Ridge(Target):
         return jax.value_and_grad(self.log_density)(v)
 
 
+@pytest.mark.slow
 def test_nuts_follows_a_ridge_into_a_bound(fitted):
     """The tail next to the bound has the probability of the truncated normal, and costs no small steps."""
     bend, start = Bend(jnp.asarray([True, False]), jnp.zeros(2)), jnp.asarray([[0.5, 0.0], [2.0, 0.1]])
@@ -263,10 +264,8 @@ def chunks_of(nuts, target, key, count):
 def test_step_size_is_tuned_for_the_acceptance_asked_for(fitted):
     target, found = prepare(fitted, noise="iid").target, []
     for goal in (0.65, 0.85):
-        nuts, shares = Nuts(target_accept=goal), []
-        for key in jax.random.split(jax.random.key(3), 2):
-            shares += [chunk["acceptance"].mean() for _, chunk in chunks_of(nuts, target, key, 4)]
-        found.append(np.mean(shares))
+        chunks = chunks_of(Nuts(target_accept=goal), target, jax.random.key(3), 8)
+        found.append(np.mean([chunk["acceptance"].mean() for _, chunk in chunks]))
     np.testing.assert_allclose(found, [0.65, 0.85], atol=0.06)
 
 
@@ -484,8 +483,8 @@ def test_one_divergent_transition_is_a_status_and_names_the_other_samplers(fitte
 
 def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
     target = prepare(fitted, noise="ou").target
-    value = eqx.filter_jit(lambda q: target(q))
-    slope = eqx.filter_jit(jax.grad(lambda q: target(q)))
+    both = eqx.filter_jit(jax.value_and_grad(lambda q: target(q)))
+    value, slope = (lambda q: both(q)[0]), (lambda q: both(q)[1])
     lean = eqx.filter_jit(lambda q: target.log_density(target.center + target.factor @ q, lean=True))
     rng = np.random.default_rng(0)
     for _ in range(3):
@@ -497,7 +496,7 @@ def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
 
 
 def test_least_squares_independence_nuts_and_emcee_agree_on_a_well_determined_problem(fitted, posterior):
-    ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=3000, seed=1)
+    ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=2000, seed=1)
     independent = sample(fitted, noise="iid", draws=1000, seed=1)
     assert posterior.usable
     assert ensemble.usable
@@ -644,7 +643,8 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
         plt.close(posterior.plot(kind))
 
 
-def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(posterior):
+@pytest.mark.parametrize(("count", "shown"), [pytest.param(30, 12, marks=pytest.mark.slow), (3, 5)])
+def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(posterior, count, shown):
     """corner refuses more parameters than draws, and forty parameters have 1600 panels."""
     import matplotlib.pyplot as plt
 
@@ -656,13 +656,12 @@ def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(poste
     weights = fit.problem.space.weights
     assert weights.sum() == 41  # the plays and the slope
     plain = {name for name, weight in zip(names, weights, strict=True) if not weight}
-    for count, shown in ((30, 12), (3, 5)):
-        draws = np.random.default_rng(1).normal(size=(2, count, len(names)))
-        many = dataclasses.replace(posterior, result=fit, names=names, units=fit.problem.space.units, draws=draws)
-        figure = many.plot("corner")
-        assert len(figure.axes) == shown**2
-        assert plain <= {ax.get_title().partition("\n")[0] for ax in figure.axes}
-        plt.close(figure)
+    draws = np.random.default_rng(1).normal(size=(2, count, len(names)))
+    many = dataclasses.replace(posterior, result=fit, names=names, units=fit.problem.space.units, draws=draws)
+    figure = many.plot("corner")
+    assert len(figure.axes) == shown**2
+    assert plain <= {ax.get_title().partition("\n")[0] for ax in figure.axes}
+    plt.close(figure)
 
 
 KILLED = """
@@ -793,13 +792,13 @@ def test_autocorrelation_time_of_a_long_chain_is_found_on_few_of_its_steps():
 
 def test_emcee_looks_less_often_at_longer_chains(fitted):
     looks = []
-    Ensemble(walkers=16, draws=1600, check=10).run(
+    Ensemble(walkers=16, draws=800, check=10).run(
         prepare(fitted, noise="iid"), 3, None, lambda words, part: looks.append(part)
     )
-    reached = 1600 * np.array(looks)
+    reached = 800 * np.array(looks)
     assert reached[0] == 10
     assert np.all(np.diff(reached) <= np.maximum(10, reached[:-1] / 20) + 1e-9)
-    assert len(reached) < 25 + 20 * np.log(1600 / 200) + 10  # ten steps up to 200, then a twentieth of the chain
+    assert len(reached) < 25 + 20 * np.log(800 / 200) + 10  # ten steps up to 200, then a twentieth of the chain
 
 
 @pytest.mark.usefixtures("as_users_run")
@@ -891,7 +890,7 @@ def test_parameters_with_one_prior_share_a_note_and_a_line(fitted, posterior):
 
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
     poor = dataclasses.replace(fitted, status=Status.POOR)
-    told = sample(poor, noise="iid", chains=4, draws=400, extend=1, warmup=200)
+    told = sample(poor, noise="iid", chains=4, draws=400, extend=1)
     assert not told.convergence.problems(told.names)
     assert told.status == "poor-fit"
     assert not told.usable
@@ -904,7 +903,7 @@ def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
     y = record.y + np.asarray(hf.simulate(LogCreep(gamma=(0.06,)), record.u, 0.01)[0]) - record.u
     fit = hf.fit(model, record.replace(y=y), starts=1, fix={"rho": 0.5})
     assert fit.usable
-    drawn = sample(fit, noise="iid", chains=4, draws=400, extend=1, warmup=200)
+    drawn = sample(fit, noise="iid", chains=4, draws=400, extend=1)
     assert not drawn.convergence.problems(drawn.names)
     assert abs(drawn["c"].mean() - 1.0) > 5 * drawn["c"].std()
     assert drawn.status is Status.INCOMPLETE
@@ -977,13 +976,14 @@ def test_a_prior_of_the_users_with_arrays_has_an_identity():
 
 def test_a_run_under_another_prior_or_other_settings_is_another_run(fitted, tmp_path):
     small = {"noise": "iid", "walkers": 16, "draws": 50, "check": 50, "folder": tmp_path}
-    first = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
-    again = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
+    own = {"c": priors.LogNormal(1.0, 0.5)}  # of the kind of the default: the sampler is compiled already
+    first = sample(fitted, "emcee", priors=own, **small)
+    again = sample(fitted, "emcee", priors=own, **small)
     np.testing.assert_array_equal(again.draws, first.draws)
     with pytest.raises(DataError, match="another run"):
-        sample(fitted, "emcee", priors={"c": priors.Normal(1.0001, 0.5)}, **small)
+        sample(fitted, "emcee", priors={"c": priors.LogNormal(1.0001, 0.5)}, **small)
     with pytest.raises(DataError, match="another run"):
-        sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **{**small, "check": 25})
+        sample(fitted, "emcee", priors=own, **{**small, "check": 25})
 
 
 @pytest.mark.slow
