@@ -686,7 +686,7 @@ class TestProperties:
 
 
 class TestDensities:
-    @pytest.mark.parametrize("kind", ["gaussian", "lorentzian", "factorized"])
+    @pytest.mark.parametrize("kind", ["gaussian", pytest.param("lorentzian", marks=pytest.mark.slow), "factorized"])
     def test_parameters_come_back(self, kind):
         t = np.linspace(0, 8, 600)
         u = np.sin(2 * np.pi * t) * np.exp(-0.2 * t)

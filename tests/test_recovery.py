@@ -116,7 +116,7 @@ def test_parameters_are_recovered_within_their_errors(case):
             estimate = plain_weights(problem)
         else:
             z = problem.space.unconstrained(x)
-            off = rng.choice([-1.0, 1.0], (4, z.size)) * rng.uniform(0.5, 1.0, (4, z.size))
+            off = rng.choice([-1.0, 1.0], (8, z.size)) * rng.uniform(0.5, 1.0, (8, z.size))
             estimate = ESTIMATORS.make("lm").estimate(problem, z + off)
         errors = uncertainty(problem, estimate, correlated=False)
         inside = np.array([side is None for side in problem.at_bound(estimate.x)]) & errors.determined

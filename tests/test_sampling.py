@@ -24,7 +24,7 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError, optional
-from hystfit.inference.noise import White
+from hystfit.inference.noise import OrnsteinUhlenbeck, White
 from hystfit.inference.problem import Problem
 from hystfit.models import LogCreep, Series, Sum
 from hystfit.outcome import Code, Status
@@ -39,7 +39,7 @@ from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
-from hystfit.sampling.setup import checked, prepare
+from hystfit.sampling.setup import Prepared, checked, prepare
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 from hystfit.sampling.target import Target
 
@@ -426,7 +426,7 @@ def test_a_mixture_covers_many_skewed_parameters(fitted, seed):
 
 def test_nuts_draws_what_no_mixture_covers(fitted, monkeypatch):
     monkeypatch.setattr(independence, "_COVERED", 1.0)
-    made = sample(fitted, noise="iid", draws=50, extend=1, chains=2)
+    made = sample(fitted, noise="iid", draws=50, extend=1, chains=1)
     assert made.sampler == "nuts"
     assert made.stats["steps"].any()
     assert "NUTS draws" in " ".join(note.text for note in made.notes)
@@ -483,8 +483,9 @@ def test_one_divergent_transition_is_a_status_and_names_the_other_samplers(fitte
     assert "nested" in drawn.advice
 
 
-def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
-    target = prepare(fitted, noise="ou").target
+@pytest.mark.parametrize("noise", ["iid", pytest.param("ou", marks=pytest.mark.slow)])
+def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted, noise):
+    target = prepare(fitted, noise=noise).target
     both = eqx.filter_jit(jax.value_and_grad(lambda q: target(q)))
     value, slope = (lambda q: both(q)[0]), (lambda q: both(q)[1])
     lean = eqx.filter_jit(lambda q: target.log_density(target.center + target.factor @ q, lean=True))
@@ -914,8 +915,8 @@ def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
 
 @pytest.mark.parametrize(("time", "slow", "told"), [(100.0, 0.02, True), (20.0, 0.02, False), (100.0, 0.004, False)])
 def test_slow_noise_as_long_as_a_good_part_of_the_record_is_drift(fitted, time, slow, told):
-    setup = prepare(fitted, noise="ou")
     noise = {"noise_white": 0.01, "noise_slow": slow, "noise_time": time}
+    setup = Prepared(fitted.problem.with_noise(OrnsteinUhlenbeck()), "ou", ())
     x = np.array([noise.get(name, 1.0) for name in setup.names])
     assert has(drift_notes(setup, np.tile(x, (2, 5, 1)), longest=500), Code.INCOMPLETE) == told
 
