@@ -322,6 +322,7 @@ def test_derived_constants_have_no_error_where_a_parameter_behind_them_has_none(
     assert [p.name for p in unknown.derived if p.stderr is None] == ["b1", "b2"]
 
 
+@pytest.mark.slow
 def test_softening_on_its_bound_has_no_error_and_neither_have_its_constants() -> None:
     """The same yielding spring with Z = 4, where r_load = 40 is inside its bounds, and with Z = 6, where 60 is beyond 50."""
     t = np.arange(300) / 100
