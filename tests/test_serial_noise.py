@@ -134,9 +134,9 @@ def test_noises_side_by_side_are_those_of_each_alone(even):
     if even:
         t = np.arange(200) * 0.1
         samples = Samples.of(Setting.of(Batch.of(hf.Record(u=np.sin(t), y=t, t=t))))
-    n, scales = samples.gap.size, np.array([0.0, 1.0, 10.0])
-    slow = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=(3, n)), axis=1)
-    residual, basis = rng.normal(size=(3, n)) + scales[:, None] * slow, np.linalg.qr(rng.normal(size=(3, n, 3)))[0]
+    n, scales = samples.gap.size, np.array([0.0, 0.3, 1.0, 3.0, 10.0])
+    slow = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=(5, n)), axis=1)
+    residual, basis = rng.normal(size=(5, n)) + scales[:, None] * slow, np.linalg.qr(rng.normal(size=(5, n, 3)))[0]
     together = fit_slow_noises(Contrasts(samples, residual, basis, np.zeros((n, 0))))
     for k, found in enumerate(together):
         alone = fit_slow_noise(Contrasts(samples, residual[k], basis[k], np.zeros((n, 0))))

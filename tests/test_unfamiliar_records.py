@@ -282,8 +282,8 @@ def test_a_lag_at_rising_frequency_is_no_damage() -> None:
 
 def test_a_butterfly_is_neither_single_valued_nor_damaged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: ("preisach", "preisach-signed"))
-    u = 5 * np.sin(2 * np.pi * np.arange(400) / 100)
-    y = plays(u, np.array([0.5, 1.5, 3.0])) ** 2 + 0.1 * NOISE[:400]
+    u = 5 * np.sin(2 * np.pi * np.arange(200) / 100)
+    y = plays(u, np.array([0.5, 1.5, 3.0])) ** 2 + 0.1 * NOISE[:200]
     found = hf.check(hf.Record(u, y))
     assert has(found.findings, Code.CROSSING)
     assert not has(found.findings, Code.SINGLE_VALUED)
