@@ -158,6 +158,9 @@ import jax, numpy as np
 import hystfit as hf
 from hystfit import control, identify, stage
 from hystfit.errors import PrecisionError
+from hystfit.outcome import Status
+from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.posterior import Posterior
 
 t = np.linspace(0.0, 2.0, 100)
 u = 3 * np.sin(2 * np.pi * t) * np.exp(-0.2 * t)
@@ -172,7 +175,12 @@ y = np.asarray(hf.simulate(model, u)[0])
 record = hf.Record(u, y + 1e-3 * np.random.default_rng(0).normal(size=u.size), t=t)
 three = np.stack([u, u, u], axis=1)
 result = hf.fit(early, record, start="model", starts=1)
-posterior = hf.sample(result, sampler="emcee", noise="iid", draws=50, walkers=18)
+row = np.append(result.x, 1e-3)
+nothing = Convergence(*(np.ones(row.size) for _ in range(3)))
+posterior = Posterior(
+    result, "nuts", "iid", (*result.free_names, "noise_white"), ("",) * row.size, np.tile(row, (1, 50, 1)), np.zeros((1, 50)), {},
+    nothing, Status.OK, (), {}, 0.0, 0, {},
+)
 folder = result.save(sys.argv[1] + "/fit", report=False)
 draws = posterior.save(sys.argv[1] + "/draws")
 ukf = identify.Ukf.of(model, record)

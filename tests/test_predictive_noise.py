@@ -150,7 +150,7 @@ def test_beside_records_of_a_fit_the_noise_is_students_t_of_the_groups_left_out(
 
 @pytest.mark.parametrize("noise", ["iid", "discrepancy"])
 def test_bands_of_a_posterior_cover_spikes(noise):
-    rng, n = np.random.default_rng(3), 2000
+    rng, n = np.random.default_rng(3), 1000
     model = hf.BoucWen(c=1.0, mu=0.5, tau=2.0, rho=0.5)
     u = np.sin(2 * np.pi * np.arange(n) / 100)
     y = np.asarray(hf.simulate(model, u)[0])

@@ -146,19 +146,29 @@ class TestTwoForms:
         by_columns = np.cos((A @ np.asarray(plain.w))[index]) @ A[index]
         np.testing.assert_allclose(by_columns, jax.grad(value)(model.w), atol=1e-12)
 
-    def test_free_runs_by_look_ups_equal_the_scan(self):
+    @pytest.mark.parametrize(
+        "kind",
+        [
+            "alone",
+            "behind lags",
+            pytest.param("others alone", marks=pytest.mark.slow),
+            pytest.param("others", marks=pytest.mark.slow),
+        ],
+    )
+    def test_free_runs_by_look_ups_equal_the_scan(self, kind):
         cells = make("cells", "negative", 0.0, False, 4)
         rng = np.random.default_rng(6)
         u, dt = rng.uniform(-1, 1, 80), rng.uniform(0.01, 0.1, 80)
         density = ParametricPreisach(levels=np.linspace(-1, 1, 9), slope=0.3)
-        slow = hf.Relaxation(a=(0.1, 0.2), tau=(0.05, 0.5))
-        for model in (cells, make("relays", "demagnetized", 0.1, True, 5), density, hf.Sum(cells, hf.Offset(2.0))):
-            assert model.has_fast_run
-            np.testing.assert_allclose(model.free_run(u), hf.simulate(model, u)[0], atol=1e-12)
-        resonance = hf.SecondOrder(omega=20.0, zeta=0.2)
-        lagged = hf.Series(hf.Delay(lag=1.5), hf.Lag(level=0.3), cells, resonance)
-        for model in (hf.Series(cells, slow), hf.Series(hf.Lag(), cells), lagged, hf.Series(slow, hf.Lag())):
-            assert model.has_fast_run == (cells in model.parts)
+        slow, resonance = hf.Relaxation(a=(0.1, 0.2), tau=(0.05, 0.5)), hf.SecondOrder(omega=20.0, zeta=0.2)
+        models = {
+            "alone": (cells, density),
+            "others alone": (make("relays", "demagnetized", 0.1, True, 5), hf.Sum(cells, hf.Offset(2.0))),
+            "behind lags": (hf.Series(hf.Delay(lag=1.5), hf.Lag(level=0.3), cells, resonance),),
+            "others": (hf.Series(cells, slow), hf.Series(hf.Lag(), cells), hf.Series(slow, hf.Lag())),
+        }[kind]
+        for model in models:
+            assert model.has_fast_run == (cells in getattr(model, "parts", (cells,)))
             np.testing.assert_allclose(model.free_run(u, dt), hf.simulate(model, u, dt)[0], atol=1e-12)
 
     def test_two_halves_equal_one_run(self):

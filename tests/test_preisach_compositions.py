@@ -40,7 +40,7 @@ def truth(name: str) -> hf.models.AbstractHysteresis:
     return type(model)(*parts)
 
 
-@pytest.mark.parametrize("name", [*NAMES, "preisach+log-creep"])
+@pytest.mark.parametrize("name", [*NAMES, pytest.param("preisach+log-creep", marks=pytest.mark.slow)])
 def test_the_design_matrix_times_the_weights_is_the_scan(name: str) -> None:
     NAMES.setdefault("preisach+log-creep", {"gamma": 0.03})
     model = truth(name)
@@ -54,7 +54,7 @@ def test_the_design_matrix_times_the_weights_is_the_scan(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name.startswith("second") else name for name in NAMES]
+    "name", [name if name == "preisach+creep" else pytest.param(name, marks=pytest.mark.slow) for name in NAMES]
 )
 def test_the_smooth_solve_fits_a_composition(name: str) -> None:
     model = truth(name)
@@ -110,6 +110,7 @@ def test_the_inverse_of_a_composition_follows_the_reference(name: str) -> None:
     assert np.abs(np.asarray(again) - y)[met].max() < 1e-6 * np.ptp(y)
 
 
+@pytest.mark.slow
 def test_a_resonance_after_preisach_is_led() -> None:
     model = truth("second-order+preisach")
     t = np.arange(2000) * 5e-4

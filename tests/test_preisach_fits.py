@@ -686,7 +686,7 @@ class TestProperties:
 
 
 class TestDensities:
-    @pytest.mark.parametrize("kind", ["gaussian", "lorentzian", "factorized"])
+    @pytest.mark.parametrize("kind", ["gaussian", pytest.param("lorentzian", marks=pytest.mark.slow), "factorized"])
     def test_parameters_come_back(self, kind):
         t = np.linspace(0, 8, 600)
         u = np.sin(2 * np.pi * t) * np.exp(-0.2 * t)
@@ -734,6 +734,7 @@ class TestMeasured:
         small = fit_preisach([r for r in loops if r is not largest], 12, symmetric=True, offsets="none")
         assert "extrapolation" in small.model.advice(largest.u)[0]
 
+    @pytest.mark.slow
     def test_reversal_curves_left_out(self, measured):
         rows = np.genfromtxt(measured / "tidy" / "mag_forc_FeCo.csv", delimiter=",", skip_header=1, usecols=(0, 2, 3))
         # A calibration point stands before each curve: the first row of each.

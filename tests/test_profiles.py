@@ -1,6 +1,7 @@
 """Profiles against refits and closed forms, other covariances against plain sums, designs against simulation."""
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -91,6 +92,7 @@ def test_limits_of_a_well_determined_fit_are_those_of_its_errors(fitted):
         assert p.lower < fitted[name].value < p.upper
 
 
+@pytest.mark.slow
 def test_limits_cover_the_truth_about_as_often_as_they_say():
     inside = []
     for seed in range(12):
@@ -100,14 +102,15 @@ def test_limits_cover_the_truth_about_as_often_as_they_say():
     assert np.mean(inside) >= 0.75  # 48 looks, correlated in fours, at 90 %
 
 
-def test_an_open_side_is_named_and_a_profile_is_that_of_refits_by_another_solver(faint):
+@pytest.mark.parametrize("refitted", [("rho",), pytest.param(("c", "mu", "tau"), marks=pytest.mark.slow)])
+def test_an_open_side_is_named_and_a_profile_is_that_of_refits_by_another_solver(faint, refitted):
     found = profile(faint)
     opened = [p for p in found.profiles.values() if not p.closed]
     assert opened
     assert not found.usable
     assert has(found.notes, Code.OPEN_SIDE)
     squares = lambda result: result.train.n * result.train.rmse**2
-    for p in (found[name] for name in ("c", "mu", "tau", "rho")):
+    for p in (found[name] for name in refitted):
         # Refits with the parameter fixed at both ends of its path: an open side stays likely, beyond a limit it is not.
         for k, limit in ((0, p.lower), (-1, p.upper)):
             held = hf.fit(TRUTH, faint.data, method="trf", starts=2, noise="iid", fix={p.name: float(p.x[k])})
@@ -220,9 +223,15 @@ def slow_record(repeating: float = 0.0) -> hf.Record:
     return hf.Record(u=u, y=np.asarray(hf.simulate(TRUTH, u)[0]) + noise)
 
 
+@functools.cache
+def in_slow_noise(noise: str, repeating: float = 0.0) -> hf.FitResult:
+    """A fit of such a record."""
+    return hf.fit(TRUTH, slow_record(repeating=repeating), starts=1, noise=noise)
+
+
 @pytest.mark.parametrize(("noise", "repeating"), [("auto", 0.0), ("auto", 0.03), ("ou", 0.0)])
 def test_a_design_has_the_errors_of_a_fit_in_slow_noise(noise, repeating):
-    fit = hf.fit(TRUTH, slow_record(repeating=repeating), starts=1, noise=noise)
+    fit = in_slow_noise(noise, repeating)
     assert fit.error_ratio > 1.3
     made = design(fit, samples=300, method="families")
     for name in NAMES:
@@ -231,7 +240,7 @@ def test_a_design_has_the_errors_of_a_fit_in_slow_noise(noise, repeating):
 
 
 def test_a_design_in_slow_noise_predicts_least_squares_under_the_dense_covariance():
-    fit = hf.fit(TRUTH, slow_record(), starts=1)
+    fit = in_slow_noise("auto")
     made = design(fit, low=-1.0, high=1.0, samples=300, method="families")
     noise = analyze(fit.problem, fit.x).of_errors
     values = {name: fit[name].value for name in NAMES}
@@ -439,9 +448,8 @@ def test_records_too_short_for_blocks_say_so_and_fits_under_a_noise_model_are_re
     assert set(short.errors) == {"fit", "iid"}
     assert short.block is None
     assert sum(note.code is Code.BLOCKS and note.severity is Severity.WARNING for note in short.notes) == 2
-    other = hf.fit(TRUTH, loop(), starts=1, noise="ou")
     with pytest.raises(ParameterError):
-        hf.standard_errors(other)
+        hf.standard_errors(in_slow_noise("ou"))
 
 
 def test_correlated_noise_widens_sandwich_and_bootstrap():
@@ -524,7 +532,7 @@ def test_a_design_starts_from_what_the_fit_knows():
 
 
 def test_each_record_of_a_design_has_an_offset_of_its_own():
-    first, second = (loop(T=400, seed=k).replace(name=name) for k, name in enumerate(("first", "second")))
+    first, second = (loop(seed=k).replace(name=name) for k, name in enumerate(("first", "second")))
     both = hf.fit(TRUTH, [first, second.replace(y=second.y + 1.0)], starts=1, noise="iid")
     made = design(both, samples=300, method="families")
     for name in both.free_names:

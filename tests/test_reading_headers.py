@@ -136,6 +136,7 @@ def test_times_that_run_back_are_no_time(tmp_path: Path) -> None:
     assert column_quantity("cyc") == "index"
 
 
+@pytest.mark.usefixtures("findings_alone")
 def test_archives_of_several_files_at_the_shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "tests.zip"
     with zipfile.ZipFile(path, "w") as archive:

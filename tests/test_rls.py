@@ -267,8 +267,8 @@ def alpha_over_truth(scheme: str, u: np.ndarray, seeds: int, w0: float = 0.0) ->
 
 def test_the_regressor_decides_how_far_noise_pulls_the_rate():
     assert (alpha_over_truth("explicit", sine(), 5) > 5).all()
-    assert (np.abs(alpha_over_truth("midpoint", sine(), 20) - 1) < 0.35).all()
-    assert (np.abs(alpha_over_truth("midpoint", decaying(), 20, w0=1.5) - 1) < 0.10).all()
+    assert (np.abs(alpha_over_truth("midpoint", sine(), 8) - 1) < 0.35).all()
+    assert (np.abs(alpha_over_truth("midpoint", decaying(), 8, w0=1.5) - 1) < 0.10).all()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Scans that end at the length of a record: programs then serve records of any length."""
 
 import contextlib
+import dataclasses
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import pytest
 import hystfit as hf
 from hystfit.config import expect_few_runs
 from hystfit.data.batch import Batch, room
+from hystfit.data.batch import _roomy as kept_with_room
 from hystfit.inference import objective
 from hystfit.models.shared.sample_scan import first_samples, scan_samples
 from hystfit.models.shared.simulation import AbstractDynamics, run
@@ -67,6 +69,25 @@ def test_the_first_samples_are_those_of_a_plain_loop(rows_per_sample, samples_pe
 
 
 @pytest.mark.parametrize("name", MODELS)
+def test_outputs_in_longer_arrays_are_those_in_arrays_of_its_own(name):
+    u, dt = _loop(150), np.diff(TIME, prepend=TIME[0])
+    y = np.asarray(hf.simulate(MODELS[name], u, dt)[0])
+    problem = hf.Problem(MODELS[name], hf.Record(u=u, y=y + 0.1, t=TIME))
+    with expect_few_runs(long=True):
+        assert room(150) > problem.objective.batch.u.shape[1]
+        output = problem.predict(problem.space.vector(MODELS[name]))[0]
+    np.testing.assert_allclose(output, y, rtol=1e-9, atol=1e-9 * np.abs(y).max())
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        if name in ("bouc-wen", "hardening stops", "lag before plays and creep")
+        else pytest.param(name, marks=pytest.mark.slow)
+        for name in MODELS
+    ],
+)
 def test_derivatives_in_longer_arrays_are_those_in_arrays_of_its_own(name):
     u = _loop(150)
     model = MODELS[name]
@@ -77,10 +98,8 @@ def test_derivatives_in_longer_arrays_are_those_in_arrays_of_its_own(name):
     with expect_few_runs(long=True):
         assert room(150) > problem.objective.batch.u.shape[1]
         shared = objective.linearized(problem.objective, x)
-        output = problem.predict(x)[0]
     for one, other in zip(shared, alone, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
-    np.testing.assert_allclose(output, y, rtol=1e-9, atol=1e-9 * np.abs(y).max())
 
 
 def test_records_of_any_length_share_a_program(monkeypatch):
@@ -101,6 +120,23 @@ def test_records_of_any_length_share_a_program(monkeypatch):
             np.testing.assert_allclose(residual[0, :count], np.asarray(hf.simulate(slow, u)[0]) - u, atol=1e-12)
             counts.append(len(traced))
     assert counts[0] == counts[-1] > 0
+
+
+def test_longer_arrays_are_made_once_and_forgotten_with_their_batch():
+    batch = Batch.of(hf.Record(u=_loop(150), y=_loop(150)))
+    with expect_few_runs():
+        first = batch.with_room()
+        assert batch.with_room() is first
+        other = batch.with_room(np.array([60]))
+        np.testing.assert_array_equal(other.counts, [60])  # type: ignore[arg-type]
+        np.testing.assert_array_equal(batch.with_room().counts, [150])  # type: ignore[arg-type]
+        changed = dataclasses.replace(batch, y=2 * batch.y).with_room()
+        np.testing.assert_array_equal(changed.y[0, :150], 2 * _loop(150))
+    assert batch.with_room().u.shape[1] < first.u.shape[1]  # where programs are not shared
+    key = id(batch)
+    assert key in kept_with_room
+    del batch
+    assert key not in kept_with_room
 
 
 def test_the_output_of_a_record_that_is_not_fitted_to_its_end_is_whole():

@@ -24,7 +24,7 @@ import hystfit as hf
 import hystfit.models
 from hystfit import priors
 from hystfit.errors import DataError, MissingExtraError, ModelError, ParameterError, optional
-from hystfit.inference.noise import White
+from hystfit.inference.noise import OrnsteinUhlenbeck, White
 from hystfit.inference.problem import Problem
 from hystfit.models import LogCreep, Series, Sum
 from hystfit.outcome import Code, Status
@@ -39,7 +39,7 @@ from hystfit.sampling.nuts import Nuts, adapted
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import simulate_draws
 from hystfit.sampling.sample import drift_notes, prior_dominated_notes, sample
-from hystfit.sampling.setup import checked, prepare
+from hystfit.sampling.setup import Prepared, checked, prepare
 from hystfit.sampling.slope_coordinates import SlopeCoordinates
 from hystfit.sampling.target import Target
 
@@ -64,7 +64,7 @@ def posterior(fitted):
 
 
 def test_density_is_likelihood_prior_and_jacobian(fitted):
-    setup = prepare(fitted, noise="iid", priors={"tau": priors.Normal(2.0, 0.3)})
+    setup = prepare(fitted, noise="iid", priors={"tau": priors.LogNormal(2.0, 0.3)})  # of the kind of the default
     target, record = setup.target, fitted.data[0]
     density = eqx.filter_jit(lambda z: target.density.log_density(z))
     map_out = eqx.filter_jit(lambda z: target.density.physical(z))
@@ -74,7 +74,7 @@ def test_density_is_likelihood_prior_and_jacobian(fitted):
         x = dict(zip(setup.names, physical(z), strict=True))
         model = hf.BoucWen(c=x["c"], mu=x["mu"], tau=x["tau"], rho=0.5, offset=x["offset"])
         want = scipy.stats.norm.logpdf(record.y, np.asarray(hf.simulate(model, record.u)[0]), x["noise_white"]).sum()
-        want += scipy.stats.norm.logpdf(x["tau"], 2.0, 0.3)
+        want += scipy.stats.lognorm.logpdf(x["tau"], 0.3, scale=2.0)
         scale = 0.01 * setup.problem.scales.y
         want += scipy.stats.lognorm.logpdf(x["noise_white"], 3.0, scale=scale)
         c_scale = setup.problem.scales.size("y/u")
@@ -172,6 +172,7 @@ class Ridge(Target):
         return jax.value_and_grad(self.log_density)(v)
 
 
+@pytest.mark.slow
 def test_nuts_follows_a_ridge_into_a_bound(fitted):
     """The tail next to the bound has the probability of the truncated normal, and costs no small steps."""
     bend, start = Bend(jnp.asarray([True, False]), jnp.zeros(2)), jnp.asarray([[0.5, 0.0], [2.0, 0.1]])
@@ -425,7 +426,7 @@ def test_a_mixture_covers_many_skewed_parameters(fitted, seed):
 
 def test_nuts_draws_what_no_mixture_covers(fitted, monkeypatch):
     monkeypatch.setattr(independence, "_COVERED", 1.0)
-    made = sample(fitted, noise="iid", draws=50, extend=1, chains=2)
+    made = sample(fitted, noise="iid", draws=50, extend=1, chains=1)
     assert made.sampler == "nuts"
     assert made.stats["steps"].any()
     assert "NUTS draws" in " ".join(note.text for note in made.notes)
@@ -482,10 +483,11 @@ def test_one_divergent_transition_is_a_status_and_names_the_other_samplers(fitte
     assert "nested" in drawn.advice
 
 
-def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
-    target = prepare(fitted, noise="ou").target
-    value = eqx.filter_jit(lambda q: target(q))
-    slope = eqx.filter_jit(jax.grad(lambda q: target(q)))
+@pytest.mark.parametrize("noise", ["iid", pytest.param("ou", marks=pytest.mark.slow)])
+def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted, noise):
+    target = prepare(fitted, noise=noise).target
+    both = eqx.filter_jit(jax.value_and_grad(lambda q: target(q)))
+    value, slope = (lambda q: both(q)[0]), (lambda q: both(q)[1])
     lean = eqx.filter_jit(lambda q: target.log_density(target.center + target.factor @ q, lean=True))
     rng = np.random.default_rng(0)
     for _ in range(3):
@@ -497,7 +499,7 @@ def test_gradient_is_that_of_differences_and_the_lean_form_agrees(fitted):
 
 
 def test_least_squares_independence_nuts_and_emcee_agree_on_a_well_determined_problem(fitted, posterior):
-    ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=3000, seed=1)
+    ensemble = sample(fitted, "emcee", noise="iid", walkers=32, draws=2000, seed=1)
     independent = sample(fitted, noise="iid", draws=1000, seed=1)
     assert posterior.usable
     assert ensemble.usable
@@ -644,7 +646,8 @@ def test_bands_derived_quantities_and_pictures(posterior, fitted):
         plt.close(posterior.plot(kind))
 
 
-def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(posterior):
+@pytest.mark.parametrize(("count", "shown"), [pytest.param(30, 12, marks=pytest.mark.slow), (3, 5)])
+def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(posterior, count, shown):
     """corner refuses more parameters than draws, and forty parameters have 1600 panels."""
     import matplotlib.pyplot as plt
 
@@ -656,13 +659,12 @@ def test_a_corner_plot_of_many_weights_and_few_draws_shows_what_is_legible(poste
     weights = fit.problem.space.weights
     assert weights.sum() == 41  # the plays and the slope
     plain = {name for name, weight in zip(names, weights, strict=True) if not weight}
-    for count, shown in ((30, 12), (3, 5)):
-        draws = np.random.default_rng(1).normal(size=(2, count, len(names)))
-        many = dataclasses.replace(posterior, result=fit, names=names, units=fit.problem.space.units, draws=draws)
-        figure = many.plot("corner")
-        assert len(figure.axes) == shown**2
-        assert plain <= {ax.get_title().partition("\n")[0] for ax in figure.axes}
-        plt.close(figure)
+    draws = np.random.default_rng(1).normal(size=(2, count, len(names)))
+    many = dataclasses.replace(posterior, result=fit, names=names, units=fit.problem.space.units, draws=draws)
+    figure = many.plot("corner")
+    assert len(figure.axes) == shown**2
+    assert plain <= {ax.get_title().partition("\n")[0] for ax in figure.axes}
+    plt.close(figure)
 
 
 KILLED = """
@@ -793,13 +795,13 @@ def test_autocorrelation_time_of_a_long_chain_is_found_on_few_of_its_steps():
 
 def test_emcee_looks_less_often_at_longer_chains(fitted):
     looks = []
-    Ensemble(walkers=16, draws=1600, check=10).run(
+    Ensemble(walkers=16, draws=800, check=10).run(
         prepare(fitted, noise="iid"), 3, None, lambda words, part: looks.append(part)
     )
-    reached = 1600 * np.array(looks)
+    reached = 800 * np.array(looks)
     assert reached[0] == 10
     assert np.all(np.diff(reached) <= np.maximum(10, reached[:-1] / 20) + 1e-9)
-    assert len(reached) < 25 + 20 * np.log(1600 / 200) + 10  # ten steps up to 200, then a twentieth of the chain
+    assert len(reached) < 25 + 20 * np.log(800 / 200) + 10  # ten steps up to 200, then a twentieth of the chain
 
 
 @pytest.mark.usefixtures("as_users_run")
@@ -891,7 +893,7 @@ def test_parameters_with_one_prior_share_a_note_and_a_line(fitted, posterior):
 
 def test_draws_of_a_model_that_does_not_describe_the_loop_are_not_called_usable(fitted):
     poor = dataclasses.replace(fitted, status=Status.POOR)
-    told = sample(poor, noise="iid", chains=4, draws=400, extend=1, warmup=200)
+    told = sample(poor, noise="iid", chains=4, draws=400, extend=1)
     assert not told.convergence.problems(told.names)
     assert told.status == "poor-fit"
     assert not told.usable
@@ -904,7 +906,7 @@ def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
     y = record.y + np.asarray(hf.simulate(LogCreep(gamma=(0.06,)), record.u, 0.01)[0]) - record.u
     fit = hf.fit(model, record.replace(y=y), starts=1, fix={"rho": 0.5})
     assert fit.usable
-    drawn = sample(fit, noise="iid", chains=4, draws=400, extend=1, warmup=200)
+    drawn = sample(fit, noise="iid", chains=4, draws=400, extend=1)
     assert not drawn.convergence.problems(drawn.names)
     assert abs(drawn["c"].mean() - 1.0) > 5 * drawn["c"].std()
     assert drawn.status is Status.INCOMPLETE
@@ -913,8 +915,8 @@ def test_draws_of_a_model_without_the_creep_of_the_data_are_not_usable():
 
 @pytest.mark.parametrize(("time", "slow", "told"), [(100.0, 0.02, True), (20.0, 0.02, False), (100.0, 0.004, False)])
 def test_slow_noise_as_long_as_a_good_part_of_the_record_is_drift(fitted, time, slow, told):
-    setup = prepare(fitted, noise="ou")
     noise = {"noise_white": 0.01, "noise_slow": slow, "noise_time": time}
+    setup = Prepared(fitted.problem.with_noise(OrnsteinUhlenbeck()), "ou", ())
     x = np.array([noise.get(name, 1.0) for name in setup.names])
     assert has(drift_notes(setup, np.tile(x, (2, 5, 1)), longest=500), Code.INCOMPLETE) == told
 
@@ -977,13 +979,14 @@ def test_a_prior_of_the_users_with_arrays_has_an_identity():
 
 def test_a_run_under_another_prior_or_other_settings_is_another_run(fitted, tmp_path):
     small = {"noise": "iid", "walkers": 16, "draws": 50, "check": 50, "folder": tmp_path}
-    first = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
-    again = sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **small)
+    own = {"c": priors.LogNormal(1.0, 0.5)}  # of the kind of the default: the sampler is compiled already
+    first = sample(fitted, "emcee", priors=own, **small)
+    again = sample(fitted, "emcee", priors=own, **small)
     np.testing.assert_array_equal(again.draws, first.draws)
     with pytest.raises(DataError, match="another run"):
-        sample(fitted, "emcee", priors={"c": priors.Normal(1.0001, 0.5)}, **small)
+        sample(fitted, "emcee", priors={"c": priors.LogNormal(1.0001, 0.5)}, **small)
     with pytest.raises(DataError, match="another run"):
-        sample(fitted, "emcee", priors={"c": priors.Normal(1.0, 0.5)}, **{**small, "check": 25})
+        sample(fitted, "emcee", priors=own, **{**small, "check": 25})
 
 
 @pytest.mark.slow

@@ -387,7 +387,7 @@ def test_what_is_no_result_is_refused(saved, content):
 
 def test_a_run_that_is_refused_leaves_no_folder(result, tmp_path):
     with pytest.raises(HystfitError, match="nonsense"):
-        hf.sample(result, priors={"nonsense": hf.priors.Normal(0.0, 1.0)}, folder=tmp_path / "run")
+        hf.sample(result, noise="iid", priors={"nonsense": hf.priors.Normal(0.0, 1.0)}, folder=tmp_path / "run")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -20,7 +20,7 @@ CASES = [
 ]
 
 
-@pytest.mark.usefixtures("as_users_run")
+@pytest.mark.usefixtures("as_users_run", "findings_alone")
 @pytest.mark.parametrize("script", CASES)
 def test_a_script_runs(script, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [str(script), str(tmp_path / "out")])

@@ -12,7 +12,7 @@ from hystfit.models import Delay, Lag, LinearCreep, Negate, Relaxation, Saturati
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shared.slopes import Slopes
 
-LOW, HIGH, FINE = -1.0, 1.0, 4000
+LOW, HIGH, FINE = -1.0, 1.0, 1000
 
 
 def curves() -> np.ndarray:

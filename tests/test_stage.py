@@ -244,12 +244,12 @@ def test_identification_recovers_the_jacobian():
 
 
 def test_stage_is_its_parts_in_turn():
-    t = np.arange(600) / 10_000.0
+    t = np.arange(300) / 10_000.0
     u = np.stack([50 + 40 * np.sin(2 * np.pi * f * t) for f in (20.0, 30.0, 50.0)], axis=1)
     devices = [perturbed(piezo(), c=1 + 0.05 * k, gamma=1 - 0.2 * k) for k in range(3)]
     stage = Stage.of(devices)
     poses = stage.simulate(u)
-    dt = jnp.full(600, 1e-4).at[0].set(0.0)
+    dt = jnp.full(300, 1e-4).at[0].set(0.0)
     length = np.stack([simulate(device, jnp.asarray(u[:, k]), dt)[0] for k, device in enumerate(devices)], axis=1)
     static = np.asarray(Kinematics().pose(jnp.asarray(length)))
     for k, (frequency, zeta) in enumerate(((630.0, 0.02), (630.0, 0.02), (900.0, 0.02))):
@@ -263,7 +263,7 @@ def test_stage_is_its_parts_in_turn():
 
 
 def test_finer_integration_changes_little_and_limits_hold():
-    t = np.arange(500) / 10_000.0
+    t = np.arange(300) / 10_000.0
     u = np.stack([50 + 90 * np.sin(2 * np.pi * 20 * t)] * 3, axis=1)
     stage = Stage.of()
     coarse, fine = stage.simulate(u), stage.simulate(u, finer=4)

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jax import Array
 
 import hystfit as hf
 from hystfit.errors import ModelError
@@ -192,21 +196,24 @@ def test_a_step_of_voce_chaboche_is_exact_for_any_increment() -> None:
     np.testing.assert_allclose(at_once, np.asarray(hf.simulate(model, fine)[0])[20 * corners], atol=1e-8)
 
 
+@eqx.filter_jit
+def states_along(model: hf.VoceChaboche, u: Array) -> Array:
+    """Every state of a path, in one program for all parameters."""
+
+    def body(state: Array, u1: Array) -> tuple[Array, Array]:
+        new = model.step(state, u1, u1, u1)[0]
+        return new, new
+
+    return jax.lax.scan(body, model.init(u[0]), u)[1]
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(-0.03, 0.03), min_size=5, max_size=5), st.floats(0.0, 60.0))
 def test_voce_chaboche_never_gives_plastic_work_back(corners: list[float], D: float) -> None:
     """Stress less backstress times plastic strain increments: the dissipation of the theory."""
     u = np.interp(np.linspace(0, 5, 101), np.arange(6), np.append(0.0, corners))
     model = hf.VoceChaboche(**{**S355, "D": D})
-    y, plastic = np.asarray(hf.simulate(model, u)[0]), []
-    import jax
-    import jax.numpy as jnp
-
-    def body(state, u1):
-        new = model.step(state, u1, u1, u1)[0]
-        return new, new
-
-    _, states = jax.lax.scan(body, model.init(jnp.asarray(u[0])), jnp.asarray(u))
+    y, states = np.asarray(hf.simulate(model, u)[0]), states_along(model, jnp.asarray(u))
     plastic, back = np.asarray(states[:, 0]), np.asarray(states[:, 2:]).sum(axis=1)
     assert ((y - back)[1:] * np.diff(plastic) >= -1e-12).all()
     assert (np.diff(np.asarray(states[:, 1])) >= 0).all()

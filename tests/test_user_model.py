@@ -168,7 +168,7 @@ def test_it_keeps_the_laws(expression: str) -> None:
 START = SOURCE[SOURCE.index("    def start(") : SOURCE.index("    def reach(")]
 
 
-@pytest.mark.parametrize(("height", "width"), [(1.0, 1.0), (1e-6, 1e4)])
+@pytest.mark.parametrize(("height", "width"), [pytest.param(1.0, 1.0, marks=pytest.mark.slow), (1e-6, 1e4)])
 def test_starting_values_are_found_for_a_model_without_start(height: float, width: float, tmp_path: Path) -> None:
     """In every unit: outputs of micrometers in meters, inputs in tens of kilovolts."""
     (tmp_path / "plain.py").write_text(SOURCE.replace(START, ""))

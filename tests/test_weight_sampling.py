@@ -279,7 +279,7 @@ def test_a_lag_before_many_cells_converges() -> None:
     assert abs(np.median(posterior["tau"]) - 0.05) < 4 * np.std(posterior["tau"])
 
 
-@pytest.mark.parametrize("noise", [pytest.param("iid", marks=pytest.mark.slow), "ou"])
+@pytest.mark.parametrize("noise", ["iid", pytest.param("ou", marks=pytest.mark.slow)])
 def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
     lagging: hf.FitResult, noise: str
 ) -> None:
