@@ -50,9 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     from sphinx.cmd.build import build_main
     from sphinx.search.en import SearchEnglish
 
-    SearchEnglish.stem = functools.cache(
-        SearchEnglish.stem
-    )  # it is asked for the words of each page anew: 5 % of the time
+    # It is asked for the words of each page anew: 5 % of the time.
+    SearchEnglish.stem = functools.cache(SearchEnglish.stem)
     if chosen.quick:
         gc.disable()  # the nodes of all pages stay to the end: looking for others took a tenth of the time
     status = build_main(["-W", "--keep-going", "-q", *quick, str(source), str(site)])  # hystfit is imported once

@@ -33,8 +33,8 @@ MOST_MAPS = 15_000
 COLLECTION = 100_000  # new objects between garbage collections; a trace makes thousands that stay
 PICTURES = Pictures()
 LONGEST = (
-    "sampling compare models quality site unfamiliar_records inverse profiles ukf fit noise export calibration weight_sampling "
-    "population batch cli_uncertainty cli_process experiments docs cli predictive_noise lanes oscillator answers preisach_fits"
+    "sampling compare quality site export profiles models ukf fit inverse linear_part cli_process unfamiliar_records batch "
+    "population noise cli weight_sampling preisach_fits left_out verdict oscillator first_fit preisach_compositions docs lanes quantities"
 ).split()
 
 
