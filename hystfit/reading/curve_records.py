@@ -13,7 +13,7 @@ from hystfit.params.units import quantity
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.conditions import changed_conditions
 from hystfit.reading.curves.split_curves import divider_of
-from hystfit.reading.limits import FEW, MAJORITY, OF_RECORD
+from hystfit.reading.limits import FEW, ODD, OF_RECORD
 from hystfit.reading.names.column_names import column_unit
 from hystfit.reading.table import sentinels
 from hystfit.reading.table.raw_table import Part, Table
@@ -115,14 +115,9 @@ def _samples(table: Table, data: _Data, notes: list[Note], gaps: str) -> tuple[T
 def _interpolate(data: _Data, notes: list[Note]) -> None:
     """Put the input, which moves along a line from sample to sample, where an output with a clock of its own was sampled."""
     u, y, t = data["input"], data["output"], data.get("time", np.zeros(0))
-    alone = np.isfinite(y) & np.isnan(u)
-    known = np.isfinite(u)
-    if (
-        alone.sum() <= MAJORITY * np.isfinite(y).sum()
-        or not t.size
-        or not np.isfinite(t).all()
-        or (np.diff(t) < 0).any()
-    ):
+    known, measured = np.isfinite(u), np.isfinite(y)
+    together, alone = known & measured, measured & ~known
+    if together.sum() >= ODD * measured.sum() or not t.size or not np.isfinite(t).all() or (np.diff(t) < 0).any():
         return
     if known.any():
         data["input"] = np.where(alone, np.interp(t, t[known], u[known], left=np.nan, right=np.nan), u)
