@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.errors import DataError
 from hystfit.outcome import Code
 from hystfit.params.units import quantity
 from tests.conftest import examined
@@ -210,3 +211,12 @@ def test_a_reference_beside_the_drive_answers(tmp_path: Path) -> None:
     is_pair(record)
     alone = one(tmp_path, "Vref [V],Vout [V]\n" + rows(",", U, Y))
     is_pair(alone)
+
+
+@pytest.mark.parametrize("counter", ["i", "k", "f"])
+def test_the_number_of_a_row_is_no_output_beside_a_signal_that_is_text(counter: str, tmp_path: Path) -> None:
+    path = tmp_path / "complex.csv"
+    lines = [f"{k},{u:.5f},{y:.5f}+0j" for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    path.write_text("\n".join([f"{counter},u,y", *lines]) + "\n", encoding="utf-8")
+    with pytest.raises(DataError, match="found 1 column"):
+        hf.read(path)

@@ -19,7 +19,7 @@ from hystfit.reading.arrangements.specimens import names_objects
 from hystfit.reading.choice.pair_score import TIE, Reading, readings
 from hystfit.reading.choice.quantities_by_others import tell_by_others
 from hystfit.reading.choice.time_column import guess_time, is_clock
-from hystfit.reading.limits import RARE
+from hystfit.reading.limits import OF_RECORD, RARE
 from hystfit.reading.names.column_names import column_quantity, column_role
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.branch_words import words_of
@@ -186,6 +186,9 @@ def _guess_pair(
         others = [one for one in ordered if "index" not in (kinds[one.input], kinds[one.output])]
         raise _undecided(table, *others[:2]) if len(others) > 1 else _too_few(table, [best.output], given, clock)
     pair = best.input, best.output
+    numbered = table.rows >= OF_RECORD and not table.units[best.output] and table.counts(best.output)
+    if numbered and not given:  # the other signal is text
+        raise _too_few(table, [best.input], given, clock)
     if clock is not None and not given and "time" in (kinds[k] for k in pair):  # one more time
         raise _too_few(table, [k for k in pair if kinds[k] != "time"], given, clock)
     open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
