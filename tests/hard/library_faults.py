@@ -26,7 +26,12 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_suffix(".toml")
 TABLE = ROOT / "build" / "hard" / "library_faults.md"
-PASSED, FAILED, INTERRUPTED = 0, 1, 2  # exit status of pytest; 2 also where an error while collecting ends it
+PASSED, FAILED, INTERRUPTED, NO_TEST = (
+    0,
+    1,
+    2,
+    5,
+)  # exit status of pytest; 2 also where an error while collecting ends it
 
 
 class Fault(NamedTuple):
@@ -87,18 +92,21 @@ def copy_of_tree(folder: Path) -> Path:
 
 
 def outcome(fault: Fault, tree: Path) -> str:
-    """The first test that fails, or "" where the fault survives."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", "not slow"]
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    """The first test that fails, a slow one where no other does, or "" where the fault survives."""
     with put_in(fault, tree):
-        ended = subprocess.run(
-            [*command, *(f"tests/test_{name}.py" for name in fault.tests.split())],
-            cwd=tree,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
-    if ended.returncode == PASSED:
+        return _first_failure(fault, tree, "not slow") or _first_failure(fault, tree, "slow")
+
+
+def _first_failure(fault: Fault, tree: Path, marked: str) -> str:
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", marked]
+    ended = subprocess.run(
+        [*command, *(f"tests/test_{name}.py" for name in fault.tests.split())],
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+    )
+    if ended.returncode in (PASSED, NO_TEST):
         return ""
     failed = [line for line in ended.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     if ended.returncode not in (FAILED, INTERRUPTED) or not failed:
