@@ -167,7 +167,7 @@ def test_output_that_does_not_rise_gets_a_status_and_never_nan() -> None:
 def test_reference_out_of_the_models_range() -> None:
     model = cells("demagnetized")
     top = float(hf.simulate(model, np.append(-1.0, np.ones(39)))[0][-1])
-    found = invert(model, np.tile([0.0, top + 1.0, 0.0, np.nan, 0.1], 8))
+    found = invert(model, np.tile([0.0, top + 1.0, 0.1, np.nan, 0.0], 8))
     assert found.status == 8 * ("ok", "out-of-range", "ok", "out-of-range", "ok")
     assert found.u[1] == 1.0
     assert found.u[3] == found.u[2]

@@ -773,3 +773,12 @@ def test_a_loop_in_volt_seconds_beside_the_same_in_units_of_magnetism_is_that_on
     np.testing.assert_allclose(record.u, field, atol=1e-4)
     np.testing.assert_allclose(record.y, moment, atol=1e-3)
     assert (record.u_unit, record.y_unit) == ("kA/m", "A/m")
+
+
+@pytest.mark.parametrize("noisy_first", [False, True])
+def test_of_two_signals_without_a_role_the_smooth_one_is_the_command(noisy_first: bool, tmp_path: Path) -> None:
+    phase = np.linspace(0, 6 * np.pi, 600)
+    drive, answer = np.sin(phase), np.sin(phase - 0.3) + 0.01 * np.random.default_rng(0).normal(size=600)
+    columns = (answer, drive) if noisy_first else (drive, answer)
+    record = one(tmp_path, "ch1,ch2\n" + rows(",", *columns))
+    np.testing.assert_allclose(record.u, drive, atol=1e-6)
