@@ -16,8 +16,9 @@ from hystfit.reading.table.raw_table import Part, Table
 def with_row_loops(table: Table) -> Table | None:
     """The samples of each row below each other, a record for each row; None for other tables.
 
-    There are more samples in a row than rows, and they change less from sample to sample than from row to row, unless the rows are too few
-    for samples. A column beside the samples that has another value in every row names the records; the others are their properties.
+    There are more samples in a row than rows, and they do not change far more from sample to sample than from row to row, unless the rows
+    are too few for samples. A column beside the samples that has another value in every row names the records; the others are their
+    properties.
     """
     runs = _runs(table)
     if len(runs) < 2 or len({len(run) for run in runs.values()}) > 1:
@@ -28,11 +29,12 @@ def with_row_loops(table: Table) -> Table | None:
     if not np.isfinite(samples).all() or rows >= length or (rows >= FEWEST and SMOOTHER * change(1) > change(2)):
         return None
     others = [k for k in range(len(table.names)) if not any(k in run for run in runs.values())]
-    texts = {
-        k: [*map(str, table.labels[k])] if k in table.labels else [f"{v:g}" for v in table.columns[k]] for k in others
-    }
+    texts = {k: _texts(table, k) for k in others}
     name = next((k for k in others if len({*texts[k]}) == rows > 1), None)
+    told = "" if name is None or name in table.labels else f"{table.names[name]} "
+    titles = [""] * rows if name is None else [told + text for text in texts[name]]
     base = table.parts[0] if table.parts else Part()
+    properties = [base.metadata | {table.names[k]: texts[k][row] for k in others if k != name} for row in range(rows)]
     number = np.repeat(np.arange(rows), length)
     loops = dataclasses.replace(
         table.select([run[0] for run in runs.values()]).take(number),
@@ -40,30 +42,27 @@ def with_row_loops(table: Table) -> Table | None:
         columns=tuple(one.T.ravel() for one in samples),
         curve=number,
         part=number,
-        parts=tuple(
-            Part(
-                name=""
-                if name is None
-                else texts[name][row]
-                if name in table.labels
-                else f"{table.names[name]} {texts[name][row]}",
-                metadata=base.metadata | {table.names[k]: texts[k][row] for k in others if k != name},
-            )
-            for row in range(rows)
-        ),
+        parts=tuple(Part(title, own) for title, own in zip(titles, properties, strict=True)),
     )
     return loops.noted(Note(Code.CURVES, f"{rows} loops of {length} samples, one in each row"))
+
+
+def _texts(table: Table, position: int) -> list[str]:
+    """The cells of a column."""
+    return (
+        [f"{value:g}" for value in table.columns[position]]
+        if position not in table.labels
+        else [*map(str, table.labels[position])]
+    )
 
 
 def _runs(table: Table) -> dict[str, list[int]]:
     """Positions of the columns of each name that differ in a number alone, which goes up by one; with the unit in the name."""
     found: dict[str, list[tuple[int, int]]] = {}
     for position, name in enumerate(table.names if table.named else ()):
-        base, number = numbered(name)
+        (base, number), unit = numbered(name), split_unit(name)[1]
         if number is not None and position not in table.labels:
-            found.setdefault(f"{base} [{unit}]" if (unit := split_unit(name)[1]) else base, []).append(
-                (number, position)
-            )
+            found.setdefault(f"{base} [{unit}]" if unit else base, []).append((number, position))
     long = {base: run for base, run in found.items() if len(run) >= OF_RECORD}
     counted = all([number for number, _ in run] == [*range(run[0][0], run[0][0] + len(run))] for run in long.values())
     return {base: [position for _, position in run] for base, run in long.items()} if counted else {}
