@@ -194,7 +194,7 @@ def test_a_run_file_that_is_damaged_is_computed_again(old, tmp_path, sampler, na
     whole = draw().draws
     for name in names:
         content = (run / name).read_bytes()
-        for damaged in (b"no archive", *(content[:cut] for cut in (0, len(content) // 2, len(content) - 20))):
+        for damaged in (b"no archive", *(content[:cut] for cut in (0, 10, len(content) // 2, len(content) - 20))):
             (run / name).write_bytes(damaged)
             np.testing.assert_array_equal(draw().draws, whole)
     (run / "run.json").write_text("{")

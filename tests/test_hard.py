@@ -17,7 +17,7 @@ from .hard.layouts import ASKED, HALF, RIGHT, SILENT, USELESS, layout_of, score,
 from .hard.layouts import scorer as layout_scorer
 from .hard.layouts.truth import Layout, Loop, loops
 
-FILES, MUTATIONS, LAYOUTS = range(150), range(105), range(150)
+FILES, MUTATIONS, LAYOUTS = range(300), range(210), range(300)
 
 
 def test_generated_files_are_read_right_or_not_in_silence() -> None:

@@ -153,7 +153,7 @@ def _errors(
     counts = zip(at.tolist(), live.sum(axis=1).tolist(), strict=True)
     freedom = np.array([weights.estimate(k).freedom(len(columns), count) for k, count in counts])
     variance = np.einsum("nk,nk->n", residual, residual) / freedom
-    roots, variances, ridges = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), ridge.copy()
+    roots, variances, ridges = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), ridge.copy()  # type: ignore[attr-defined]
     slow = np.flatnonzero(~white)
     for k, analysis in zip(slow, _analyses(record, residual[slow], columns, live[slow], relative[slow]), strict=True):
         plain[k] &= all(note.code is Code.CORRELATED_RESIDUALS for note in diagnose(analysis).findings)

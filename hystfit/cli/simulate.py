@@ -98,7 +98,7 @@ def simulate(
         "notes": [note.to_dict() for note in notes],
         "provenance": provenance(data, seed),
     }
-    ranges = Table(["", "lowest", "highest"], [[k, *limits] for k, limits in content["range"].items()])
+    ranges = Table(["", "lowest", "highest"], [[k, *limits] for k, limits in content["range"].items()])  # type: ignore[attr-defined]
     many = "" if population is None else f"{population} devices of "
     text = "\n".join([f"{what}, {signal}: {many}{len(data[0])} samples", *ranges.lines("  "), *items(notes)])
     return finish_table(text, content, output, "data", columns, truth)

@@ -98,7 +98,7 @@ class Parts:
 def parts_of(model: Any) -> Parts | None:
     """The parts of a model driven by the field, or by the flux density with `Viscous` and `Excess`, and a line; None of others."""
     members = model.parts if isinstance(model, Sum) else (model,)
-    parts = {type(part): part for part in members}
+    parts: dict[type, Any] = {type(part): part for part in members}
     line, viscous, excess = (parts.pop(kind, None) for kind in (Linear, Viscous, Excess))
     if len(parts) != 1 or len(members) != 1 + sum(part is not None for part in (line, viscous, excess)):
         return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Iterable
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -81,16 +80,17 @@ class Batch(eqx.Module):
         records, length = self.u.shape
         wide = room(length, records)
         asked = wide, None if counts is None else counts.tobytes(), platform()
-        known = _roomy.get(id(self))
-        if known is not None and known[0]() is self and known[1] == asked:
-            return known[2]
+        known, roomy = _roomy.get(id(self), (None, None))
+        if roomy is not None and known == asked:
+            return roomy
         if counts is None:
             counts = length - np.argmax(np.asarray(self.weight)[:, ::-1] > 0, axis=1)
         rows = (_column(np.asarray(values), wide, hold=k == 0) for k, values in enumerate(self.signals))
         roomy = Batch(*rows, counts=to_device(counts))
         if records * length <= _ROOM and all(isinstance(values, jax.Array) for values in self.signals):
-            forget = partial(_roomy.pop, id(self), None)
-            _roomy[id(self)] = weakref.ref(self, lambda _: forget()), asked, roomy
+            if id(self) not in _roomy:
+                weakref.finalize(self, _roomy.pop, id(self), None)
+            _roomy[id(self)] = asked, roomy
         return roomy
 
     @property
@@ -117,7 +117,7 @@ class Batch(eqx.Module):
 
 
 # Of batches that cannot change, by `id`: padding them anew took a quarter of the processor time of a comparison on 22 samples.
-_roomy: dict[int, tuple[weakref.ref[Batch], tuple[Any, ...], Batch]] = {}
+_roomy: dict[int, tuple[tuple[Any, ...], Batch]] = {}
 
 
 def _column(values: Iterable[np.ndarray], length: int, *, hold: bool = False) -> Array:

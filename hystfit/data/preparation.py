@@ -20,7 +20,7 @@ def real_numbers(values: Any) -> np.ndarray:
     if np.iscomplexobj(array):
         raise TypeError("complex numbers: give the real column that was measured, such as y.real")
     if isinstance(array, np.ma.MaskedArray):
-        return array.astype(np.float64).filled(np.nan)
+        return array.astype(np.float64).filled(np.nan)  # type: ignore[attr-defined]
     return np.array(values, dtype=np.float64)
 
 

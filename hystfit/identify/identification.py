@@ -204,9 +204,9 @@ def identify(
         HystfitError: an unknown method or setting, a model that the method cannot identify, or unusable data.
     """
     identifier = IDENTIFIERS.find(method)
-    known = [name for name in inspect.signature(identifier.of).parameters if name not in ("model", "data")]
+    known = [name for name in inspect.signature(identifier.of).parameters if name not in ("model", "data")]  # type: ignore[attr-defined]
     unknown = [name for name in settings if name not in known]
     if unknown:
         raise ParameterError(f"method {method!r} has no setting {unknown[0]!r}; it has {', '.join(known) or 'none'}")
     data = Dataset.of(data)
-    return identifier.of(Duhem() if model is None else model, data, **settings).fit(data, passes=passes)
+    return identifier.of(Duhem() if model is None else model, data, **settings).fit(data, passes=passes)  # type: ignore[attr-defined]

@@ -125,6 +125,6 @@ class SumStep(AbstractStepInverse):
         return self.inner.sign
 
     def solve(self, state: Array, u0: Array, target: Array, dt: Array, low: Array, high: Array) -> Root:
-        constants = [part.value for k, part in enumerate(self.model.parts) if k != self.which]
+        constants = [part.value for k, part in enumerate(self.model.parts) if k != self.which]  # type: ignore[attr-defined]
         inner_state = split_state(state, self.model.parts)[self.which]
         return self.inner.solve(inner_state, u0, target - sum(constants), dt, low, high)

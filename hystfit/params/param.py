@@ -165,9 +165,9 @@ def _declaration(node: Any, field: dataclasses.Field[Any]) -> tuple[str, ParamIn
     if declared := field.metadata.get("declared"):
         return declared(node)
     info, common = field.metadata.get("param"), field.metadata.get("common")
-    return field.name, dataclasses.replace(info, per_record=False, common=True) if info and common and common(
-        node
-    ) else info
+    if info is not None and common and common(node):
+        info = dataclasses.replace(info, per_record=False, common=True)
+    return field.name, info
 
 
 def _steps(tree: Any, path: tuple[Any, ...]) -> tuple[tuple[str, ...], ParamInfo | None, Callable[[], Any] | None]:

@@ -368,4 +368,4 @@ def _measured(
 @eqx.filter_jit
 def _information(plan: Plan, u: Array) -> Array:
     """About the parameters of the fit and those of the further record, in relative size."""
-    return plan.information.matrix(plan.further(u))
+    return plan.information.matrix(plan.further(u))  # type: ignore[attr-defined]

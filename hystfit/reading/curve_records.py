@@ -98,9 +98,9 @@ def _samples(table: Table, data: _Data, notes: list[Note], gaps: str) -> tuple[T
         table, data = _taken(table, data, np.arange(table.rows - 1))
     if gaps == "error":
         _interpolate(data, notes)
-    if gaps == "error" and (others := _rows_of_others(data)).any():
-        notes.append(Note(Code.LEFT_OUT, f"left out: {others.sum()} rows of other columns"))
-        table, data = _taken(table, data, ~others)
+        if (others := _rows_of_others(data)).any():
+            notes.append(Note(Code.LEFT_OUT, f"left out: {others.sum()} rows of other columns"))
+            table, data = _taken(table, data, ~others)
     missing = int(np.isnan(data["output"]).sum())
     if missing:
         notes.append(Note(Code.MISSING_VALUES, f"missing outputs: {missing} samples, simulated but not fitted"))
@@ -117,12 +117,12 @@ def _interpolate(data: _Data, notes: list[Note]) -> None:
     u, y, t = data["input"], data["output"], data.get("time", np.zeros(0))
     known, measured = np.isfinite(u), np.isfinite(y)
     together, alone = known & measured, measured & ~known
-    if together.sum() >= ODD * measured.sum() or not t.size or not np.isfinite(t).all() or (np.diff(t) < 0).any():
+    clocked = t.size > 0 and np.isfinite(t).all() and (np.diff(t) >= 0).all()
+    if not clocked or not known.any() or together.sum() >= ODD * measured.sum():
         return
-    if known.any():
-        data["input"] = np.where(alone, np.interp(t, t[known], u[known], left=np.nan, right=np.nan), u)
-        text = f"{alone.sum()} outputs have times of their own, at which the input is interpolated between its samples"
-        notes.append(Note(Code.MISSING_VALUES, text))
+    data["input"] = np.where(alone, np.interp(t, t[known], u[known], left=np.nan, right=np.nan), u)
+    text = f"{alone.sum()} outputs have times of their own, at which the input is interpolated between its samples"
+    notes.append(Note(Code.MISSING_VALUES, text))
 
 
 def _taken(table: Table, data: _Data, rows: np.ndarray) -> tuple[Table, _Data]:

@@ -85,7 +85,7 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
             f"the files have the same first column, which rises in even steps: if it is a time, {one}{PAIR}{other} is one record, "
             "with the input in the first file and the output in the second"
         )
-        parts = [(path, record.noted(Code.COLUMN_CHOICE, text, Severity.WARNING)) for path, record in parts]
+        parts = [(path, record.noted(Code.COLUMN_CHOICE, text, Severity.WARNING)) for path, record in parts]  # type: ignore[attr-defined]
     labeled = [(path, record) for path, data in parts for record in Dataset.of(data)]
     names = [record.name for _, record in labeled]
     stems = [Path(path).stem for path, _ in labeled]

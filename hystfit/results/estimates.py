@@ -62,7 +62,9 @@ def parameter_estimates(space: ParameterSpace, x: np.ndarray) -> tuple[Parameter
 
 
 def grouped(
-    items: Sequence[T], name: Callable[[T], str] = lambda one: one.name, many: int = MANY
+    items: Sequence[T],
+    name: Callable[[T], str] = lambda one: one.name,  # type: ignore[attr-defined]
+    many: int = MANY,
 ) -> list[tuple[str, list[T]]]:
     """Parameters, or what belongs to them, by their name in a report: arrays (or per-record sets) of more than `many` share one name."""
     base = lambda one: re.split(r"[\[@]", name(one))[0]

@@ -179,7 +179,7 @@ def _of_record(record: Record) -> ForceLoops | None:
         return None
     columns = (record.u[kept], record.y[kept]), (record.u_unit, record.y_unit)
     (u, f), units = columns if kind is LoopKind.DISPLACEMENT_DRIVEN else tuple(pair[::-1] for pair in columns)
-    if u.size == 0 or not np.ptp(u) > 0:
+    if u.size == 0 or not np.ptp(u) > 0:  # type: ignore[attr-defined]
         return None
     turns = reversals(u, SLACK * float(np.ptp(u)))
     noise, is_bound = noise_rms(f)

@@ -279,7 +279,7 @@ class WeightSetup(Prepared):
             text = "part of the residuals recurs every loop: the model is incomplete, and its weights are biased by more than chance"
             notes.append(warn(Code.INCOMPLETE, text))
         longest = max(row.size for row in residuals.rows)
-        of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")
+        of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")  # type: ignore[attr-defined]
         grid = NoiseGrid.about(residuals.slow if label == "ou" else None, of_time)
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
         problem = problem.with_noise(NOISES.make(label))

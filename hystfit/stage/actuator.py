@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -71,7 +71,7 @@ def perturbed(actuator: Series, **factors: float) -> Series:
     if unknown:
         raise ParameterError(f"no parameter {unknown[0]!r} to perturb; there are {', '.join(known)}")
     factor = lambda name: factors.get(name, 1.0)
-    hysteresis, creep, *rest = actuator.parts
+    hysteresis, creep, *rest = (cast(Any, part) for part in actuator.parts)
     hysteresis = dataclasses.replace(
         hysteresis,
         c=hysteresis.c * factor("c"),

@@ -314,7 +314,7 @@ def axis_plant(
         raise ParameterError(
             f"an axis needs a Series of BoucWen and LogCreep, got {type(actuator).__name__} of {kinds}"
         )
-    hysteresis, creep = actuator.parts
+    hysteresis, creep = actuator.parts  # type: ignore[attr-defined]
     scaled = lambda node, field: jnp.asarray(getattr(node, field)) * gain
     hysteresis = dataclasses.replace(hysteresis, c=scaled(hysteresis, "c"), offset=scaled(hysteresis, "offset"))
     creep = dataclasses.replace(creep, span=scaled(creep, "span"))

@@ -26,12 +26,8 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_suffix(".toml")
 TABLE = ROOT / "build" / "hard" / "library_faults.md"
-PASSED, FAILED, INTERRUPTED, NO_TEST = (
-    0,
-    1,
-    2,
-    5,
-)  # exit status of pytest; 2 also where an error while collecting ends it
+# Exit status of pytest; 2 also where an error while collecting ends it.
+PASSED, FAILED, INTERRUPTED, NO_TEST = 0, 1, 2, 5
 
 
 class Fault(NamedTuple):

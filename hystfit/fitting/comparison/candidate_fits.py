@@ -145,7 +145,7 @@ class CandidateFits:
     ) -> tuple[AbstractHysteresis | None, FitSetup | None]:
         """The model of the size that suits the data, and its setup if known; none without choices. `of_last`: equations of the last fit."""
         if (alike := self._alike(model, one.first)) is not None:
-            given = type(model).of(**alike.model.settings())
+            given = type(model).of(**alike.model.settings())  # type: ignore[attr-defined]
             if of_last is None:
                 return given, None
             ready = set_up_fit(given, self.data, self.options, held=True)

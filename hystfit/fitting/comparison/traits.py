@@ -128,8 +128,8 @@ def without_slip(problem: Problem) -> LinearSystem:
     """
     system = LinearSystem.of(problem, problem.space.vector(problem.model))
     names = [problem.space.names[k] for k in linear_positions(problem)]
-    stops, powers = problem.model.w.shape[-1], len(POWERS)
-    bent = {f"c[{peak},{k}]" for peak in range(problem.model.peaks.size) for k in range(1, powers)}
+    stops, powers = problem.model.w.shape[-1], len(POWERS)  # type: ignore[attr-defined]
+    bent = {f"c[{peak},{k}]" for peak in range(problem.model.peaks.size) for k in range(1, powers)}  # type: ignore[attr-defined]
     bent |= {f"fading[{stops + k}]" for k in range(1, powers)}
     kept = np.array([name not in bent for name in names])
     softening = np.array([name.startswith("w[") for name in names])

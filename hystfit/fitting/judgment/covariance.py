@@ -281,7 +281,7 @@ def _wide_axes(deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     with contextlib.suppress(np.linalg.LinAlgError):  # positive definite where no variance is larger
         cholesky(below, overwrite=True)
         return np.zeros(0), np.zeros((len(covariance), 0))
-    return scipy.linalg.eigh(covariance, subset_by_value=(OPEN**2, np.inf))
+    return scipy.linalg.eigh(covariance, subset_by_value=(OPEN**2, np.inf))  # type: ignore[return-value]
 
 
 def _spectrum(

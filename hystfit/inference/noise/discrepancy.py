@@ -103,4 +103,4 @@ def inducing_shapes(place: Any, length: Any, points: int, on: ModuleType = jnp) 
     cover = lambda a, b: on.exp(-0.5 * ((a[..., None] - b) / length) ** 2)
     factor = on.linalg.cholesky(cover(at, at) + 1e-8 * on.eye(points))
     inverse = solve(factor, on.eye(points), lower=True)  # smaller than a solve per sample
-    return cover(place, at) @ inverse.T
+    return cover(place, at) @ inverse.T  # type: ignore[attr-defined]

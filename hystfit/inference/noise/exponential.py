@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +25,10 @@ class AbstractSlow(AbstractNoise):
     """Noise with a slow Gaussian part of exponential covariance."""
 
     covers: ClassVar[frozenset[Code]] = frozenset({Code.CORRELATED_RESIDUALS, Code.HEAVY_TAILS})
+
+    if TYPE_CHECKING:  # fields of the subclasses, in an order of theirs
+        noise_slow: Scalar  # standard deviation of the slow part
+        noise_time: Scalar  # its correlation time
 
     @classmethod
     def default_priors(cls, longest: int, curve_size: float | None) -> dict[str, AbstractPrior]:

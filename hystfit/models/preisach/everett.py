@@ -70,7 +70,7 @@ def second_differences(n: int, symmetric: bool) -> scipy.sparse.csr_array:
         blocks.append(scipy.sparse.csr_array((values.ravel(), inside.ravel(), ends), shape=(len(inside), i.size)))
     rough = scipy.sparse.vstack(blocks, format="csr")
     if not symmetric:
-        return rough
+        return rough  # type: ignore[return-value]
     weight = mirror(n)[0]
     return rough @ scipy.sparse.csr_array((np.ones(i.size), weight, np.arange(i.size + 1)))
 

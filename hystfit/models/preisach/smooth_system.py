@@ -123,7 +123,7 @@ class SmoothSystem:
         number_of, product = held.count + 1, layout.factored
         basis, inside = None, slice(0, 0)
         if product is not None:
-            basis, inside = blocks[product].columns.basis, slice(starts[product], starts[product + 1])
+            basis, inside = blocks[product].columns.basis, slice(starts[product], starts[product + 1])  # type: ignore[attr-defined]
         others = np.delete(np.arange(p + 1), inside)
         grams, counts = np.zeros((number_of, p + 1, p + 1)), np.zeros(number_of)
         sums = [_Gram(basis, inside, others, gram) for gram in grams]
@@ -136,7 +136,7 @@ class SmoothSystem:
         every = itertools.chain([design], later)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
-            few = None if product is None else design.blocks[layout.kept[product]].columns.rows
+            few = None if product is None else design.blocks[layout.kept[product]].columns.rows  # type: ignore[attr-defined]
             for fold in range(-1, number_of - 1):
                 if (mask := record.used & (folds == fold)).any():
                     index = design.index[mask]
@@ -274,12 +274,12 @@ class _Gram:
             self._whole += rows.T @ rows
             return
         few = scipy.sparse.vstack(parts, format="csr")
-        if few.shape[0] < few.shape[1]:  # the products with the basis would take longer than those of the rows
+        if few.shape[0] < few.shape[1]:  # the products with the basis would take longer than those of the rows  # type: ignore[index]
             every = np.empty((len(rows), len(self._whole)))
             every[:, self._inside], every[:, self._others] = Factored(few, self._basis), rows
             self._whole += every.T @ every
             return
-        if few.nnz > _SPARSE * few.shape[0] * few.shape[1]:
+        if few.nnz > _SPARSE * few.shape[0] * few.shape[1]:  # type: ignore[index]
             few = few.toarray()
         product = few.T @ few
         self._few = product if self._few is None else self._few + product

@@ -58,7 +58,7 @@ class Factored:
     @property
     def shape(self) -> tuple[int, int]:
         """(S, p)."""
-        return self.rows.shape[0], self.basis.shape[1]
+        return self.rows.shape[0], self.basis.shape[1]  # type: ignore[index]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.asarray(self.basis.spread(self.rows.T.toarray()).T, dtype)

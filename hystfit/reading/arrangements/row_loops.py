@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from hystfit.outcome import Code, Note
-from hystfit.reading.arrangements.side_by_side import SMOOTHER, numbered
+from hystfit.reading.arrangements.side_by_side import numbered, runs_along_rows
 from hystfit.reading.limits import FEWEST, OF_RECORD
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Part, Table
@@ -16,17 +16,16 @@ from hystfit.reading.table.raw_table import Part, Table
 def with_row_loops(table: Table) -> Table | None:
     """The samples of each row below each other, a record for each row; None for other tables.
 
-    There are more samples in a row than rows, and they do not change far more from sample to sample than from row to row, unless the rows
-    are too few for samples. A column beside the samples that has another value in every row names the records; the others are their
-    properties.
+    There are more samples in a row than rows, along which they run unless the rows are too few for samples. A column beside the samples
+    that has another value in every row names the records; the others are their properties.
     """
     runs = _runs(table)
     if len(runs) < 2 or len({len(run) for run in runs.values()}) > 1:
         return None
-    samples = np.array([[table.columns[k] for k in run] for run in runs.values()])  # (quantities, samples, rows)
-    length, rows = samples.shape[1:]
-    change = lambda axis: float(np.nanmean(np.abs(np.diff(samples, axis=axis)))) if samples.shape[axis] > 1 else np.inf
-    if not np.isfinite(samples).all() or rows >= length or (rows >= FEWEST and SMOOTHER * change(1) > change(2)):
+    signals = [np.column_stack([table.columns[k] for k in run]) for run in runs.values()]
+    rows, length = signals[0].shape
+    complete = all(np.isfinite(signal).all() for signal in signals)
+    if not complete or rows >= length or (rows >= FEWEST and not runs_along_rows(*signals)):
         return None
     others = [k for k in range(len(table.names)) if not any(k in run for run in runs.values())]
     texts = {k: _texts(table, k) for k in others}
@@ -39,7 +38,7 @@ def with_row_loops(table: Table) -> Table | None:
     loops = dataclasses.replace(
         table.select([run[0] for run in runs.values()]).take(number),
         names=tuple(runs),
-        columns=tuple(one.T.ravel() for one in samples),
+        columns=tuple(map(np.ravel, signals)),
         curve=number,
         part=number,
         parts=tuple(Part(title, own) for title, own in zip(titles, properties, strict=True)),
@@ -49,11 +48,9 @@ def with_row_loops(table: Table) -> Table | None:
 
 def _texts(table: Table, position: int) -> list[str]:
     """The cells of a column."""
-    return (
-        [f"{value:g}" for value in table.columns[position]]
-        if position not in table.labels
-        else [*map(str, table.labels[position])]
-    )
+    if position in table.labels:
+        return [*map(str, table.labels[position])]
+    return [f"{value:g}" for value in table.columns[position]]
 
 
 def _runs(table: Table) -> dict[str, list[int]]:

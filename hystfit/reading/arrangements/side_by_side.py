@@ -26,7 +26,7 @@ _CONDITION = re.compile(
 )  # a value and its unit behind a name
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
-SMOOTHER = 0.3
+_SMOOTHER = 0.3
 # An object by its number or letter.
 _LABELED = re.compile(r"(.*?[^\W\d_])(?: +(\S{1,3})|[_-]?(\d{1,3}|(?<=[a-z_-])[A-Z]))")
 
@@ -150,9 +150,7 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
     if inputs < 2 or len(bases) != 2 * inputs or any(len(set(side)) > 1 for side in (bases[:inputs], bases[inputs:])):
         return None
     drives, sensors = np.column_stack(table.columns[:inputs]), np.column_stack(table.columns[inputs:])
-    change = lambda axis: sum(float(np.nanmean(np.abs(np.diff(side, axis=axis)))) for side in (drives, sensors))
-    ratio = 1 / SMOOTHER if table.rows < inputs else SMOOTHER  # a loop has more samples than there are loops
-    if not table.named and not table.labels and table.rows > 1 and change(1) < ratio * change(0):
+    if not table.named and not table.labels and table.rows > 1 and runs_along_rows(drives, sensors):
         number = np.repeat(np.arange(table.rows), inputs)
         loops = dataclasses.replace(
             table.select([0, inputs]).take(number), columns=(drives.ravel(), sensors.ravel()), curve=number
@@ -161,6 +159,14 @@ def stacked_files(table: Table, inputs: int) -> Table | None:
     if any((np.diff(table.columns[k]) > 0).all() for k in (0, inputs)):  # a time, which no header names
         return None
     return _below_each_other(table, [[k, k + inputs] for k in range(inputs)])
+
+
+def runs_along_rows(*signals: np.ndarray) -> bool:
+    """Whether signals, each of shape (rows, columns), change less from column to column than from row to row: a row is a loop."""
+    rows, columns = signals[0].shape
+    change = lambda axis: sum(float(np.nanmean(np.abs(np.diff(signal, axis=axis)))) for signal in signals)
+    ratio = 1 / _SMOOTHER if rows < columns else _SMOOTHER  # a loop has more samples than there are loops
+    return change(1) < ratio * change(0)
 
 
 def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Sequence[str] = ()) -> Table | None:

@@ -186,9 +186,11 @@ def _guess_pair(
         others = [one for one in ordered if "index" not in (kinds[one.input], kinds[one.output])]
         raise _undecided(table, *others[:2]) if len(others) > 1 else _too_few(table, [best.output], given, clock)
     pair = best.input, best.output
-    numbered = table.rows >= OF_RECORD and not table.units[best.output] and table.counts(best.output)
-    if numbered and len(free) == 2 and not given:  # the other signal is text
-        raise _too_few(table, [best.input], given, clock)
+    if (
+        len(free) == 2 and not given and table.rows >= OF_RECORD
+    ):  # beside the numbers of the rows, the other signal is text
+        if not table.units[best.output] and table.counts(best.output):
+            raise _too_few(table, [best.input], given, clock)
     if clock is not None and not given and "time" in (kinds[k] for k in pair):  # one more time
         raise _too_few(table, [k for k in pair if kinds[k] != "time"], given, clock)
     open_ = len(free) > 2 and not (given or kinds[best.input] or kinds[best.output]) and best.points < 0
