@@ -151,13 +151,41 @@ def test_the_coercivity_of_a_loop_with_an_offset_is_read_where_it_passes_zero():
     fit = hf.fit(
         "preisach:n=24", hf.Record(u, y + np.random.default_rng(0).normal(0, 0.005, y.size), u_unit="A/m", y_unit="T")
     )
-    want = [0.5 * (brentq(rising, -2, 2) - brentq(falling, -2, 2))]
+    at_zero = 0.5 * (brentq(rising, -2, 2) - brentq(falling, -2, 2))
     level = lambda branch: lambda u: branch(u) - 0.9
-    want.append(0.5 * (brentq(level(rising), -2, 2) - brentq(level(falling), -2, 2)))
-    text = dict(fit.answer)["Coercivity (half width)"]
-    assert "where the measured loop passes zero" in text
-    assert [float(part.split()[0]) for part in text.split("; ")] == pytest.approx(want, rel=0.03)
-    assert abs(want[0] - want[1]) > 0.1 * want[1]
+    in_the_middle = 0.5 * (brentq(level(rising), -2, 2) - brentq(level(falling), -2, 2))
+    assert abs(at_zero - in_the_middle) > 0.1 * in_the_middle
+    coercive = {q.name: q for q in fit.quantities}["coercive_input"]
+    assert (coercive.value, coercive.measured) == pytest.approx((at_zero, at_zero), rel=0.03)
+    assert float(dict(fit.answer)["Coercivity (half width)"].split()[0]) == pytest.approx(at_zero, rel=0.03)
+
+
+def _two_loops(rising, falling, low: float, high: float, units: tuple[str, str]) -> Dataset:
+    """Two loops of two branches, from zero input, with the output counted from the start of the record."""
+    u = np.concatenate([np.linspace(0, high, 801), np.linspace(high, low, 1601)[1:], np.linspace(low, 0, 801)[1:]])
+    y = np.where(np.append(True, np.diff(u) > 0), rising(u), falling(u))
+    return Dataset.of(hf.Record(np.tile(u, 2), np.tile(y - y[0], 2), u_unit=units[0], y_unit=units[1]))
+
+
+@pytest.mark.parametrize(
+    ("units", "low", "center", "want"),
+    [
+        (("A/m", "T"), -3.0, 0.0, np.tanh(1.5)),  # at zero field, where the loop is open
+        (("V", "um"), -3.0, 0.0, 0.0),  # in the middle of the input, at 3 V, where it is closed
+        (("A/m", "T"), 0.0, 4.5, np.tanh(1.5)),  # fields of one sign: zero is an end
+    ],
+)
+def test_the_height_of_a_loop_of_unequal_fields_is_that_at_zero_field(units, low, center, want):
+    branch = lambda side: lambda u: np.tanh(3 * (u - center - 0.5 * side))
+    found = measured_quantities(_two_loops(branch(1.0), branch(-1.0), low, 9.0, units))
+    assert found["remanence"] == pytest.approx(want, abs=2e-3)
+
+
+@pytest.mark.parametrize(("units", "want"), [(("V", "uC"), 0.5), (("A/m", "T"), 1.0)])
+def test_a_charge_counted_from_the_start_of_the_record_has_its_width_in_the_middle(units, want):
+    """Branches of two slopes: the width is 0.5 in the middle, and 1 at the output of the start, tanh(1.5) below it."""
+    loops = _two_loops(lambda u: np.tanh(3 * (u - 0.5)), lambda u: np.tanh(u + 0.5), -8.0, 8.0, units)
+    assert measured_quantities(loops)["coercive_input"] == pytest.approx(want, rel=5e-3)
 
 
 def test_errors_are_the_spread_of_draws_from_the_covariance(fit):

@@ -23,7 +23,7 @@ from hystfit.outcome import Status
 from hystfit.params.space import ParameterSpace
 from hystfit.uncertainty.calibration import RANKS, Calibration
 
-REPLICATES = 60
+REPLICATES = 200
 FALSE_ALARM = 0.05
 
 

@@ -20,10 +20,7 @@ import hystfit as hf
 from hystfit.outcome import Status
 from hystfit.sampling.diagnostics import GOOD_ESS, GOOD_RHAT
 
-SEEDS, FEW = (
-    10,
-    3,
-)  # of a record that takes a second, and of the sets of `bands`, a seed of which takes 40 to 70 s of processor time
+SEEDS = 10  # one takes a second on the records of `short` and 40 to 110 s of processor time on those of `long`
 UNUSABLE = (Status.NOT_CONVERGED, Status.DIVERGING)
 Fit = Callable[[], hf.FitResult]
 
@@ -66,7 +63,9 @@ def short(results: Results) -> dict[str, str]:
     if loaded is not None:
         fits["coupon"] = lambda: coupon(next(iter(hf.Dataset.of(loaded[0]))))
     return {
-        f"The default sampler from {SEEDS} seeds, least and largest values over the seeds": _table(results, fits, SEEDS)
+        f"Short records: the default sampler from {SEEDS} seeds, least and largest values over them": _table(
+            results, fits
+        )
     }
 
 
@@ -79,22 +78,24 @@ def long(results: Results) -> dict[str, str]:
             fitted = case.split(loaded[0])[0]
             fits[case.name] = lambda case=case, fitted=fitted: hf.fit(case.model, fitted, fix=case.fix, free=case.free)
     return {
-        f"The default sampler from {FEW} seeds, least and largest values over the seeds": _table(results, fits, FEW)
+        f"Measured sets: the default sampler from {SEEDS} seeds, least and largest values over them": _table(
+            results, fits
+        )
     }
 
 
-def _table(results: Results, fits: dict[str, Fit], seeds: int) -> str:
+def _table(results: Results, fits: dict[str, Fit]) -> str:
     """A row for each record; every run is kept, and a later one goes on after it."""
     rows = []
     for name, fit in fits.items():
         file, made = results.out / f"seeds-{name}.jsonl", None
         done = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.exists() else []
-        for seed in range(len(done), seeds):
+        for seed in range(len(done), SEEDS):
             made = fit() if made is None else made
             done.append(_one(made, seed, chains_of(results, name, "auto") if seed == 0 else None))
             with file.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(done[-1]) + "\n")
-        results.add(f"{name}: seeds of {seeds} with usable chains", sum(row["usable"] for row in done))
+        results.add(f"{name}: seeds of {SEEDS} with usable chains", sum(row["usable"] for row in done))
         column = lambda key, done=done: [row[key] for row in done]
         statuses = ", ".join(f"{column('status').count(status)} {status}" for status in sorted(set(column("status"))))
         drawn = ", ".join(sorted(set(column("sampler"))))

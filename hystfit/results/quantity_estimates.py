@@ -113,9 +113,8 @@ def _between_levels(result: FitResult, excitation: Excitation) -> dict[str, floa
         [[excitation.low], levels[(levels > excitation.low) & (levels < excitation.high)], [excitation.high]]
     )
     branches = [np.interp(at, loops.inputs, branch[0]) for branch in (loops.rising, loops.falling)]
-    middle = 0.5 * (np.max(branches) + np.min(branches))
     errors = []
-    for level in (branch - middle for branch in branches):
+    for level in (branch - loops.level[0] for branch in branches):
         passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
         errors.append(of_jump(level, at, int(passed[passed.size // 2])) if passed.size else 0.0)
     return {"coercive_input": 0.5 * float(np.hypot(*errors))}
@@ -283,7 +282,8 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
                 branches[rises].append(branch)
     if not branches[True]:
         return {}
-    loops = SteadyLoops(inputs, *map(np.array, branches.values()), excitation.force_driven, excitation.energy)
+    found = map(np.array, branches.values())
+    loops = SteadyLoops(inputs, *found, excitation.force_driven, excitation.energy, excitation.origin)
     values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
     return {name: value for name, value in values.items() if np.isfinite(value)}
 

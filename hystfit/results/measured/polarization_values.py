@@ -10,20 +10,16 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
 from hystfit.params.units import size_in
 from hystfit.results.measured.loop_branches import GAP
+from hystfit.results.measured.loop_origin import middle_of_relative
 from hystfit.results.measured.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
 _FEWEST = 3  # samples on each side of a tip
-# Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
-# start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
-_START, _OFF_CENTER = 0.02, 0.1
 
 
 def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
     """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
-    u, y = record.u[record.used], record.y[record.used]
-    middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
-    if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
+    if (middle := middle_of_relative(record)) is None:
         return record, ()
     text = (
         f"the output is relative to the start of the record: coercivity and remanence are those about the middle of its range "

@@ -34,7 +34,6 @@ class Quantity:
     leads: frozenset[LoopKind] = frozenset()  # kinds in whose reports it comes first, in the order of the registry
     # kinds of loops that have a name of their own for it, and this name
     named: tuple[frozenset[LoopKind], str] = (frozenset(), "")
-    at_middle: bool = False  # whether it is read at the middle of the loop, where instruments read it at zero
 
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
@@ -50,19 +49,20 @@ class Quantity:
 
 
 CREEP = "creep_percent_per_decade"
+_AT = "at the middle of the {0}; of magnetic and ferroelectric loops at zero {0}, where the loop passes it"
 QUANTITIES: dict[str, Quantity] = {
     "loop_area": Quantity(
         "loss per cycle", "area of the steady loop over the fitted input range", "{energy}", lambda loops: loops.loss,
         leads=REMANENT | STRUCTURAL,
     ),
     "coercive_input": Quantity(
-        "half width", "half the width of the loop, in input, at the middle of the output", "{u}",
+        "half width", f"half the width of the loop, in input, {_AT.format('output')}", "{u}",
         lambda loops: loops.coercive_input, leads=REMANENT | {LoopKind.OTHER},
-        named=(REMANENT, "coercivity (half width)"), at_middle=True,
+        named=(REMANENT, "coercivity (half width)"),
     ),
     "remanence": Quantity(
-        "half height", "half the height of the loop, in output, at the middle of the input", "{y}",
-        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"), at_middle=True,
+        "half height", f"half the height of the loop, in output, {_AT.format('input')}", "{y}",
+        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"),
     ),
     "hysteresis_percent": Quantity(
         "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",
@@ -117,7 +117,7 @@ class Unknown(enum.StrEnum):
 
 _REASONS = {
     Unknown.NOT_FINITE: "the model cannot be simulated on this loop",
-    Unknown.NO_CROSSING: "no branch passes from one side of the middle of the output to the other",
+    Unknown.NO_CROSSING: "no branch passes from one side of the output at which widths are read to the other",
     Unknown.LOBES: "the branches cross: the lobes run in opposite directions",
     Unknown.NOT_DETERMINED: "the data do not determine it",
     Unknown.NO_ERRORS: "the fit has no standard errors",

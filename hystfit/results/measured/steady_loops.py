@@ -26,6 +26,7 @@ from hystfit.params.units import loop_energy
 from hystfit.quality.loops import APART, LARGEST, branches, cycles
 from hystfit.quality.shape import has_lobes
 from hystfit.results.measured.loop_kinds import LoopKind
+from hystfit.results.measured.loop_origin import MIDDLE, Origin, inside
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _OF_CYCLE = 64  # samples of a cycle from which its rms follows to 0.1 %
@@ -44,6 +45,7 @@ class SteadyLoops:
     falling: np.ndarray
     force_driven: bool = False  # whether the input is the force
     energy: float = 1.0  # that of a unit of area, in the unit of `loop_energy`
+    origin: Origin = MIDDLE  # where the height and the width are read
 
     @functools.cached_property
     def gap(self) -> Float[np.ndarray, "count P"]:
@@ -83,20 +85,23 @@ class SteadyLoops:
 
     @property
     def coercive_input(self) -> Float[np.ndarray, " count"]:
-        """Half the distance of the branches at the middle of the output; NaN where they do not pass from one side to the other."""
-        middle = 0.5 * (
-            np.maximum(self.rising.max(1), self.falling.max(1)) + np.minimum(self.rising.min(1), self.falling.min(1))
-        )
-        crossing = lambda branch: _crossings(branch - middle[:, None], self.inputs)
+        """Half the distance of the branches at the `level`; NaN where they do not pass from one side of it to the other."""
+        crossing = lambda branch: _crossings(branch - self.level[:, None], self.inputs)
         return 0.5 * np.abs(crossing(self.rising) - crossing(self.falling))
+
+    @functools.cached_property
+    def level(self) -> Float[np.ndarray, " count"]:
+        """The output at which the width is read."""
+        highest = np.maximum(self.rising.max(1), self.falling.max(1))
+        return inside(self.origin.y, np.minimum(self.rising.min(1), self.falling.min(1)), highest)
 
     @property
     def remanence(self) -> Float[np.ndarray, " count"]:
-        """Half the height of the loop at the middle of the input; NaN of a butterfly."""
+        """Half the height of the loop at the input of its origin; NaN of a butterfly."""
         inputs, rows = np.broadcast_to(self.inputs, self.gap.shape), np.arange(len(self.gap))
-        middle = 0.5 * (inputs[:, 0] + inputs[:, -1])
-        k = np.clip((inputs < middle[:, None]).sum(axis=1), 1, inputs.shape[1] - 1)
-        share = (middle - inputs[rows, k - 1]) / (inputs[rows, k] - inputs[rows, k - 1])
+        at = inside(self.origin.u, inputs[:, 0], inputs[:, -1])
+        k = np.clip((inputs < at[:, None]).sum(axis=1), 1, inputs.shape[1] - 1)
+        share = (at - inputs[rows, k - 1]) / (inputs[rows, k] - inputs[rows, k - 1])
         height = (1 - share) * self.gap[rows, k - 1] + share * self.gap[rows, k]
         return np.where(self.lobed, np.nan, 0.5 * height)
 
@@ -134,6 +139,7 @@ class Excitation:
     # samples of the way from the middle to the lower end before them; with 0 no cycle is corrected for what still settles
     lead: int = 0
     energy: float = 1.0  # that of a unit of area of a loop
+    origin: Origin = MIDDLE  # where its height and its width are read
 
     @classmethod
     def of(cls, data: Dataset, *, hardens: bool = False, jumps: bool = False) -> Excitation:
@@ -150,7 +156,8 @@ class Excitation:
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
         energy = loop_energy(data.units["u"], data.units["y"])[1]
         lead = 0 if hardens else points - points // 4
-        return cls(low, high, interval, LoopKind.of(data) is LoopKind.FORCE_DRIVEN, sine, points, count, lead, energy)
+        driven = LoopKind.of(data) is LoopKind.FORCE_DRIVEN
+        return cls(low, high, interval, driven, sine, points, count, lead, energy, Origin.of(data))
 
     @functools.cached_property
     def inputs(self) -> np.ndarray:
@@ -182,7 +189,7 @@ class Excitation:
             y = y - moved * np.arange(self.points) / self.points
         y = y[:, -self.points :]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
-        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy)
+        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy, self.origin)
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:

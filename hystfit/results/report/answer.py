@@ -117,7 +117,6 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     kind, rows = LoopKind.of(result.data), []
     measured = {one.name: one for one in first} if len(result.data) == 1 else {}
     unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
-    crossed = kind in REMANENT  # fields that read coercivity and remanence where the loop passes zero
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
@@ -131,11 +130,9 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         elif q.value is None and read is not None and read.unit == q.unit:
             text = f"{with_error(read.value, read.stderr, q.unit)} in the measured loops; by the model: {text}"
         elif q.value is not None and read is not None and read.unit == q.unit:
-            at_zero = crossed and one.at_middle
             seen = with_error(read.value, read.stderr, q.unit)
-            if at_zero and q.beside(read.value, read.stderr).differs:
-                text = f"{seen} where the measured loop passes zero; {text} by the model at the middle"
-            elif not at_zero and q.vaguer_than(read.stderr):
+            differs = kind in REMANENT and q.beside(read.value, read.stderr).differs  # both at zero
+            if differs or q.vaguer_than(read.stderr):
                 text = f"{seen} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     return rows
