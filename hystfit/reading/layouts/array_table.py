@@ -13,6 +13,7 @@ from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening
+from hystfit.reading.frames import seconds_passed
 from hystfit.reading.limits import FEWEST, MOST_COLUMNS
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
@@ -143,9 +144,9 @@ def _of_groups(
         return None
     paths = [re.split(r"[./]", name) for name in groups]
     shared = set(paths[0]).intersection(*paths)
-    parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
+    parts = [Part(name=" ".join(word for word in path if word not in shared)) for path in paths]
     text = f"{len(groups)} groups of columns of the same names, each a record"
-    return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
+    return below_each_other(tables, parts).noted(Note(Code.CURVES, text))
 
 
 def _groups(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
@@ -190,7 +191,7 @@ def _clock(array: np.ndarray) -> np.ndarray | None:
     None for other arrays, and for dates that can be read in two ways.
     """
     if array.dtype.kind in "mM":
-        return _seconds(array)
+        return seconds_passed(array)
     if array.dtype.kind not in "US":
         return None
     texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in array.tolist()]
@@ -200,14 +201,3 @@ def _clock(array: np.ndarray) -> np.ndarray | None:
         return cells.seconds(texts, "")[0]
     except DataError:  # dates that can be read in two ways
         return None
-
-
-def _seconds(stamps: np.ndarray) -> np.ndarray:
-    """Dates or durations of numpy as seconds from the first one that is there, shape (rows,), NaN where missing."""
-    there = stamps[~np.isnat(stamps)]
-    passed = stamps - (there[0] if there.size else stamps[0])
-    unit = np.timedelta64(1, np.datetime_data(passed.dtype)[0])
-    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
-        return np.full(stamps.size, np.nan)
-    factor = np.datetime_data(passed.dtype)[1] * (unit / np.timedelta64(1, "s"))
-    return np.where(np.isnat(passed), np.nan, passed.astype(np.int64) * factor)

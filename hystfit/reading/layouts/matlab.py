@@ -12,18 +12,16 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening
-from hystfit.reading.layouts.array_files import DOUBLE, check_size, hdf5_arrays
+from hystfit.reading.layouts.array_files import DOUBLE, check_size, hdf5_arrays, is_hdf
 from hystfit.reading.layouts.array_table import errors_of, read_arrays
 from hystfit.reading.layouts.json_text import table_of_tree
 from hystfit.reading.layouts.mat_structure import check_structure
 from hystfit.reading.table.raw_table import Table
 
-_HDF = b"\x89HDF"
-
 
 def read_matlab(file: FileBytes, opening: Opening) -> Table:
     """MATLAB variables, also within structures; an array of structures has a record, or a named channel, in each."""
-    if file.raw.startswith(b"MATLAB 7.3") or _HDF in (file.raw[:4], file.raw[512:516]):
+    if file.raw.startswith(b"MATLAB 7.3") or is_hdf(file.raw):
         return read_arrays(_of_hdf, file, opening)
     with errors_of(file, opening):
         tree = _by_cell(_variables(file.raw))
