@@ -75,21 +75,9 @@ class Format:
     read: Callable[[FileBytes, Opening], Table]
 
 
-def _is_numpy(file: FileBytes) -> bool:
-    return file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz")
-
-
 def _is_matlab(file: FileBytes) -> bool:
     """MATLAB writes its name, except in version 4, whose first number has NUL bytes."""
     return file.raw.startswith(b"MATLAB") or (file.suffix == ".mat" and (is_hdf(file.raw) or b"\0" in file.raw[:20]))
-
-
-def _is_workbook(file: FileBytes) -> bool:
-    return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
-
-
-def _is_spreadsheet(file: FileBytes) -> bool:
-    return file.raw.startswith(_OLD_EXCEL) or _holds(file, "content.xml", ".ods")
 
 
 def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
@@ -107,7 +95,7 @@ FORMATS = (
     Format(
         (".npz", ".npy"),
         "NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields",
-        _is_numpy,
+        lambda file: file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz"),
         functools.partial(read_arrays, numpy_arrays),
     ),
     Format(
@@ -137,13 +125,13 @@ FORMATS = (
     Format(
         (".xlsx", ".xlsm"),
         'Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"',
-        _is_workbook,
+        lambda file: _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm"),
         read_workbook,
     ),
     Format(
         (".xls", ".ods"),
         'sheets of old Excel, LibreOffice and OpenOffice, as those of .xlsx; needs the extra "files"',
-        _is_spreadsheet,
+        lambda file: file.raw.startswith(_OLD_EXCEL) or _holds(file, "content.xml", ".ods"),
         read_older_sheets,
     ),
 )

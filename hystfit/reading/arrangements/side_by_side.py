@@ -13,9 +13,9 @@ from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.arrangements.specimens import names_objects
 from hystfit.reading.limits import FEWEST
+from hystfit.reading.names.branch_words import BRANCHES, words_of
 from hystfit.reading.names.column_names import column_quantity, is_terminal
 from hystfit.reading.names.names_with_units import is_unit, split_unit
-from hystfit.reading.table.branch_words import BRANCHES, words_of
 from hystfit.reading.table.raw_table import Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix

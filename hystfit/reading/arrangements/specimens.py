@@ -9,9 +9,9 @@ import re
 import numpy as np
 
 from hystfit.outcome import Code, Note
-from hystfit.reading.limits import MAJORITY, OF_RECORD
+from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
+from hystfit.reading.names.branch_words import BRANCHES, words_of
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import BRANCHES, words_of
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import clock_goes_on, extent, jumps
 
@@ -140,7 +140,7 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
 
 def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
     """Whether a column of times increases through all records, without pauses between them."""
-    return any(clock_goes_on(table.columns[position], changes + 1) for position in table.clocks)
+    return any(clock_goes_on(table.columns[position], changes + 1, JUMP) for position in table.clocks)
 
 
 def _jumps(table: Table, changes: np.ndarray) -> bool:

@@ -20,9 +20,9 @@ from hystfit.reading.choice.pair_score import TIE, Reading, readings
 from hystfit.reading.choice.quantities_by_others import tell_by_others
 from hystfit.reading.choice.time_column import guess_time, is_clock
 from hystfit.reading.limits import OF_RECORD, RARE
+from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.column_names import column_role
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import computed, proportional, rounded, same_loop
 

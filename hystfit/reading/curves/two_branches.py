@@ -15,9 +15,9 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.limits import FEWEST, NEAR
+from hystfit.reading.names.branch_words import FALLING, RISING
 from hystfit.reading.names.column_names import is_channel
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import FALLING, RISING
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs

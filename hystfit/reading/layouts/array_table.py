@@ -137,7 +137,7 @@ def _of_groups(
     groups = _groups(arrays)
     first = next(iter(groups.values()), {})
     signals = [name for name in first if column_quantity(name) not in ("", "time", "index")]
-    if len(groups) < 2 or len(signals) < 2 or any(group.keys() != first.keys() for group in groups.values()):
+    if len(signals) < 2:
         return None
     tables = [table_of_arrays(group, source, sha256, notes) for group in groups.values()]
     if len({tuple(sorted(table.names)) for table in tables}) > 1:
@@ -150,12 +150,13 @@ def _of_groups(
 
 
 def _groups(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """The columns of each group by their names."""
+    """The columns of each group by their names; none where there is one group, or they differ in their names."""
     groups: dict[str, dict[str, np.ndarray]] = {}
     for match in filter(None, map(_PATH.fullmatch, arrays)):
         if np.squeeze(arrays[match[0]]).ndim == 1:
             groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
-    return groups
+    alike = len(groups) > 1 and len({frozenset(group) for group in groups.values()}) == 1
+    return groups if alike else {}
 
 
 def _signals_in_rows(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
@@ -166,9 +167,7 @@ def _signals_in_rows(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] 
     groups = _groups(arrays)
     first = next(iter(groups.values()), {})
     sizes = [{array.size for array in group.values()} for group in groups.values()]
-    if len(groups) < 2 or any(group.keys() != first.keys() for group in groups.values()):
-        return None
-    if any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
+    if not groups or any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
         return None  # signals of equal length are columns
     joined = {name: np.concatenate([np.squeeze(group[name]) for group in groups.values()]) for name in first}
     clocks = {name: _clock(array) for name, array in joined.items()}

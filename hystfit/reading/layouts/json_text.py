@@ -17,9 +17,9 @@ from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.layouts.array_table import table_of_arrays
 from hystfit.reading.limits import DEEPEST, FEWEST, LONGEST
+from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
 from hystfit.reading.table.signal_evidence import meet
 from hystfit.reading.text.header import MOST_METADATA

@@ -22,16 +22,15 @@ from hystfit.reading.table.raw_table import Table
 def read_matlab(file: FileBytes, opening: Opening) -> Table:
     """MATLAB variables, also within structures; an array of structures has a record, or a named channel, in each."""
     if file.raw.startswith(b"MATLAB 7.3") or is_hdf(file.raw):
-        return read_arrays(_of_hdf, file, opening)
+        of_columns = lambda raw: {
+            name: array.T for name, array in hdf5_arrays(raw).items()
+        }  # which MATLAB stores first
+        return read_arrays(of_columns, file, opening)
     with errors_of(file, opening):
         tree = _by_cell(_variables(file.raw))
     if any(map(_has_structures, tree.values())):
         return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
     return read_arrays(lambda _: _flatten(tree) | _scalars(tree), file, opening)
-
-
-def _of_hdf(raw: bytes) -> dict[str, np.ndarray]:
-    return {name: array.T for name, array in hdf5_arrays(raw).items()}  # MATLAB stores columns first
 
 
 def _variables(raw: bytes) -> dict[str, Any]:

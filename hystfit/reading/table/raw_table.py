@@ -9,8 +9,8 @@ import numpy as np
 
 from hystfit.data.stated import Stated
 from hystfit.outcome import Note
+from hystfit.reading.names.branch_words import BRANCHES, FALLING, words_of
 from hystfit.reading.names.column_names import column_quantity
-from hystfit.reading.table.branch_words import BRANCHES, FALLING, words_of
 from hystfit.reading.table.signal_evidence import meet
 
 

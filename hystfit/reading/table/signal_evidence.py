@@ -282,10 +282,10 @@ def jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return (steps[at] > JUMP * around) & (steps[at] > NEAR * extent(values))
 
 
-def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
-    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
+def clock_goes_on(clock: np.ndarray, starts: np.ndarray, most: float = _USUAL) -> bool:
+    """Whether the time before each of these rows goes on by so many median steps at most: the blocks are segments of one test."""
     steps = np.diff(clock)
-    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
+    return bool((steps > 0).all() and (steps[starts - 1] <= most * np.median(steps)).all())
 
 
 def is_even(clock: np.ndarray) -> bool:
