@@ -47,7 +47,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
-    known = is_fitted(result, record)
+    known = result.is_fitted(record)
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
     if result.problem.closed_form:
@@ -81,14 +81,9 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     new = dataclasses.replace(new, weight=jnp.ones_like(new.weight))  # unmeasured samples have noise too
     density, about = density_of_draws(problem, result.x)
     noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), jax.random.key(seed), about))[:, : len(record)]
-    if not is_fitted(result, record):
+    if not result.is_fitted(record):
         y = y + _error_beyond(posterior, record, y, noise, seed)
     return result.to_unit_of(given, y + noise)
-
-
-def is_fitted(result: FitResult, record: Record) -> bool:
-    """Whether a record is one of those of the fit, by its name."""
-    return record.name in [fitted.name for fitted in result.data]
 
 
 def _error_beyond(
