@@ -319,6 +319,8 @@ def test_json_cycles_that_go_on_are_one_record(tmp_path: Path) -> None:
         {"number": k, "V_V": U[a:b].tolist(), "x_um": Y[a:b].tolist()} for k, (a, b) in enumerate([(0, 20), (20, 60)])
     ]
     is_loop(one(tmp_path, json.dumps({"specimen": "W1", "cycles": cycles}), "a.json"))
+    remarks = [cycle | {"remark": ["stable"] * len(cycle["x_um"])} for cycle in cycles]  # texts neither go on nor stop
+    is_loop(one(tmp_path, json.dumps({"cycles": remarks}), "d.json"))
     (tmp_path / "b.json").write_text(json.dumps({"specimens": cycles}))
     assert len(Dataset.of(read(tmp_path / "b.json"))) == 2
     apart = [cycles[0], {"number": 1, "V_V": U[30:].tolist(), "x_um": Y[30:].tolist()}]

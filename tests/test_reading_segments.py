@@ -70,6 +70,18 @@ def test_branches_in_tables_of_which_the_clock_goes_on_are_one_loop(tmp_path: Pa
         assert data.u.size == 80
 
 
+@pytest.mark.parametrize("rows", [12, 40])
+def test_branches_between_blank_lines_are_one_loop(tmp_path: Path, rows: int) -> None:
+    """The second one begins a step after the end of the first, however long the steps are; curves that both rise are two."""
+    angle = np.pi * np.arange(2 * rows) / rows
+    field, moment = -np.cos(angle), -np.cos(angle - 0.3)
+    up, down = (table(field[part], moment[part]) for part in (slice(rows), slice(rows, None)))
+    loop = read_text(tmp_path, f"H (Oe),M (emu)\n{up}\n{down}")
+    assert isinstance(loop, Record)
+    np.testing.assert_allclose(loop.u, field, atol=1e-5)
+    assert len(Dataset.of(read_text(tmp_path, f"H (Oe),M (emu)\n{up}\n{up.replace('0', '1')}"))) == 2
+
+
 @pytest.mark.parametrize(("numbered", "records"), [(True, 1), (False, 5)])
 def test_pages_of_a_print_of_numbered_samples_are_one_record(tmp_path: Path, numbered: bool, records: int) -> None:
     """A scan number that goes on over the heads of pages; without one, blank lines separate curves."""

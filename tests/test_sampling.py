@@ -374,7 +374,7 @@ def independent(target: Target, seed: int, draws: int) -> np.ndarray:
     chains, drawn = independence.Independence(chains=2)._chains(target, mixture, places, (seed, 1), None), []
     for chain in chains:
         chain.draw(draws, lambda: None)
-        drawn.append(np.concatenate([chunk["z"] for chunk in chain.chunks]))
+        drawn.append(np.concatenate([chunk["z"] for chunk in chain.chunks.parts]))
     return np.concatenate(drawn)
 
 

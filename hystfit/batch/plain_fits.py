@@ -182,7 +182,7 @@ def _quantities(
     """Quantities of the steady loop of each fitted model."""
     model, timed = common.setup.problem.model, common.setup.problem.model.creeps
     datasets = [Dataset.of(group.record) for group in loops.groups]
-    excitations = [Excitation.of(data, hardens=model.hardens) for data in datasets]
+    excitations = [Excitation.of(data, model) for data in datasets]
     of_loop = outputs_of([one.loop for one in excitations])
     of_step = outputs_of([one.step for one in excitations]) if timed else np.zeros((len(loops), 0))
     group_of = np.repeat(np.arange(len(datasets)), [len(group.y) for group in loops.groups])

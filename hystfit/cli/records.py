@@ -140,7 +140,6 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"],
     from hystfit.outcome import Code
     from hystfit.reading.assemble import assemble
     from hystfit.reading.read import table_of
-    from hystfit.reading.several import with_column
     from hystfit.reading.treatment import Treatment
 
     if not Path(path).is_file():
@@ -155,7 +154,7 @@ def _one_sided(path: str, reading: Reading, missing: Literal["input", "output"],
     chosen = options[present] is None and same is not None
     if chosen:
         options[present] = same
-    data = Dataset.of(assemble(with_column(table, f"no {missing}", column), **options, treatment=treatment))
+    data = Dataset.of(assemble(table.beside(f"no {missing}", column), **options, treatment=treatment))
     if chosen:
         role = "reference" if missing == "input" else "input"
         text = f"{role}: column {same}, {table.names[same]!r}, which matches {label!r} of the fit"

@@ -15,6 +15,7 @@ from hystfit.control.inverse import Inverse, Task, invert, prepare
 from hystfit.control.online_inverse import Answer, Limits
 from hystfit.errors import ParameterError
 from hystfit.models.shared.simulation import Resume, simulate
+from hystfit.results.estimates import edges_of
 from hystfit.sampling.posterior import Posterior
 
 
@@ -47,10 +48,10 @@ class InverseBands:
         Raises:
             ParameterError: another name, or a level outside (0, 1).
         """
-        if of not in ("u", "error") or not 0 < level < 1:
-            raise ParameterError(f'a band is of "u" or "error" with 0 < level < 1, got {of!r} and {level}')
-        edges = np.quantile(getattr(self, of), [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
-        return edges[0], edges[1], edges[2]
+        if of not in ("u", "error"):
+            raise ParameterError(f'a band is of "u" or "error", got {of!r}')
+        lower, median, upper = np.quantile(getattr(self, of), edges_of(level), axis=0)
+        return lower, median, upper
 
     @property
     def rms(self) -> np.ndarray:

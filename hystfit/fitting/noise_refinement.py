@@ -123,15 +123,18 @@ def _refine_jointly(problem: Problem, x: np.ndarray, moving: np.ndarray) -> Refi
     return Refined(x, problem, space.physical(best.z[p:]), root, bool(best.converged))
 
 
+def _log_prior(density: Density, z: Array) -> Array:
+    """Log prior of the parameters of the noise in their unconstrained coordinates."""
+    x, priors = density.noise.physical(z), density.priors[density.p :]
+    return sum((prior.log_density(x[k]) for k, prior in enumerate(priors)), density.noise.log_jacobian(z))
+
+
 @compiled
 def _restricted_slope(density: Density, r: Array, J: Array, moving: Array, z: Array) -> tuple[Array, Array]:
     """Negative of the criterion for the parameters of the noise, and its gradient."""
-    priors = density.priors[density.p :]
 
     def value(z: Array) -> Array:
-        x = density.noise.physical(z)
-        prior = sum((one.log_density(x[k]) for k, one in enumerate(priors)), density.noise.log_jacobian(z))
-        return -restricted(density.noise.tree(z), density.setting, r, J, moving) - prior
+        return -restricted(density.noise.tree(z), density.setting, r, J, moving) - _log_prior(density, z)
 
     return jax.value_and_grad(value)(z)
 
@@ -161,14 +164,11 @@ def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Arra
 @compiled
 def _fit_jointly(density: Density, z: Array, x: Array, moving: Array) -> tuple[Array, ...]:
     """Parameters of model and noise by their joint likelihood and the priors of the noise: the fields of an `Optimum`."""
-    p, priors = density.p, density.priors[density.p :]
     held = density.objective.coordinates.unconstrained(x)
 
     def value(z: Array) -> Array:
-        model, noise = jnp.where(moving, z[:p], held), z[p:]
-        x = density.noise.physical(noise)
-        prior = sum((one.log_density(x[k]) for k, one in enumerate(priors)), density.noise.log_jacobian(noise))
-        total = density.log_likelihood(jnp.concatenate([model, noise])) + prior
+        model, noise = jnp.where(moving, z[: density.p], held), z[density.p :]
+        total = density.log_likelihood(jnp.concatenate([model, noise])) + _log_prior(density, noise)
         return jnp.where(jnp.isfinite(total), total, -jnp.inf)
 
     return tuple(maximize(value, z))

@@ -24,6 +24,7 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy, correlations_of
 from hystfit.registry import attribute
+from hystfit.results.estimates import edges_of
 from hystfit.results.exchange import arviz_data
 
 SCHEMA = "hystfit.population/2"
@@ -195,16 +196,14 @@ class PopulationFit(WithStatus):
         Raises:
             ParameterError: a level outside (0, 1).
         """
-        if not 0 < level < 1:
-            raise ParameterError(f"level must be between 0 and 1, such as 0.9; got {level}")
-        first = self.devices[0].result
+        edges, first = edges_of(level), self.devices[0].result
         own = first.in_fitted_units(record)
         space = self.common.space
         x = np.tile(space.clip(space.vector(first.model)), (count, 1))
         x[:, self.common.at] = self.next_devices(count, seed, **covariates)
         runs = np.asarray(_outputs(space.coordinates, jnp.asarray(x), jnp.asarray(own.u), jnp.asarray(own.dt)))
-        runs = first.to_unit_of(record, runs)
-        return tuple(np.quantile(runs, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0))  # type: ignore[return-value]
+        lower, median, upper = np.quantile(first.to_unit_of(record, runs), edges, axis=0)
+        return lower, median, upper
 
     def priors(self) -> CorrelatedPriors:
         """Priors for the fit of a further device: the distribution of each parameter of the next one, with their correlations."""

@@ -25,7 +25,11 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
     if not quality.degrading or quality.softens_with_stroke or timed != (record.t is not None):
         return None
     ends = (cycles(record.u, quality.motion.threshold)[:, -1] + 1).tolist()
-    sound = lambda end: _is_whole(summarize(record.segment(0, end)))
+
+    def sound(end: int) -> bool:
+        part = summarize(record.segment(0, end))
+        return not part.degrading and (part.stiffness_left is None or part.stiffness_left >= WHOLE)
+
     low, high = SEVERAL, len(ends)
     if high <= low or not sound(ends[low - 1]):
         return None
@@ -54,7 +58,3 @@ def fails_at(record: Record, quality: RecordQuality) -> float | None:
         return None
     end = int(used[last]) + 1
     return float(end) if record.t is None else float(record.t[end - 1])
-
-
-def _is_whole(quality: RecordQuality) -> bool:
-    return not quality.degrading and (quality.stiffness_left is None or quality.stiffness_left >= WHOLE)

@@ -80,6 +80,12 @@ def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> n
     return reached
 
 
+def _measured_branches(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> tuple[list[tuple[int, int]], np.ndarray]:
+    """First and last sample of the branches without missing outputs, and their strokes."""
+    branches = [(a, b) for a, b in itertools.pairwise(np.unique(cycles)) if np.isfinite(y[a : b + 1]).all()]
+    return branches, np.array([abs(u[b] - u[a]) for a, b in branches])
+
+
 def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
     """Range of the output over branches longer than all before, over its largest range on a shorter branch before.
 
@@ -89,9 +95,7 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
     Returns:
         The median of the last four ratios; None with fewer.
     """
-    turns = np.unique(cycles)
-    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
-    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    branches, stroke = _measured_branches(u, y, cycles)
     reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
     before = np.maximum.accumulate(reached)[:-1]
     longer = (stroke[1:] > (1 + SAME_LEVEL) * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
@@ -108,9 +112,7 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: floa
     Returns:
         The median of the last four slopes over that of the first two; None with fewer than five such branches.
     """
-    turns = np.unique(cycles)
-    branches = [(a, b) for a, b in itertools.pairwise(turns) if np.isfinite(y[a : b + 1]).all()]
-    stroke = np.array([abs(u[b] - u[a]) for a, b in branches])
+    (branches, stroke), turns = _measured_branches(u, y, cycles), np.unique(cycles)
     if stroke.size <= _LATE:
         return None
     growing = (stroke > SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))

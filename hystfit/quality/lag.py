@@ -207,10 +207,3 @@ def _over_turns(
     both = len(sides) == 2 and None not in sides
     gap = 0.5 * abs(sides[0] - sides[1]) if both else 0.5  # type: ignore[operator]
     return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
-
-
-def unexplained(design: np.ndarray, y: np.ndarray, rcond: float) -> float:
-    """Mean square of what columns of any scale, shape (T, K), leave of y by least squares; `rcond` as for `numpy.linalg.lstsq`."""
-    design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=rcond)[0]
-    return float(np.mean((y - design @ solution) ** 2))

@@ -13,7 +13,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hystfit.quality.lag import unexplained
 from hystfit.quality.plays import play_positions
 from hystfit.quality.recursions import lagged, recursion
 
@@ -34,7 +33,15 @@ _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis with
 # 1.7 on two stages that ring, at most 1.02 on steep transitions without a resonance; and of two delays (half a period and a change of
 # sign look alike), of which the shorter is taken otherwise.
 DECIDES = 1.1
+_SINGULAR = 1e-7  # of the largest singular value of columns, below which a combination of them is none
 _FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
+
+
+def unexplained(design: np.ndarray, y: np.ndarray) -> float:
+    """Root mean square of what columns of any scale, shape (T, K), leave of y by least squares."""
+    design = design / np.linalg.norm(design, axis=0).clip(1e-300)
+    solution = np.linalg.lstsq(design, y, rcond=_SINGULAR)[0]
+    return float(np.sqrt(np.mean((y - design @ solution) ** 2)))
 
 
 def explains(error: float, without: float) -> bool:
@@ -218,7 +225,7 @@ class Regressors:
 
     def error(self, *parts: np.ndarray) -> float:
         """Least rms error of the output by these columns."""
-        return float(np.sqrt(unexplained(np.hstack(parts)[self.used], self.y[self.used], 1e-7)))
+        return unexplained(np.hstack(parts)[self.used], self.y[self.used])
 
     def error_behind(self, delays: Iterable[float], lags: Iterable[float]) -> float:
         """Least rms error of hysteresis and velocity terms behind a delay, or behind one or two lags of the same time [samples]."""

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from hystfit.quality.delay import MOST, REMAINS
-from hystfit.quality.lag import unexplained
 from hystfit.quality.plays import play_positions
 from hystfit.quality.recursions import lagged
-from hystfit.quality.resonance import FEWEST, explains
+from hystfit.quality.resonance import FEWEST, explains, unexplained
 
 SHORT = 6.0  # samples up to which a lag is short
 _LONGEST = 0.25  # of a branch
@@ -38,7 +37,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
         behind = lagged(lagged(u[:, None], lag / 2), lag / 2)[:, 0] if lag else u
         rows = used[::stride]
         columns = _rate_independent(behind)[::stride][rows]
-        return float(np.sqrt(unexplained(columns, y[::stride][rows], 1e-7))) / span
+        return unexplained(columns, y[::stride][rows]) / span
 
     without = error(0.0)
     if not explains(0.0, without):

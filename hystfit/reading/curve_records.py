@@ -199,7 +199,7 @@ def _check_time(time: np.ndarray, line: np.ndarray, table: Table, notes: list[No
 
 def _constants(table: Table, choice: Choice) -> dict[str, str]:
     """Columns of one number besides those of the record, by name: a temperature, a preload, a frequency."""
-    others = [k for k in range(len(table.names)) if table.named and k not in (choice.time, choice.input, choice.output)]
+    others = [k for k in table.positions if table.named and k not in (choice.time, choice.input, choice.output)]
     values = {table.names[k]: table.columns[k] for k in others}
     return {name: f"{v[0]:.15g}" for name, v in values.items() if v[0] == v[-1] and bool((v == v[0]).all())}
 

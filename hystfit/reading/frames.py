@@ -94,7 +94,15 @@ def is_clock(values: Any) -> bool:
 def seconds_of(values: Any) -> np.ndarray:
     """Dates or durations as seconds from the first one that is there, NaN where missing."""
     kind = str(values.dtype).lower()
-    plain = np.asarray(values, dtype="datetime64[ns]" if kind.startswith("datetime") else "timedelta64[ns]")
-    there = plain[~np.isnat(plain)]
-    passed = plain - (there[0] if there.size else plain[0])
+    return seconds_passed(
+        np.asarray(values, dtype=f"{'datetime' if kind.startswith('datetime') else 'timedelta'}64[ns]")
+    )
+
+
+def seconds_passed(stamps: np.ndarray) -> np.ndarray:
+    """Dates or durations of numpy as seconds from the first one that is there, NaN where missing; all NaN for months and years."""
+    there = stamps[~np.isnat(stamps)]
+    passed = stamps - (there[0] if there.size else stamps[0])
+    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
+        return np.full(stamps.size, np.nan)
     return np.where(np.isnat(passed), np.nan, passed / np.timedelta64(1, "s"))

@@ -12,7 +12,6 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.reading.assemble import assemble
 from hystfit.reading.frames import columns_of, frame_table, is_clock, is_frame, seconds_of, unit_of
-from hystfit.reading.several import with_column
 
 _NAMES = "the columns of a data frame are chosen by u=, y= and t=; hystfit.read(frame, rate=..., units=..., by=...) has more options"
 
@@ -119,7 +118,7 @@ def _framed(data: Any, u: Any, y: Any, t: Any, name: str, *, no_output: bool = F
     table = frame_table(data)
     if no_output:
         y = "no output"
-        table = with_column(table, y, np.zeros(table.rows))
+        table = table.beside(y, np.zeros(table.rows))
     try:
         return assemble(table, time=t, input=u, output=y, name=name)
     except DataError as error:

@@ -16,15 +16,17 @@ from hystfit.reading.arrangements.adjusted import with_adjusted
 from hystfit.reading.arrangements.charge_throughput import with_throughput
 from hystfit.reading.arrangements.long_format import widened
 from hystfit.reading.arrangements.row_loops import with_row_loops
+from hystfit.reading.arrangements.scaled_columns import unscaled
 from hystfit.reading.arrangements.side_by_side import stacked
 from hystfit.reading.arrangements.signed_amplitude import with_signed_amplitude
 from hystfit.reading.arrangements.specimens import divided
 from hystfit.reading.arrangements.switch_columns import with_switches
 from hystfit.reading.arrangements.unit_columns import with_unit_columns
 from hystfit.reading.curves.two_branches import unfolded
+from hystfit.reading.files.archive import MAGIC
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening, TextFile, text_of
-from hystfit.reading.layouts.array_files import hdf5_arrays, netcdf_arrays, numpy_arrays
+from hystfit.reading.layouts.array_files import HDF, hdf5_arrays, is_hdf, netcdf_arrays, numpy_arrays
 from hystfit.reading.layouts.array_table import read_arrays
 from hystfit.reading.layouts.assigned_arrays import read_assigned_arrays
 from hystfit.reading.layouts.bracket_rows import read_bracketed
@@ -50,11 +52,9 @@ from hystfit.reading.layouts.twincat_scope import read_twincat_scope
 from hystfit.reading.layouts.unit_cells import read_unit_cells
 from hystfit.reading.layouts.workbook import read_older_sheets, read_workbook
 from hystfit.reading.layouts.wrapped_blocks import read_wrapped_blocks
-from hystfit.reading.names.scaled_units import unscaled
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.text.plain_text import plain_text
 
-_HDF = b"\x89HDF"
 _OLD_EXCEL = b"\xd0\xcf\x11\xe0"
 
 
@@ -75,27 +75,14 @@ class Format:
     read: Callable[[FileBytes, Opening], Table]
 
 
-def _is_numpy(file: FileBytes) -> bool:
-    return file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz")
-
-
 def _is_matlab(file: FileBytes) -> bool:
     """MATLAB writes its name, except in version 4, whose first number has NUL bytes."""
-    hdf = file.raw[:4] == _HDF or file.raw[512:516] == _HDF
-    return file.raw.startswith(b"MATLAB") or (file.suffix == ".mat" and (hdf or b"\0" in file.raw[:20]))
-
-
-def _is_workbook(file: FileBytes) -> bool:
-    return _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm")
-
-
-def _is_spreadsheet(file: FileBytes) -> bool:
-    return file.raw.startswith(_OLD_EXCEL) or _holds(file, "content.xml", ".ods")
+    return file.raw.startswith(b"MATLAB") or (file.suffix == ".mat" and (is_hdf(file.raw) or b"\0" in file.raw[:20]))
 
 
 def _holds(file: FileBytes, member: str, *suffixes: str) -> bool:
     """Whether a file is a zip archive with such a member; of a damaged one, the ending tells."""
-    if not file.raw.startswith(b"PK\x03\x04"):
+    if not file.raw.startswith(MAGIC):
         return False
     try:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
@@ -108,7 +95,7 @@ FORMATS = (
     Format(
         (".npz", ".npy"),
         "NumPy arrays: each array of a .npz is a column, a matrix gives several, a structured array its fields",
-        _is_numpy,
+        lambda file: file.raw.startswith(b"\x93NUMPY") or _holds(file, ".npy", ".npz"),
         functools.partial(read_arrays, numpy_arrays),
     ),
     Format(
@@ -120,7 +107,7 @@ FORMATS = (
     Format(
         (".h5", ".hdf5", ".nc"),
         'HDF5 and netCDF-4 data sets in all groups, and the fields of compound ones; needs the extra "files"',
-        lambda file: file.raw.startswith(_HDF),
+        lambda file: file.raw.startswith(HDF),
         functools.partial(read_arrays, hdf5_arrays),
     ),
     Format(
@@ -138,13 +125,13 @@ FORMATS = (
     Format(
         (".xlsx", ".xlsm"),
         'Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"',
-        _is_workbook,
+        lambda file: _holds(file, "xl/workbook.xml", ".xlsx", ".xlsm"),
         read_workbook,
     ),
     Format(
         (".xls", ".ods"),
         'sheets of old Excel, LibreOffice and OpenOffice, as those of .xlsx; needs the extra "files"',
-        _is_spreadsheet,
+        lambda file: file.raw.startswith(_OLD_EXCEL) or _holds(file, "content.xml", ".ods"),
         read_older_sheets,
     ),
 )

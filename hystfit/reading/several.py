@@ -175,13 +175,6 @@ def _has(table: Table, name: str) -> bool:
     return True
 
 
-def with_column(table: Table, name: str, values: np.ndarray) -> Table:
-    """The table with one more column, without unit, at its end."""
-    return dataclasses.replace(
-        table, names=(*table.names, name), units=(*table.units, ""), columns=(*table.columns, values)
-    )
-
-
 def one_sided(table: Table, missing: str, **columns: Any) -> Choice:
     """The columns of a table that lacks the input or the output; the position of the missing one is past the end.
 
@@ -189,7 +182,7 @@ def one_sided(table: Table, missing: str, **columns: Any) -> Choice:
         **columns: names or numbers of the others, None guesses.
     """
     position = len(table.names)
-    return choose(with_column(table, f"no {missing}", np.arange(float(table.rows))), **{**columns, missing: position})
+    return choose(table.beside(f"no {missing}", np.arange(float(table.rows))), **{**columns, missing: position})
 
 
 def _check_clocks(paths: Sequence[str], tables: Sequence[Table], clocks: Sequence[int]) -> None:

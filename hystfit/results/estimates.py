@@ -9,11 +9,23 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from hystfit.errors import ParameterError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.table import or_none
 from hystfit.params.space import MANY, ParameterSpace
 
 T = TypeVar("T")
+
+
+def edges_of(level: float) -> list[float]:
+    """Lower edge, median and upper edge of an interval with this probability, as quantiles.
+
+    Raises:
+        ParameterError: the level is not between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise ParameterError(f"level must be between 0 and 1, such as 0.9; got {level}")
+    return [0.5 - level / 2, 0.5, 0.5 + level / 2]
 
 
 @dataclasses.dataclass(frozen=True)

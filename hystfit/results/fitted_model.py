@@ -52,10 +52,13 @@ class FittedModel:
         """Output of the model on every record fitted, by the program that the fit has compiled."""
         return self.problem.predict(self.x)
 
+    def is_fitted(self, record: Record) -> bool:
+        """Whether a record is one of those fitted, by its name."""
+        return record.name in [fitted.name for fitted in self.data]
+
     def record_number(self, record: Record) -> int:
         """Whose per-record parameters predict a record: its own where it was fitted, else those of the first record."""
-        names = [fitted.name for fitted in self.data]
-        return names.index(record.name) if record.name in names else 0
+        return [fitted.name for fitted in self.data].index(record.name) if self.is_fitted(record) else 0
 
     def in_fitted_units(self, record: Record) -> Record:
         """The record in the units of the fitted records, with a note on each unit that was converted or assumed.
@@ -129,7 +132,7 @@ class FittedModel:
         Args:
             refit_offset: as in `predict`; it replaces constants of the output.
         """
-        if record.name in [fitted.name for fitted in self.data]:
+        if self.is_fitted(record):
             return None
         first = self.data[0].name
         marked = zip(self.problem.space.names, self.problem.space.infos, self.problem.space.units, self.x, strict=True)

@@ -42,7 +42,7 @@ _COARSE, _SEEN, _INSERTED = 40, 10, 16
 
 def quantity_values(result: FitResult) -> dict[str, float | None]:
     """The quantities of a fit without errors, by name; None where one is unknown."""
-    excitation = Excitation.of(result.data, hardens=result.model.hardens, jumps=result.model.jumps)
+    excitation = Excitation.of(result.data, result.model)
     values = _values(result, excitation, lambda record: _run(result, record, result.model)[None])
     return {name: or_none(one[0]) for name, one in values.items()}
 
@@ -51,7 +51,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     """The quantities that the records and the model of a fit have, of the first record, with standard errors."""
     x, space = np.asarray(result.x), result.problem.space
     size, linear = relative_size(space, x), space.linear
-    excitation = Excitation.of(result.data, hardens=result.model.hardens, jumps=result.model.jumps)
+    excitation = Excitation.of(result.data, result.model)
     stepwise = np.array([info.stepwise for info in space.infos])
     step = np.where(stepwise, _JUMP * (excitation.high - excitation.low), _STEP * size)
     outputs = lambda record: _perturbed(result, record, step, linear)

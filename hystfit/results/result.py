@@ -21,7 +21,7 @@ from hystfit.outcome.note import has
 from hystfit.quality.baselines import Baselines
 from hystfit.registry import attribute, near
 from hystfit.results.accuracy import Metrics
-from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
+from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, edges_of
 from hystfit.results.fitted_model import FittedModel
 from hystfit.results.measured.loop_values import LoopValues, quantities
 from hystfit.results.measured.quantities import QuantityEstimate
@@ -168,9 +168,7 @@ class FitResult(FittedModel, WithStatus):
         Raises:
             ParameterError: the level is not between 0 and 1.
         """
-        if not 0 < level < 1:
-            raise ParameterError(f"level must be between 0 and 1, such as 0.95; got {level}")
-        reach = statistics.NormalDist().inv_cdf(0.5 + level / 2)
+        reach = statistics.NormalDist().inv_cdf(edges_of(level)[-1])
         free = [p for p in self.parameters if not p.fixed]
         return {
             p.name: None if p.stderr is None else (p.value - reach * p.stderr, p.value + reach * p.stderr) for p in free

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import hashlib
 import json
 import os
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +49,26 @@ def stored(folder: Path | None, name: str, make: Callable[[], dict[str, np.ndarr
     if folder is not None:
         keep(folder / name, arrays)
     return arrays
+
+
+@dataclasses.dataclass(frozen=True)
+class Chunks:
+    """Numbered parts of one chain, in memory and in the files `label`-00000.npz of a folder; where that is None, in memory alone."""
+
+    folder: Path | None
+    label: str
+    parts: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+
+    def part(self, number: int, make: Callable[[int], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """A part after those before it; `make` is called with its number where neither memory nor folder has it."""
+        if number == len(self.parts):
+            name = f"{self.label}-{number:05d}.npz"
+            self.parts.append(stored(self.folder, name, functools.partial(make, number)))
+        return self.parts[number]
+
+    def joined(self, names: Iterable[str], count: int) -> dict[str, np.ndarray]:
+        """The first `count` rows of these arrays over all parts."""
+        return {name: np.concatenate([part[name] for part in self.parts])[:count] for name in names}
 
 
 def claim(folder: Path, label: str, described: dict[str, Any]) -> Path:

@@ -28,9 +28,7 @@ def derive(posterior: Posterior, quantities: Sequence[str] | None, count: int) -
         raise ParameterError(f"{posterior.result.name} has no creep")
     if other := [name for name in names if name not in have]:
         raise ParameterError(f"{', '.join(other)}: for records of force and displacement, known by their units")
-    excitation = Excitation.of(
-        posterior.result.data, hardens=posterior.result.model.hardens, jumps=posterior.result.model.jumps
-    )
+    excitation = Excitation.of(posterior.result.data, posterior.result.model)
     values = dict[str, np.ndarray]()
     loops = excitation.loops(posterior.predict(excitation.loop, count)) if set(names) != {CREEP} else None
     for name in names:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.outcome import Code, Note
-from hystfit.runs.chunks import stored
+from hystfit.runs.chunks import Chunks, stored
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
@@ -102,7 +102,7 @@ class Independence(AbstractSampler):
         scores = (places.log_density[at] - mixture.log_density(places.q[at])).tolist()
         tries = 2 * math.ceil(0.5 * _TRIES / max(efficiency(places.score), _COVERED))  # even
         return [
-            _Chain(target, mixture, tries, start, (*seed, k), folder, f"{self.name}-{seed[1]}-{k}")
+            _Chain(target, mixture, tries, start, (*seed, k), Chunks(folder, f"{self.name}-{seed[1]}-{k}"))
             for k, start in enumerate(zip(places.z[at], scores, strict=True))
         ]
 
@@ -146,37 +146,36 @@ _DRAWN = ("z", "acceptance")  # of each draw of a chunk
 
 @dataclasses.dataclass(frozen=True)
 class _Chain:
-    """One chain, in memory or continued from the files of a folder; nothing is kept where the folder is None."""
+    """One chain, which continues from the chunks that are known."""
 
     target: Target
     mixture: Mixture
     tries: int
     start: tuple[Float[np.ndarray, " d"], float]
     seed: tuple[int, ...]
-    folder: Path | None
-    label: str
-    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+    chunks: Chunks
 
     def draw(self, count: int, tick: Callable[[], None]) -> dict[str, np.ndarray]:
         """The first `count` draws; `tick` is called before each chunk, and ends the chain after an interrupt."""
         for number in range(-(-count // _CHUNK)):
             tick()
-            if number == len(self.chunks):
-                make: Callable[[], dict[str, np.ndarray]] = functools.partial(self._chunk, number)
-                self.chunks.append(stored(self.folder, f"{self.label}-{number:05d}.npz", make))
-        return {name: np.concatenate([chunk[name] for chunk in self.chunks])[:count] for name in _DRAWN}
+            self.chunks.part(number, self._chunk)
+        return self.chunks.joined(_DRAWN, count)
 
     @property
     def offers(self) -> Batch:
         """All draws of the mixture so far."""
         names = [field.name for field in dataclasses.fields(Batch)]
-        return Batch.joined([Batch(*(chunk[f"offered_{name}"] for name in names)) for chunk in self.chunks])
+        return Batch.joined([Batch(*(chunk[f"offered_{name}"] for name in names)) for chunk in self.chunks.parts])
 
     def _chunk(self, number: int) -> dict[str, np.ndarray]:
         """Chunk number `number`: every draw is the end of `tries` Metropolis steps."""
         rng = np.random.default_rng([*self.seed, number])
         offered = Batch.of(self.target, self.mixture, rng, _CHUNK * self.tries)
-        before, score = (self.chunks[-1]["z"][-1], float(self.chunks[-1]["score"])) if number else self.start
+        before, score = self.start
+        if number:
+            last = self.chunks.parts[-1]
+            before, score = last["z"][-1], float(last["score"])
         levels = np.log(rng.uniform(size=len(offered.q)))
         at, places = -1, np.empty(len(offered.q), int)  # -1: where the chunk begins
         for k, (offer, level) in enumerate(zip(offered.score.tolist(), levels.tolist(), strict=True)):

@@ -32,9 +32,9 @@ class LinearPart(eqx.Module):
     """The map between e and x of k parameters of a model."""
 
     places: tuple[int, ...] = eqx.field(static=True)  # of these parameters in z
-    reference: Float[Array, " k"]  # z of these from which x is counted, shape (k,)
-    moves: Float[Array, "k p"]  # steps of the parameters, in which x is counted, one in each row, shape (k, p)
-    precision: Float[Array, " k"]  # of their priors, about, in these steps, shape (k,)
+    reference: Float[Array, " k"]  # z of these from which x is counted
+    moves: Float[Array, "k p"]  # steps of the parameters, in which x is counted, one in each row
+    precision: Float[Array, " k"]  # of their priors, about, in these steps
 
     @classmethod
     def of(cls, problem: Problem, z: Float[np.ndarray, " d"], deviations: Float[np.ndarray, " p"]) -> LinearPart | None:

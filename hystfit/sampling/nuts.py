@@ -21,7 +21,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
-from hystfit.runs.chunks import stored
+from hystfit.runs.chunks import Chunks, stored
 from hystfit.runs.threads import Workers, usable_cores
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.bend import Shear
@@ -167,7 +167,7 @@ class Nuts(AbstractSampler):
         """
         key, goal, notes = jax.random.key(seed), self.target_accept, ()
         chains = [
-            _Chain(self, setup.target, goal, jax.random.fold_in(key, number), folder, f"nuts-{number}")
+            _Chain(self, setup.target, goal, jax.random.fold_in(key, number), Chunks(folder, f"nuts-{number}"))
             for number in range(self.chains)
         ]
         report("compilation and warm-up", 0.0)
@@ -205,23 +205,23 @@ class Nuts(AbstractSampler):
         self, chains: list[_Chain], draws: int, report: Progress, *, to_the_end: bool
     ) -> dict[str, np.ndarray] | None:
         """All chains, joined; None, once a transition diverges, unless they are wanted to the end."""
-        drawn: dict[str, list[np.ndarray]] = {chain.label: [] for chain in chains}
+        drawn: list[list[np.ndarray]] = [[] for _ in chains]
         reporting, diverged, total = threading.Lock(), threading.Event(), self.chains * draws
         workers = Workers(min(self.chains, usable_cores()))
 
-        def collect(label: str, chunk: dict[str, np.ndarray]) -> bool:
+        def collect(number: int, chunk: dict[str, np.ndarray]) -> bool:
             workers.check()
             with reporting:
-                drawn[label].append(chunk["q"])
+                drawn[number].append(chunk["q"])
                 if chunk["diverging"].any() and not to_the_end:
                     diverged.set()
-                count = sum(len(part) for parts in drawn.values() for part in parts)
-                so_far = sum(_least(np.concatenate(parts)) for parts in drawn.values() if parts)
+                count = sum(len(part) for parts in drawn for part in parts)
+                so_far = sum(_least(np.concatenate(parts)) for parts in drawn if parts)
                 report(f"{count} of {total} draws, about {so_far:.0f} effective so far", count / total)
             return diverged.is_set()
 
         _ = chains[0].warm  # compiles what all chains run
-        each = [functools.partial(chain.draw, draws, functools.partial(collect, chain.label)) for chain in chains]
+        each = [functools.partial(chain.draw, draws, functools.partial(collect, k)) for k, chain in enumerate(chains)]
         parts = workers.run(each)
         return None if diverged.is_set() else {k: np.stack([part[k] for part in parts]) for k in parts[0]}
 
@@ -253,46 +253,42 @@ class Nuts(AbstractSampler):
 
 @dataclasses.dataclass(frozen=True)
 class _Chain:
-    """One chain of a run, in memory or continued from the files of a folder; nothing is kept where the folder is None.
+    """One chain of a run, which continues from the chunks that are known.
 
-    `goal` is the acceptance for which the step size is tuned, `label` the first part of the files' names, and `before` the end of the
-    warm-up of the chain before it, whose transitions diverged.
+    `goal` is the acceptance for which the step size is tuned, and `before` the end of the warm-up of the chain before it, whose transitions
+    diverged.
     """
 
     nuts: Nuts
     target: Target
     goal: float
     key: Array
-    folder: Path | None
-    label: str
+    chunks: Chunks
     before: dict[str, np.ndarray] | None = None
-    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
 
     @functools.cached_property
     def warm(self) -> dict[str, np.ndarray]:
         """Position, coordinates and step size after the warm-up."""
         key = jax.random.fold_in(self.key, 10**6)
         make = lambda: self.nuts.warm(self.target, key, self.goal, self.before)
-        return stored(self.folder, f"{self.label}-warm.npz", make)
+        return stored(self.chunks.folder, f"{self.chunks.label}-warm.npz", make)
 
     def again(self) -> _Chain:
         """A chain that continues from the warm-up of this one, for a higher acceptance."""
-        label, key = f"{self.label}-again", jax.random.fold_in(self.key, 10**7)
-        return dataclasses.replace(self, goal=_closer(self.goal), key=key, label=label, before=self.warm, chunks=[])
+        key, chunks = jax.random.fold_in(self.key, 10**7), Chunks(self.chunks.folder, f"{self.chunks.label}-again")
+        return dataclasses.replace(self, goal=_closer(self.goal), key=key, chunks=chunks, before=self.warm)
 
     def draw(self, draws: int, collect: Callable[[dict[str, np.ndarray]], bool]) -> dict[str, np.ndarray]:
         """All draws after the warm-up; `collect` is given each chunk, and ends the chain where it returns true."""
         for k, first in enumerate(range(0, draws, CHUNK)):
-            if k == len(self.chunks):
-                self.chunks.append(stored(self.folder, f"{self.label}-{k:05d}.npz", lambda k=k: self._chunk(k)))
-            if collect({name: rows[: draws - first] for name, rows in self.chunks[k].items()}):
+            chunk = self.chunks.part(k, self._chunk)
+            if collect({name: rows[: draws - first] for name, rows in chunk.items()}):
                 break
-        names = [name for name in self.chunks[0] if name != "q"]
-        return {name: np.concatenate([c[name] for c in self.chunks])[:draws] for name in names}
+        return self.chunks.joined([name for name in self.chunks.parts[0] if name != "q"], draws)
 
     def _chunk(self, k: int) -> dict[str, np.ndarray]:
         """Chunk number k, after those before it."""
-        q = self.chunks[-1]["q"][-1] if k else self.warm["q"]
+        q = self.chunks.parts[-1]["q"][-1] if k else self.warm["q"]
         rows = self.nuts.chunk(self.target, self.warm, jnp.asarray(q), jax.random.fold_in(self.key, k))
         return rows | {"z": np.asarray(adapted(self.target, self.warm).unwhitened(rows["q"]))}
 

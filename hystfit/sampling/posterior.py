@@ -18,7 +18,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Column, Note, Status, Table, WithStatus, fragment
 from hystfit.outcome.table import or_none
 from hystfit.registry import attribute
-from hystfit.results.estimates import grouped
+from hystfit.results.estimates import edges_of, grouped
 from hystfit.results.exchange import arviz_data
 from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.result import FitResult
@@ -189,10 +189,14 @@ class Posterior(WithStatus):
             "provenance": self.provenance,
         }
 
+    def chosen(self, count: int, seed: int = 0) -> np.ndarray:
+        """Numbers of `count` draws that are chosen at random among those of all chains, end to end, shape (count,)."""
+        total = self.draws.shape[0] * self.draws.shape[1]
+        return np.random.default_rng(seed).choice(total, min(count, total), replace=False)
+
     def thinned(self, count: int, seed: int = 0) -> np.ndarray:
         """`count` draws of the model's parameters, chosen at random, shape (count, p)."""
-        flat = self.draws.reshape(-1, len(self.names))[:, : len(self.result.free_names)]
-        return flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+        return self.draws.reshape(-1, len(self.names))[self.chosen(count, seed), : len(self.result.free_names)]
 
     def models(self, count: int, seed: int = 0) -> Iterator[AbstractHysteresis]:
         """The models of `thinned` draws, with the parameters of the first record: simulate or invert each."""
@@ -235,12 +239,14 @@ class Posterior(WithStatus):
         Raises:
             ParameterError: another kind, or a level outside (0, 1).
         """
-        if kind not in ("credible", "predictive") or not 0 < level < 1:
-            raise ParameterError(f"kind must be credible or predictive and 0 < level < 1, got {kind!r} and {level}")
-        draw = _view("predictive:predictive_draws") if kind == "predictive" else Posterior.predict
-        y = draw(self, record, count, seed)
-        edges = np.quantile(y, [0.5 - level / 2, 0.5, 0.5 + level / 2], axis=0)
-        return edges[0], edges[1], edges[2]
+        if kind not in ("credible", "predictive"):
+            raise ParameterError(f"kind must be credible or predictive, got {kind!r}")
+        draw, edges = (
+            _view("predictive:predictive_draws") if kind == "predictive" else Posterior.predict,
+            edges_of(level),
+        )
+        lower, median, upper = np.quantile(draw(self, record, count, seed), edges, axis=0)
+        return lower, median, upper
 
     def derived(self, quantities: Sequence[str] | None = None, count: int = 200) -> dict[str, np.ndarray]:
         """Posterior draws of derived quantities, each (count,): see `hystfit.results.measured.quantities.QUANTITIES`."""

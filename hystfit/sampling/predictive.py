@@ -26,6 +26,7 @@ from hystfit.errors import ModelError
 from hystfit.inference.density import Density
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting
+from hystfit.inference.problem import Problem
 from hystfit.inference.weights import free_columns
 from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
@@ -46,7 +47,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     if record.t is None and not result.model.rate_independent:
         raise ModelError(f"{result.name} depends on time, and record {record.name!r} has none")
     arrays = (jnp.asarray(x), jnp.asarray(record.u), jnp.asarray(record.dt))
-    known = is_fitted(result, record)
+    known = result.is_fitted(record)
     numbers = np.random.default_rng(seed).integers(len(result.data), size=len(x))
     numbers = np.full(len(x), result.record_number(record)) if known else numbers
     if result.problem.closed_form:
@@ -72,27 +73,17 @@ def predictive_draws(posterior: Posterior, record: Record, count: int, seed: int
     """Outputs that might be measured over a record's input: parameters vary, and noise is added; `seed` is that of all choices."""
     result = posterior.result
     given, record = record, result.in_fitted_units(record)
-    flat = posterior.draws.reshape(-1, len(posterior.names))
-    rows = flat[np.random.default_rng(seed).choice(len(flat), min(count, len(flat)), replace=False)]
+    rows = posterior.draws.reshape(-1, len(posterior.names))[posterior.chosen(count, seed)]
     y = simulate_draws(result, record, rows[:, : len(result.free_names)], seed)
     problem = result.problem.with_loss("linear").with_noise(NOISES.make(posterior.noise))
     inputs = np.concatenate([fitted.u for fitted in result.data])
     new = Setting.of(Batch.of(record), (float(inputs.min()), float(inputs.max())))
     new = dataclasses.replace(new, weight=jnp.ones_like(new.weight))  # unmeasured samples have noise too
-    key = jax.random.key(seed)
-    if problem.closed_form:
-        density, about = problem.density, (*problem.linearize(result.x), result.x)
-    else:
-        density, about = problem.trimmed().density, None
-    noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), key, about))[:, : len(record)]
-    if not is_fitted(result, record):
+    density, about = density_of_draws(problem, result.x)
+    noise = np.asarray(_noise_of_draws(density, new, jnp.asarray(rows), jax.random.key(seed), about))[:, : len(record)]
+    if not result.is_fitted(record):
         y = y + _error_beyond(posterior, record, y, noise, seed)
     return result.to_unit_of(given, y + noise)
-
-
-def is_fitted(result: FitResult, record: Record) -> bool:
-    """Whether a record is one of those of the fit, by its name."""
-    return record.name in [fitted.name for fitted in result.data]
 
 
 def _error_beyond(
@@ -124,9 +115,16 @@ def _correlated(rng: np.random.Generator, shape: tuple[int, int], length: int) -
     return recursion((1.0, -decay), drive.T).T
 
 
+def density_of_draws(problem: Problem, x: np.ndarray) -> tuple[Density, Any]:
+    """The density of a problem, and, of a model that is linear, residuals and their derivatives at a point x, (p,), and this point."""
+    if problem.closed_form:
+        return problem.density, (*problem.linearize(x), x)
+    return problem.trimmed().density, None
+
+
 @eqx.filter_jit
-def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array, about: Any = None) -> Array:
-    """Noise over a new record from each draw; `about`: residuals and their derivatives at a point, of a model that is linear."""
+def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array, about: Any) -> Array:
+    """Noise over a new record from each draw; `about` as of `density_of_draws`."""
 
     def one(at: tuple[Array, Array]) -> Array:
         x, key = at
@@ -136,7 +134,7 @@ def _noise_of_draws(density: Density, new: Setting, rows: Array, key: Array, abo
     return jax.lax.map(one, (rows, jax.random.split(key, rows.shape[0])))
 
 
-def residual_at(density: Density, x: Array, about: Any = None) -> Array:
+def residual_at(density: Density, x: Array, about: Any) -> Array:
     """Prediction less measurement of a draw, shape (R, T): simulated, or linear about a point (residuals, derivatives, point)."""
     if about is None:
         return density.objective.residual(x[: density.p])

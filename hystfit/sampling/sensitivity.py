@@ -32,7 +32,7 @@ from hystfit.results.exchange import smoothed_weights
 from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import measured_quantities
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.predictive import predictive_draws, residual_at
+from hystfit.sampling.predictive import density_of_draws, predictive_draws, residual_at
 
 _COUNT = 1000  # draws used
 _LARGE = 0.3  # shift in posterior standard deviations from which it is named
@@ -145,8 +145,7 @@ def _label(name: str) -> str:
 def sensitivity(posterior: Posterior) -> Sensitivity:
     """What the draws of a posterior rest on; 1000 of them are used."""
     flat = posterior.draws.reshape(-1, len(posterior.names))
-    # Those for which `Posterior.derived` computes quantities.
-    at = np.random.default_rng(0).choice(len(flat), min(_COUNT, len(flat)), replace=False)
+    at = posterior.chosen(_COUNT)  # those for which `Posterior.derived` computes quantities
     derived = posterior.derived(count=_COUNT)
     values = np.column_stack([flat[at], *derived.values()])
     names = (*posterior.names, *derived)
@@ -247,10 +246,7 @@ def record_densities(posterior: Posterior, draws: np.ndarray) -> tuple[np.ndarra
     problem = posterior.result.problem.with_loss("linear").with_noise(noise)
     own, center, sd = _offsets(posterior)
     prior = (jnp.asarray(own), jnp.asarray(center), jnp.asarray(sd))
-    if problem.closed_form:
-        density, about = problem.density, (*problem.linearize(posterior.result.x), posterior.result.x)
-    else:
-        density, about = problem.trimmed().density, None
+    density, about = density_of_draws(problem, posterior.result.x)
     rows = _densities(density, jnp.asarray(draws), prior, about)
     return np.asarray(rows[0]), np.asarray(rows[1])
 

@@ -35,17 +35,17 @@ class WeightEquations(eqx.Module):
     parameters, as unconstrained coordinates, in which the residuals are not linear: `exact` then corrects the density.
     """
 
-    estimate: Float[Array, " p"]  # about which the equations are expanded, shape (p,)
-    squares: Float[Array, " m"]  # q_k(estimate), shape (m,)
-    slopes: Float[Array, "m p"]  # slopes, grams: half its gradient and half its curvature, shapes (m, p) and (m, p, p)
+    estimate: Float[Array, " p"]  # about which the equations are expanded
+    squares: Float[Array, " m"]  # q_k(estimate)
+    slopes: Float[Array, "m p"]  # slopes, grams: half its gradient and half its curvature
     grams: Float[Array, "m p p"]
-    log_dets: Float[Array, " m"]  # log determinants of the noises' covariances over their variance, shape (m,)
-    log_priors: Float[Array, " m"]  # of the noises, up to a constant, shape (m,)
-    roughness: Float[Array, "p p"]  # R, shape (p, p)
+    log_dets: Float[Array, " m"]  # log determinants of the noises' covariances over their variance
+    log_priors: Float[Array, " m"]  # of the noises, up to a constant
+    roughness: Float[Array, "p p"]  # R
     penalized: Float[Array, ""]  # rank of R
-    precision: Float[Array, " p"]  # diagonal of D: priors of the weights without a penalty, shape (p,)
-    pull: Float[Array, " p"]  # d, shape (p,)
-    bounded: Bool[Array, " p"]  # which weights are >= 0, shape (p,)
+    precision: Float[Array, " p"]  # diagonal of D: priors of the weights without a penalty
+    pull: Float[Array, " p"]  # d
+    bounded: Bool[Array, " p"]  # which weights are >= 0
     count: Float[Array, ""]  # number of samples
     exact: Exact | None = None  # the density without linearization; None where the residuals are linear in all of w
 

@@ -33,7 +33,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
-from hystfit.runs.chunks import stored
+from hystfit.runs.chunks import Chunks
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
@@ -87,7 +87,9 @@ class Weights(AbstractSampler):
         key, draws = jax.random.key(seed), self.draws
         report("compilation and warm-up", 0.0)
         equations = _centered(setup, jax.random.fold_in(key, self.chains), folder)
-        chains = [_Chain(equations, jax.random.fold_in(key, k), folder, f"weights-{k}") for k in range(self.chains)]
+        chains = [
+            _Chain(equations, jax.random.fold_in(key, k), Chunks(folder, f"weights-{k}")) for k in range(self.chains)
+        ]
         while True:
             parts = self._draw(chains, draws, report)
             joined = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
@@ -126,7 +128,7 @@ def _centered(setup: WeightSetup, key: Array, folder: Path | None) -> WeightEqua
     w = np.empty((0, len(space)))
     for number in range(_PILOTS):
         linear = dataclasses.replace(equations, exact=None)
-        pilot = _Chain(linear, jax.random.fold_in(key, number), folder, f"pilot-{number}")
+        pilot = _Chain(linear, jax.random.fold_in(key, number), Chunks(folder, f"pilot-{number}"))
         w = pilot.sweeps(2 * _PILOT, lambda count: None)["w"][_PILOT:]
         x = parameters_of(space, w.mean(axis=0), setup.size)
         equations = weight_equations(setup.problem, x, setup.grid, setup.chosen, setup.size)
@@ -143,27 +145,23 @@ def _strength(setup: WeightSetup, draws: dict[str, np.ndarray]) -> list[np.ndarr
 
 @dataclasses.dataclass(frozen=True)
 class _Chain:
-    """One chain, in memory or continued from the files of a folder; nothing is kept where the folder is None."""
+    """One chain, which continues from the chunks that are known."""
 
     equations: WeightEquations
     key: Array
-    folder: Path | None
-    label: str
-    chunks: list[dict[str, np.ndarray]] = dataclasses.field(default_factory=list)
+    chunks: Chunks
 
     def sweeps(self, count: int, collect: Callable[[int], None]) -> dict[str, np.ndarray]:
-        """The first `count` sweeps; `collect` is told of each chunk."""
+        """The first `count` sweeps; `collect` is called after each chunk."""
         for number in range(-(-count // _CHUNK)):
-            if number == len(self.chunks):
-                make = functools.partial(self._chunk, number)
-                self.chunks.append(stored(self.folder, f"{self.label}-{number:05d}.npz", make))
-                collect(_CHUNK)
-        return {name: np.concatenate([chunk[name] for chunk in self.chunks])[:count] for name in self.chunks[0]}
+            self.chunks.part(number, self._chunk)
+            collect(_CHUNK)
+        return self.chunks.joined(self.chunks.parts[0], count)
 
     def _chunk(self, number: int) -> dict[str, np.ndarray]:
         key = jax.random.fold_in(self.key, number)
         if number:
-            state = {name: to_device(rows[-1]) for name, rows in self.chunks[-1].items()}
+            state = {name: to_device(rows[-1]) for name, rows in self.chunks.parts[-1].items()}
         else:
             state = _start(self.equations, jax.random.fold_in(self.key, 10**6))
         return {name: np.asarray(rows) for name, rows in _advance(self.equations, state, key).items()}

@@ -56,7 +56,7 @@ class Row:
     asked: str  # the name as requested: the same, a name without settings, or a search
     # error on left-out data, in percent of the output's range; None where it is not known
     score_percent: float | None = None
-    in_sample_percent: float | None = None  # in_sample_percent, max_error_percent: on the samples fitted
+    in_sample_percent: float | None = None  # error on the samples that were fitted, and the largest there
     max_error_percent: float | None = None
     parameters: int | None = None  # number of free ones
     seconds: float = 0.0  # what fit and validation took

@@ -54,7 +54,8 @@ def polish(
     """
     offsets = problem.space.offsets
     order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
-    samples, largest = int(problem.used.sum()), _largest_output(problem)
+    samples = int(problem.used.sum())
+    largest = max(*(np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data), problem.scales.y)
     gain = gain_within(within, samples)
     at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
     linearized = at.linearized
@@ -98,10 +99,6 @@ class _Linearized(NamedTuple):
     cost: float
     factor: np.ndarray
     linearized: Linearization | None
-
-
-def _largest_output(problem: Problem) -> float:
-    return max(*(np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data), problem.scales.y)
 
 
 def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> float:

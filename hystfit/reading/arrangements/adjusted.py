@@ -39,7 +39,7 @@ def with_adjusted(table: Table, *, adjusted: bool) -> Table:
     names = ", ".join(repr(table.names[k]) for k in sorted(dropped))
     other = "leave out --adjusted for them" if adjusted else "--adjusted (adjusted=True) reads them"
     note = Note(Code.LEFT_OUT, f"the {used} columns are read; not used: {names} ({other})")
-    return table.select([k for k in range(len(table.names)) if k not in dropped]).noted(note)
+    return table.select([k for k in table.positions if k not in dropped]).noted(note)
 
 
 @functools.lru_cache(maxsize=4096)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code
-from hystfit.reading.limits import NEAR
+from hystfit.reading.table.signal_evidence import meet
 
 
 def go_on(records: Sequence[Record]) -> bool:
@@ -23,14 +22,7 @@ def go_on(records: Sequence[Record]) -> bool:
     monotonic = all((np.diff(r.u) * np.sign(r.u[-1] - r.u[0]) >= 0).all() for r in records)
     if ways != {-1.0, 1.0} or not monotonic:
         return False
-    for column in ("u", "y"):
-        parts = [np.asarray(getattr(record, column)) for record in records]
-        near = 2 * NEAR * np.ptp(np.concatenate(parts))
-        for one, other in itertools.pairwise(parts):
-            step = max(abs(one[-1] - one[-2]), abs(other[1] - other[0]))
-            if not abs(other[0] - one[-1]) <= near + step:
-                return False
-    return True
+    return meet([record.u for record in records]) and meet([record.y for record in records])
 
 
 def joined(records: Sequence[Record], *, counted: bool) -> Record:

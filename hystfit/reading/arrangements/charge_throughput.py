@@ -18,7 +18,6 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, quantity
 from hystfit.reading.arrangements.branch_files import joined
 from hystfit.reading.limits import MAJORITY, MOST, RARE
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
 
@@ -57,13 +56,10 @@ def with_throughput(table: Table) -> Table | None:
     if voltage is None or found is None or not np.ptp(found[0][np.isfinite(found[0])]) > 0:
         return None
     passed, unit, how = found
-    return dataclasses.replace(
-        table,
-        names=(*table.names, NAME),
-        units=(*table.units, unit or "Ah"),
-        columns=(*table.columns, passed),
-        pair=(len(table.names), voltage),
-    ).noted(Note(Code.PREPARED, f"the input is the charge that passed: {how}"))
+    noted = table.beside(NAME, passed, unit or "Ah").noted(
+        Note(Code.PREPARED, f"the input is the charge that passed: {how}")
+    )
+    return dataclasses.replace(noted, pair=(len(table.names), voltage))
 
 
 @functools.lru_cache(maxsize=4096)
@@ -98,7 +94,7 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, str, str] |
 
 def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] | None:
     """The same from a current that keeps few values, of both signs, while the voltage changes: a cell at constant currents."""
-    kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    kinds = [*map(table.quantity, table.positions)]
     time, source = (kinds.index(kind) if kind in kinds else None for kind in ("time", "current"))
     if time is None or source is None or quantity(table.units[time] or "s") != "time":
         return None
@@ -156,8 +152,8 @@ def _grown(capacity: np.ndarray) -> np.ndarray:
 
 def _signs(table: Table) -> np.ndarray | None:
     """Whether each row charges (1), discharges (-1) or neither (0), by the current or a column of steps; None where neither tells."""
-    for position, name in enumerate(table.names):
-        if _is_number(table, position) and column_quantity(name, table.units[position]) == "current":
+    for position in table.positions:
+        if _is_number(table, position) and table.quantity(position) == "current":
             current = np.nan_to_num(table.columns[position])
             if (current < 0).any():
                 return np.sign(current)

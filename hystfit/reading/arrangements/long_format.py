@@ -8,7 +8,6 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.limits import MOST_LABELS, OF_RECORD
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
 
@@ -18,11 +17,11 @@ def widened(table: Table) -> Table | None:
 
     Sensors that write a value only where it changes, each at times of its own, hold it until the next one.
     """
-    clocks = [k for k in range(len(table.names)) if k in table.stamps or _kind(table, k) == "time"]
+    clocks = table.clocks
     numbers = [
         k
-        for k in range(len(table.names))
-        if k not in (*clocks, *table.labels) and not table.constant(k) and _kind(table, k) != "index"
+        for k in table.positions
+        if k not in (*clocks, *table.labels) and not table.constant(k) and table.quantity(k) != "index"
     ]
     texts = [k for k, labels in table.labels.items() if 1 < len({*labels.tolist()}) <= MOST_LABELS]
     if len(numbers) != 1 or len(texts) != 1 or len(clocks) > 1 or table.part is not None or not table.named:
@@ -71,7 +70,3 @@ def _beside(
     last = [np.searchsorted(clock[chosen], clock[order], side="right") - 1 for chosen in known]
     held = [values[chosen[place]] for chosen, place in zip(known, last, strict=True)]
     return table.take(order), held, "a row for each change of a value, which holds until the next one"
-
-
-def _kind(table: Table, position: int) -> str:
-    return column_quantity(table.names[position], table.units[position])

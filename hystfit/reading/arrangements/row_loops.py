@@ -27,12 +27,12 @@ def with_row_loops(table: Table) -> Table | None:
     complete = all(np.isfinite(signal).all() for signal in signals)
     if not complete or rows >= length or (rows >= FEWEST and not runs_along_rows(*signals)):
         return None
-    others = [k for k in range(len(table.names)) if not any(k in run for run in runs.values())]
+    others = [k for k in table.positions if not any(k in run for run in runs.values())]
     texts = {k: _texts(table, k) for k in others}
     name = next((k for k in others if len({*texts[k]}) == rows > 1), None)
     told = "" if name is None or name in table.labels else f"{table.names[name]} "
     titles = [""] * rows if name is None else [told + text for text in texts[name]]
-    base = table.parts[0] if table.parts else Part()
+    base = table.whole
     properties = [base.metadata | {table.names[k]: texts[k][row] for k in others if k != name} for row in range(rows)]
     number = np.repeat(np.arange(rows), length)
     loops = dataclasses.replace(

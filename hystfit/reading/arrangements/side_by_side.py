@@ -13,10 +13,10 @@ from hystfit.outcome import Code, Note
 from hystfit.params.units import quantity
 from hystfit.reading.arrangements.specimens import names_objects
 from hystfit.reading.limits import FEWEST
+from hystfit.reading.names.branch_words import BRANCHES, words_of
 from hystfit.reading.names.column_names import column_quantity, is_terminal
 from hystfit.reading.names.names_with_units import is_unit, split_unit
-from hystfit.reading.table.branch_words import BRANCHES, words_of
-from hystfit.reading.table.raw_table import Part, Table
+from hystfit.reading.table.raw_table import Table
 
 _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a name: H1, H_2, H.1, and H[1] of a matrix
 # Words between underscores and signs, and of CamelCase; a number keeps its decimals: 0.5T of H_0.5T.
@@ -39,7 +39,7 @@ def stacked(table: Table) -> Table | None:
     a matrix of inputs precede those of a matrix of outputs (H1, H2, B1, B2), or outputs at several conditions follow one input (H, 5 K,
     300 K). Columns may end at different rows. Words above the names, one over each group, name the records.
     """
-    there = [k for k in range(len(table.names)) if k in table.labels or np.isfinite(table.columns[k]).any()]
+    there = [k for k in table.positions if k in table.labels or np.isfinite(table.columns[k]).any()]
     # The first column may number the rows, and so may one of the same name in every group.
     if there and table.counts(there[0]) and column_quantity(table.names[there[0]]) in ("", "index"):
         first = there[0]
@@ -65,7 +65,7 @@ def stacked(table: Table) -> Table | None:
         if titles and (below := _below_each_other(table, groups, titles)) is not None:
             return dataclasses.replace(below, names=tuple(names))
     clock, rest = there[0], there[1:]
-    if column_quantity(table.names[clock], table.units[clock]) == "time":
+    if table.quantity(clock) == "time":
         return _at_conditions(table, clock, rest)
     half = count // 2
     if count % 2 == 0 and len({*bases[:half]}) == len({*bases[half:]}) == 1 and bases[0] != bases[-1]:
@@ -177,7 +177,7 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
         titles: of the records; the words above the columns where there are none.
     """
     first, width = groups[0], len(groups[0])
-    kinds = [column_quantity(table.names[k], table.units[k]) if table.named else "" for k in first]
+    kinds = [table.quantity(k) if table.named else "" for k in first]
     alike = all(table.units[k] == table.units[one] for group in groups for k, one in zip(group, first, strict=True))
     clocks = kinds.count("time") + kinds.count("index")
     if table.labels or table.stamps or not alike or (clocks if width == 2 else kinds.count("time") != 1):
@@ -194,7 +194,7 @@ def _below_each_other(table: Table, groups: Sequence[Sequence[int]], titles: Seq
         table.select(first).take(np.concatenate(kept)), columns=tuple(below(side) for side in range(width)), over=()
     )
     number = np.repeat(np.arange(len(groups)), [rows.size for rows in kept])
-    base = table.parts[0] if table.parts else Part()
+    base = table.whole
     titles = titles or [next((table.over[k] for k in group if table.over and table.over[k]), "") for group in groups]
     named = all(titles) and not any(words_of(title) & BRANCHES for title in titles)
     if "time" in kinds and not named and width > 2 and _goes_on(joined.columns[kinds.index("time")], number):

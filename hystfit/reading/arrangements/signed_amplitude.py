@@ -5,13 +5,11 @@ A domain that switches turns the phase by half a turn. The amplitude alone is a 
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.limits import ODD
-from hystfit.reading.names.column_names import column_quantity, parts_of
+from hystfit.reading.names.column_names import parts_of
 from hystfit.reading.table.raw_table import Table
 
 NAME = "Piezoresponse"
@@ -26,10 +24,10 @@ def with_signed_amplitude(table: Table) -> Table | None:
 
     It is positive where it is so at the larger voltages.
     """
-    kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    kinds = [*map(table.quantity, table.positions)]
     if not table.named or "piezoresponse" in kinds:
         return None
-    usable = [k for k in range(len(table.names)) if k not in table.labels and np.isfinite(table.columns[k]).all()]
+    usable = [k for k in table.positions if k not in table.labels and np.isfinite(table.columns[k]).all()]
     sizes = [k for k in usable if parts_of(table.names[k]) & _AMPLITUDE and (table.columns[k] >= 0).all()]
     phases = [k for k in usable if kinds[k] == "phase"]
     bias = next((k for k in usable if kinds[k] == "voltage" and k not in sizes and not table.constant(k)), None)
@@ -45,9 +43,4 @@ def with_signed_amplitude(table: Table) -> Table | None:
     volts = table.columns[bias]
     signed = size * signs * (1.0 if np.sum(size * signs * (volts - volts.mean())) >= 0 else -1.0)
     text = f"the phase {table.names[phases[0]]!r} turns by half a turn: it tells the sign of {table.names[sizes[0]]!r}, read as {NAME!r}"
-    return dataclasses.replace(
-        table,
-        names=(*table.names, NAME),
-        units=(*table.units, table.units[sizes[0]]),
-        columns=(*table.columns, signed),
-    ).noted(Note(Code.PREPARED, text))
+    return table.beside(NAME, signed, table.units[sizes[0]]).noted(Note(Code.PREPARED, text))

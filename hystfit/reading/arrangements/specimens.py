@@ -10,11 +10,10 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.limits import JUMP, MAJORITY, OF_RECORD
-from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.names.branch_words import BRANCHES, words_of
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import BRANCHES, words_of
-from hystfit.reading.table.raw_table import Part, Table
-from hystfit.reading.table.signal_evidence import extent
+from hystfit.reading.table.raw_table import Table
+from hystfit.reading.table.signal_evidence import clock_goes_on, extent, jumps
 
 # Words in the names of columns that tell records apart, the best one first.
 _OBJECTS = "specimen sample coupon device pixel pix material test experiment table file filename probe versuch échantillon essai".split()
@@ -27,8 +26,8 @@ _MOST_OF = 0.5  # of the range of the column that drives, which it passes at eve
 
 def divided(table: Table) -> Table | None:
     """Specimens, tests or frequencies below each other, told apart by a column, are a record each; None for other tables."""
-    clocks = [k for k in range(len(table.names)) if k in table.stamps or _quantity(table, k) == "time"]
-    signals = [k for k in range(len(table.names)) if k not in (*clocks, *table.labels) and not table.constant(k)]
+    clocks = table.clocks
+    signals = [k for k in table.positions if k not in (*clocks, *table.labels) and not table.constant(k)]
     if table.part is not None or len(signals) < 2:  # the values of several sensors below each other are one record
         return None
     if clocks and (turns := _turns(table, clocks[0])) is not None:
@@ -36,7 +35,7 @@ def divided(table: Table) -> Table | None:
         order = np.arange(table.rows).reshape(-1, count).T.ravel()
         return _parted(table.take(order), position, np.arange(1, count) * (table.rows // count) - 1)
     best: tuple[tuple[int, int], int, np.ndarray] | None = None
-    for position in range(len(table.names)):
+    for position in table.positions:
         labels = _labels(table, position)
         if labels is None:
             continue
@@ -58,7 +57,7 @@ def _turns(table: Table, clock: int) -> tuple[int, int] | None:
 
     The joints of a robot and the channels of a logger have a row each at every time.
     """
-    for position in (k for k in range(len(table.names)) if k != clock):
+    for position in (k for k in table.positions if k != clock):
         labels = table.labels.get(position, table.columns[position])
         count = np.unique(labels).size
         if count < 2 or table.rows % count or table.rows < OF_RECORD * count:
@@ -73,7 +72,7 @@ def _parted(table: Table, position: int, changes: np.ndarray) -> Table:
     """The table as a record for each value of a column, which changes after these rows."""
     labels = _names_in(table, position)
     names = [str(labels[k]) for k in (0, *(changes + 1))]
-    base = table.parts[0] if table.parts else Part()
+    base = table.whole
     text = f"{len(names)} records, told apart by column {table.names[position]!r}: {', '.join(names[:6])}{', ...' * (len(names) > 6)}"
     return dataclasses.replace(
         table,
@@ -103,18 +102,14 @@ def _names_in(table: Table, position: int) -> np.ndarray:
 
 
 def _is_condition(table: Table, position: int) -> bool:
-    return _quantity(table, position) in ("frequency", "temperature")
+    return table.quantity(position) in ("frequency", "temperature")
 
 
 def _swept(table: Table, position: int, changes: np.ndarray) -> bool:
     """Whether another column goes through most of its range between any two changes of a column: that one does not drive."""
-    others = (k for k in range(len(table.names)) if k != position and k not in table.labels and not table.constant(k))
+    others = (k for k in table.positions if k != position and k not in table.labels and not table.constant(k))
     extents = ((extent(table.columns[k]), np.split(table.columns[k], changes + 1)) for k in others)
     return any(whole > 0 and all(extent(part) > _MOST_OF * whole for part in parts) for whole, parts in extents)
-
-
-def _quantity(table: Table, position: int) -> str:
-    return column_quantity(table.names[position], table.units[position])
 
 
 def names_objects(title: str) -> bool:
@@ -145,22 +140,11 @@ def _tells_records_apart(table: Table, position: int, changes: np.ndarray) -> bo
 
 def _clock_goes_on(table: Table, changes: np.ndarray) -> bool:
     """Whether a column of times increases through all records, without pauses between them."""
-    for position in range(len(table.names)):
-        if position in table.stamps or _quantity(table, position) == "time":
-            steps = np.diff(table.columns[position])
-            if steps.size and (steps > 0).all() and steps[changes].max() <= JUMP * np.median(steps):
-                return True
-    return False
+    return any(clock_goes_on(table.columns[position], changes + 1, JUMP) for position in table.clocks)
 
 
 def _jumps(table: Table, changes: np.ndarray) -> bool:
     """Whether the numbers of a column make a large step at most of the changes."""
-    around = np.array([k for k in range(-3, 4) if k])
-    for position, name in enumerate(table.names):
-        if position in table.labels or position in table.stamps or column_quantity(name) in ("index", "time"):
-            continue
-        steps = np.abs(np.diff(table.columns[position]))
-        near = steps[np.clip(changes[:, None] + around, 0, steps.size - 1)].max(axis=1)
-        if np.mean(steps[changes] > JUMP * near) > MAJORITY:
-            return True
-    return False
+    taken = {*table.labels, *table.clocks}
+    others = (k for k in table.positions if k not in taken and table.quantity(k) != "index")
+    return any(np.mean(jumps(table.columns[k], changes)) > MAJORITY for k in others)

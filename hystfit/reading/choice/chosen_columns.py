@@ -20,9 +20,9 @@ from hystfit.reading.choice.pair_score import TIE, Reading, readings
 from hystfit.reading.choice.quantities_by_others import tell_by_others
 from hystfit.reading.choice.time_column import guess_time, is_clock
 from hystfit.reading.limits import OF_RECORD, RARE
-from hystfit.reading.names.column_names import column_quantity, column_role
+from hystfit.reading.names.branch_words import words_of
+from hystfit.reading.names.column_names import column_role
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import computed, proportional, rounded, same_loop
 
@@ -110,11 +110,11 @@ def choose(
     if len(set(given.values())) < len(given):
         raise DataError(f"{table.source}: input and output are the same column, {table.names[given['input']]!r}")
     used = {*taken, *given.values()}
-    free = [k for k in range(len(table.names)) if k not in table.labels and k not in used and not table.constant(k)]
+    free = [k for k in table.positions if k not in table.labels and k not in used and not table.constant(k)]
     filled = {k: np.isfinite(table.columns[k]).mean() for k in free}
     free = [k for k in free if filled[k] > RARE * max(filled.values())]
     known = lambda k: table.named or table.units[k]  # columns without names may have units
-    kinds = {k: column_quantity(table.names[k], table.units[k]) if known(k) else "" for k in range(len(table.names))}
+    kinds = {k: table.quantity(k) if known(k) else "" for k in table.positions}
     if (
         "Y_value" in table.names
     ):  # a digitized plot: X_value is no time, as it is in LabVIEW, and pixels are no quantity

@@ -384,7 +384,7 @@ def is_raw_signal(table: Table, position: int) -> bool:
     """
     name = split_unit(table.names[position])[0].strip().lower()
     unit = table.units[position]
-    if not name or "voltage" not in (quantity(unit), column_quantity(table.names[position], unit)):
+    if not name or "voltage" not in (quantity(unit), table.quantity(position)):
         return False
 
     def measures(k: int) -> bool:
@@ -395,4 +395,4 @@ def is_raw_signal(table: Table, position: int) -> bool:
         same = split_unit(table.names[k])[0].strip().lower() == name
         return same or (computable and proportional(table.columns[position], table.columns[k]))
 
-    return any(measures(k) for k in range(len(table.names)) if k != position)
+    return any(measures(k) for k in table.positions if k != position)

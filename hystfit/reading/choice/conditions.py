@@ -9,7 +9,6 @@ import numpy as np
 
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.reading.choice.column_facts import HEATED
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
 
 # Parts of a record whose medians are compared, so that the noise of a temperature, 2 to 25 K in molecular dynamics, is no change.
@@ -18,7 +17,7 @@ _PARTS = 32
 
 def without_turns(table: Table, output: int, notes: list[Note]) -> Table:
     """The table without the rows in which other channels were measured in turn with the output, which are empty cells there."""
-    others = _in_its_place(table, [k for k in range(len(table.names)) if table.named and k != output], output)
+    others = _in_its_place(table, [k for k in table.positions if table.named and k != output], output)
     elsewhere = (
         np.any([np.isfinite(table.columns[k]) for k in others], axis=0) if others else np.zeros(table.rows, bool)
     )
@@ -36,7 +35,7 @@ def _in_its_place(table: Table, columns: list[int], output: int) -> list[int]:
     present, unit = np.isfinite(table.columns[output]), table.units[output]
     filled = lambda own: own.any() and not (own & present).any()
     alike = (k for k in columns if unit and table.units[k] == unit and filled(np.isfinite(table.columns[k])))
-    return [k for k in alike if column_quantity(table.names[k], unit) != "error"]
+    return [k for k in alike if table.quantity(k) != "error"]
 
 
 def _change(values: np.ndarray) -> float:
@@ -53,12 +52,11 @@ def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) 
         used: columns of the record.
         output: that of the output.
     """
-    others = [k for k in range(len(table.names)) if table.named and k not in used]
-    kind = lambda k: column_quantity(table.names[k], table.units[k])
-    heated = any(kind(k) == "temperature" for k in used if k is not None)  # it is no condition but the input
+    others = [k for k in table.positions if table.named and k not in used]
+    heated = any(table.quantity(k) == "temperature" for k in used if k is not None)  # it is no condition but the input
     for k in others:
         values = table.columns[k][np.isfinite(table.columns[k])]
-        if kind(k) == "temperature" and not heated and values.size and _change(values) > HEATED:
+        if table.quantity(k) == "temperature" and not heated and values.size and _change(values) > HEATED:
             yield warn(
                 Code.CONDITIONS,
                 f"the temperature ({table.names[k]!r}) changes from {values.min():.4g} to {values.max():.4g} {table.units[k]} within this "

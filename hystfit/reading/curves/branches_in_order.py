@@ -8,7 +8,6 @@ from hystfit.outcome import Code
 from hystfit.outcome.note import Note, warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.quantity_points import LOADS
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
 
 _FEWEST, _MOST = 40, 4000  # rows of a loop
@@ -32,7 +31,7 @@ def in_order_of_time(table: Table, choice: Choice, notes: list[Note]) -> Table:
     if branches is None:
         return table
     low, high = (order[rows] for rows in branches)
-    load = column_quantity(table.names[choice.output], table.units[choice.output]) in LOADS
+    load = table.quantity(choice.output) in LOADS
     up, down = (high, low) if load or np.corrcoef(u, y)[0, 1] < 0 else (low, high)
     text = "the rows are in the order of the input: two branches were told apart by their outputs"
     notes.append(

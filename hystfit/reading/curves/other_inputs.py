@@ -11,7 +11,6 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.unseparated_curves import numbers_cycles
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn
 
@@ -25,7 +24,7 @@ _WITH_INPUT, _WITH_OUTPUT = 0.5, 0.9
 
 def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iterator[Note]:
     """A warning for each of these columns of numbers that is a further input, with how to read the samples of one of its levels."""
-    kinds = [column_quantity(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
+    kinds = [*map(table.quantity, table.positions)]
     for position in positions:
         name, values = table.names[position], table.columns[position]
         if kinds[position] in ("index", "time") or _STATE.search(name):

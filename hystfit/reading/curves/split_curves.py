@@ -19,10 +19,10 @@ from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_cu
 from hystfit.reading.curves.other_inputs import other_inputs
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
-from hystfit.reading.limits import FEWEST, JUMP, MAJORITY, MOST_CURVES, NEAR
+from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, NEAR
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on
+from hystfit.reading.table.signal_evidence import clock_goes_on, jumps, meet
 
 _CLEARLY = 4.0  # times the range of a condition within a curve, by which it differs from curve to curve
 
@@ -119,8 +119,8 @@ def _goes_on(table: Table, choice: Choice, starts: np.ndarray) -> str:
     if choice.time is not None:
         goes_on = clock_goes_on(table.columns[choice.time], starts)
         return "the time goes on at its usual steps" if goes_on else ""
-    numbered = any(table.counts(k) for k in range(len(table.names)) if k not in (choice.input, choice.output))
-    jump = numbered and any(_jumps(table.columns[k], starts - 1).any() for k in (choice.input, choice.output))
+    numbered = any(table.counts(k) for k in table.positions if k not in (choice.input, choice.output))
+    jump = numbered and any(jumps(table.columns[k], starts - 1).any() for k in (choice.input, choice.output))
     return "the number of the sample goes on" if numbered and not jump else ""
 
 
@@ -160,18 +160,15 @@ def _one_loop(table: Table, choice: Choice, pieces: Sequence[np.ndarray], notes:
 def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
     """Whether the input runs up and down in turn from block to block, and each block begins near the end of the one before."""
     near, way = NEAR * np.ptp(u[np.isfinite(u)]), 0.0
-    for before, piece in itertools.pairwise([pieces[0], *pieces]):
+    for piece in pieces:
         ends = u[piece[0]], u[piece[-1]]
         stroke = float(ends[1] - ends[0])
         # A block is one branch: nowhere does it leave the range between its ends.
         inside = np.all((u[piece] >= min(ends) - near) & (u[piece] <= max(ends) + near))
         if not inside or abs(stroke) <= near or stroke * way > 0:
             return False
-        apart = [abs(x[piece[0]] - x[before[-1]]) for x in (u, y)]
-        if way and not (apart[0] <= near and apart[1] <= NEAR * np.ptp(y[np.isfinite(y)])):
-            return False
         way = stroke
-    return True
+    return meet([u[piece] for piece in pieces]) and meet([y[piece] for piece in pieces])
 
 
 def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
@@ -242,8 +239,8 @@ def _restarts(table: Table, choice: Choice, notes: list[Note]) -> np.ndarray:
     alike = np.all(
         [np.abs(v[starts[1:]] - v[starts[:-1]]) <= 2 * NEAR * np.ptp(v[np.isfinite(v)]) for v in loop], axis=0
     )
-    jumps = np.any([_jumps(v, np.flatnonzero(back)) for v in loop], axis=0)
-    if not again.all() or not (alike | jumps).all():
+    apart = np.any([jumps(v, np.flatnonzero(back)) for v in loop], axis=0)
+    if not again.all() or not (alike | apart).all():
         return nowhere
     notes.append(Note(Code.CURVES, f"the time starts again {int(back.sum())} times: each part is a curve"))
     return back
@@ -290,25 +287,17 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         changes = np.flatnonzero(np.diff(numbers))
         if not changes.size or np.unique(numbers).size <= changes.size or table.rows < FEWEST * (changes.size + 1):
             continue
-        apart = _jumps(u, changes) | (_jumps(y, changes) & ~_reverses(u, changes))
+        apart = jumps(u, changes) | (jumps(y, changes) & ~_reverses(u, changes))
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
         # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
         alike = choice.time is None and _closed_loops(u, y, changes)
-        told = changes.size > 1 and bool(_jumps(u, changes).all())
+        told = changes.size > 1 and bool(jumps(u, changes).all())
         if choice.time is not None:
             told |= np.array_equal(np.flatnonzero(np.diff(table.columns[choice.time]) < 0), changes)
         if (apart.mean() >= 0.5 or alike) if named else told:
             return position
     return None
-
-
-def _jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Whether steps after these rows are large beside the three before and the three after them, shape of `at`, bool."""
-    steps = np.abs(np.diff(values))
-    padded = np.pad(np.nan_to_num(steps), 3)
-    around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
-    return (steps[at] > JUMP * around) & (steps[at] > NEAR * np.ptp(values[np.isfinite(values)]))
 
 
 def _reverses(u: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -332,7 +321,7 @@ def _plain(name: str) -> str:
 
 
 def _suggest(table: Table, choice: Choice, notes: list[Note]) -> None:
-    others = [k for k in range(len(table.names)) if k not in (choice.time, choice.input, choice.output)]
+    others = [k for k in table.positions if k not in (choice.time, choice.input, choice.output)]
     numbers: list[int] = []
     for position in others:
         name = table.names[position]

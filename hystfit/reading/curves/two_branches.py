@@ -15,10 +15,10 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.limits import FEWEST, NEAR
-from hystfit.reading.names.column_names import column_quantity, is_channel
+from hystfit.reading.names.branch_words import FALLING, RISING
+from hystfit.reading.names.column_names import is_channel
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import FALLING, RISING
-from hystfit.reading.table.raw_table import Part, Table
+from hystfit.reading.table.raw_table import Part, Table, below_each_other
 
 _NEUTRAL = frozenset({"forward", "fwd"})  # the first branch, whichever way it runs
 _BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, also beside a column without such a word
@@ -86,16 +86,10 @@ def _cycles_of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
     loops = [loop for of in cycles.values() if (loop := _of_own_inputs(table, of)) is not None]
     if len(loops) < len(cycles):
         return None
-    part = np.repeat(np.arange(len(loops)), [loop.rows for loop in loops])
-    first = loops[0]
-    return dataclasses.replace(
-        first.take(np.zeros(part.size, dtype=int)),
-        names=tuple(re.sub(r"[ _.#-]*\d+$", "", name) for name in first.names),
-        columns=tuple(np.concatenate(side) for side in zip(*(loop.columns for loop in loops), strict=True)),
-        line=np.concatenate([loop.line for loop in loops]),
-        part=part,
-        parts=tuple(Part(name=f"cycle {cycle}") for cycle in cycles),
-    )
+    names = tuple(re.sub(r"[ _.#-]*\d+$", "", name) for name in loops[0].names)
+    alike = [dataclasses.replace(loop, names=names) for loop in loops]
+    parts = [Part(name=f"cycle {cycle}") for cycle in cycles]
+    return dataclasses.replace(below_each_other(alike, parts), metadata=table.metadata)
 
 
 def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
@@ -115,7 +109,7 @@ def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
 
 def _pairs(table: Table) -> list[_Pair]:
     """Pairs of columns of numbers whose names differ only in the word of a branch."""
-    numbers = (k for k in range(len(table.names)) if k not in table.labels and k not in table.stamps)
+    numbers = (k for k in table.positions if k not in table.labels and k not in table.stamps)
     split = {k: _branch(table.names[k]) for k in numbers if not is_channel(table.names[k])}
     found = []
     for (i, (base, word)), (j, (other, word2)) in itertools.combinations(split.items(), 2):
@@ -135,7 +129,7 @@ def _pairs(table: Table) -> list[_Pair]:
 def _named_alike(table: Table) -> list[_Pair]:
     """Pairs of columns whose names differ in one word without a number, where each column belongs to a pair or is the only other one."""
     there = [k for k, column in enumerate(table.columns) if k not in table.labels and np.isfinite(column).any()]
-    kinds = {k: column_quantity(table.names[k], table.units[k]) for k in there}
+    kinds = {k: table.quantity(k) for k in there}
     there = [k for k in there if kinds[k] not in ("time", "index")]
     words = {k: split_unit(table.names[k])[0].split() for k in there}
     found = []
@@ -189,7 +183,7 @@ def _of_own_inputs(table: Table, pairs: Sequence[_Pair]) -> Table | None:
         first, rows[0] = first[::-1], rows[0][::-1]
     for side, pair in enumerate(pairs):
         # A battery discharges that with which it was charged, and both are counted from zero.
-        kind = column_quantity(table.names[pair.columns[0]], table.units[pair.columns[0]])
+        kind = table.quantity(pair.columns[0])
         ends = [(abs(branch[0, side]), branch[-1, side]) for branch in (first, second)]
         if pair.directed and kind in ("state of charge", "charge") and all(a <= NEAR * b for a, b in ends):
             second[:, side] = first[-1, side] - second[:, side]
@@ -225,12 +219,10 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
     """
     columns = [k for pair in pairs for k in pair.columns]
     taken = {*columns, *(k for pair in others for k in pair.columns)}
-    drives = [k for k in range(len(table.names)) if k not in taken and _runs_once(table, k)]
+    drives = [k for k in table.positions if k not in taken and _runs_once(table, k)]
     if not drives:
         return None
-    heated = lambda k: (
-        column_quantity(table.names[k], table.units[k]) == "temperature"
-    )  # drifts beside a field or a force
+    heated = lambda k: table.quantity(k) == "temperature"  # drifts beside a field or a force
     drive = min(drives, key=lambda k: (heated(k), k))
     u, outputs = table.columns[drive], [table.columns[k] for k in columns]
     if not pairs[0].directed:
@@ -261,11 +253,7 @@ def _of_one_input(table: Table, pairs: Sequence[_Pair], others: Sequence[_Pair] 
 def _two_directions(table: Table, drive: int, pair: _Pair) -> Table | None:
     """The curve of an output over a speed in both directions, of which a table states the size; None for other branches."""
     u = table.columns[drive]
-    if (
-        pair.word not in _SIGNS
-        or column_quantity(table.names[drive], table.units[drive]) != "velocity"
-        or np.nanmin(u) < 0
-    ):
+    if pair.word not in _SIGNS or table.quantity(drive) != "velocity" or np.nanmin(u) < 0:
         return None
     rows = [np.flatnonzero(np.isfinite(u + table.columns[k])) for k in pair.columns]
     rows = [kept[np.argsort(u[kept], kind="stable")] for kept in rows]
@@ -282,7 +270,7 @@ def _two_directions(table: Table, drive: int, pair: _Pair) -> Table | None:
 
 def _is_force_loop(table: Table, drive: int, output: int) -> bool:
     """Whether the output resists the input, so that its rising branch lies above the falling one."""
-    kinds = [column_quantity(table.names[k], table.units[k]) for k in (drive, output)]
+    kinds = [table.quantity(k) for k in (drive, output)]
     return kinds[0] in ("displacement", "strain") and kinds[1] in ("force", "stress")
 
 
@@ -305,7 +293,7 @@ def _runs_once(table: Table, position: int) -> bool:
     """Whether a column may be the input of two branches: it runs from one end to the other once, and is neither time nor number."""
     if position in table.labels or position in table.stamps:
         return False
-    if column_quantity(table.names[position], table.units[position]) in ("index", "time"):
+    if table.quantity(position) in ("index", "time"):
         return False
     steps = np.diff(table.columns[position][np.isfinite(table.columns[position])])
     return steps.size >= FEWEST - 1 and bool((steps > 0).all() or (steps < 0).all())
@@ -361,6 +349,6 @@ def mirrored(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> np.n
     apart, widest = np.sqrt(np.mean((first + second[::-1]) ** 2)), np.abs(first - second).max()
     if not (apart < 2 * NEAR * widest and widest > OPEN * np.ptp([first, second])):
         return None
-    leads = column_quantity(table.names[choice.output], table.units[choice.output]) in ("force", "stress")
+    leads = table.quantity(choice.output) in ("force", "stress")
     falling, rising = pieces if (np.mean(first - second) > 0) != leads else pieces[::-1]
     return np.concatenate([falling[::-1], rising])

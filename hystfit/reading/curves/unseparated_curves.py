@@ -12,7 +12,6 @@ from hystfit.outcome import Code, Note
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
-from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import levels_in_turn, swings
@@ -31,7 +30,7 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
     if not np.isfinite(u).all() or u.size < 2 * OF_RECORD:
         return None
     for position, name in enumerate(table.names):
-        values, kind = table.columns[position], column_quantity(name, table.units[position])
+        values, kind = table.columns[position], table.quantity(position)
         if position in (choice.input, choice.output, *table.labels) or not np.isfinite(values).all():
             continue
         is_set = choice.time is None and kind not in ("index", "status") and levels_in_turn(values)  # as of a gate
@@ -39,7 +38,7 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         if not (kind == "temperature" or is_set):
             continue
         rows = np.arange(u.size)
-        if not is_set and column_quantity(table.names[choice.input], table.units[choice.input]) in _FIELDS:
+        if not is_set and table.quantity(choice.input) in _FIELDS:
             rows = np.flatnonzero(~_heated(u, values))
         begins = _steps_of_plateaus(values[rows])
         pieces = np.split(rows, begins)

@@ -15,8 +15,14 @@ from hystfit.reading.files.file_bytes import allowed
 from hystfit.reading.names.names_with_units import is_unit, split_unit
 from hystfit.reading.text.stated_interval import interval_of
 
+HDF = b"\x89HDF"  # first bytes of an HDF5 file, before which MATLAB writes 512 of its own
 _CHUNK = 2**20
 DOUBLE = 8  # bytes that every number takes in the end
+
+
+def is_hdf(raw: bytes) -> bool:
+    """Whether the bytes are those of an HDF5 file, or of one with the header of MATLAB."""
+    return HDF in (raw[:4], raw[512:516])
 
 
 def check_size(size: int, raw: bytes) -> None:

@@ -13,6 +13,7 @@ from hystfit.errors import DataError, MissingExtraError
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening
+from hystfit.reading.frames import seconds_passed
 from hystfit.reading.limits import FEWEST, MOST_COLUMNS
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
@@ -136,25 +137,26 @@ def _of_groups(
     groups = _groups(arrays)
     first = next(iter(groups.values()), {})
     signals = [name for name in first if column_quantity(name) not in ("", "time", "index")]
-    if len(groups) < 2 or len(signals) < 2 or any(group.keys() != first.keys() for group in groups.values()):
+    if len(signals) < 2:
         return None
     tables = [table_of_arrays(group, source, sha256, notes) for group in groups.values()]
     if len({tuple(sorted(table.names)) for table in tables}) > 1:
         return None
     paths = [re.split(r"[./]", name) for name in groups]
     shared = set(paths[0]).intersection(*paths)
-    parts = tuple(Part(name=" ".join(word for word in path if word not in shared)) for path in paths)
+    parts = [Part(name=" ".join(word for word in path if word not in shared)) for path in paths]
     text = f"{len(groups)} groups of columns of the same names, each a record"
-    return dataclasses.replace(below_each_other(tables), parts=parts).noted(Note(Code.CURVES, text))
+    return below_each_other(tables, parts).noted(Note(Code.CURVES, text))
 
 
 def _groups(arrays: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-    """The columns of each group by their names."""
+    """The columns of each group by their names; none where there is one group, or they differ in their names."""
     groups: dict[str, dict[str, np.ndarray]] = {}
     for match in filter(None, map(_PATH.fullmatch, arrays)):
         if np.squeeze(arrays[match[0]]).ndim == 1:
             groups.setdefault(match["group"], {})[match["name"]] = arrays[match[0]]
-    return groups
+    alike = len(groups) > 1 and len({frozenset(group) for group in groups.values()}) == 1
+    return groups if alike else {}
 
 
 def _signals_in_rows(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] | None:
@@ -165,9 +167,7 @@ def _signals_in_rows(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray] 
     groups = _groups(arrays)
     first = next(iter(groups.values()), {})
     sizes = [{array.size for array in group.values()} for group in groups.values()]
-    if len(groups) < 2 or any(group.keys() != first.keys() for group in groups.values()):
-        return None
-    if any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
+    if not groups or any(len(size) > 1 or min(size) < FEWEST for size in sizes) or len(set.union(*sizes)) == 1:
         return None  # signals of equal length are columns
     joined = {name: np.concatenate([np.squeeze(group[name]) for group in groups.values()]) for name in first}
     clocks = {name: _clock(array) for name, array in joined.items()}
@@ -190,7 +190,7 @@ def _clock(array: np.ndarray) -> np.ndarray | None:
     None for other arrays, and for dates that can be read in two ways.
     """
     if array.dtype.kind in "mM":
-        return _seconds(array)
+        return seconds_passed(array)
     if array.dtype.kind not in "US":
         return None
     texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else one for one in array.tolist()]
@@ -200,14 +200,3 @@ def _clock(array: np.ndarray) -> np.ndarray | None:
         return cells.seconds(texts, "")[0]
     except DataError:  # dates that can be read in two ways
         return None
-
-
-def _seconds(stamps: np.ndarray) -> np.ndarray:
-    """Dates or durations of numpy as seconds from the first one that is there, shape (rows,), NaN where missing."""
-    there = stamps[~np.isnat(stamps)]
-    passed = stamps - (there[0] if there.size else stamps[0])
-    unit = np.timedelta64(1, np.datetime_data(passed.dtype)[0])
-    if np.datetime_data(passed.dtype)[0] in ("Y", "M", "generic"):
-        return np.full(stamps.size, np.nan)
-    factor = np.datetime_data(passed.dtype)[1] * (unit / np.timedelta64(1, "s"))
-    return np.where(np.isnat(passed), np.nan, passed.astype(np.int64) * factor)

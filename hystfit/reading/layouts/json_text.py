@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Any
@@ -17,11 +16,12 @@ from hystfit.params.units import quantity
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.layouts.array_table import table_of_arrays
-from hystfit.reading.limits import DEEPEST, FEWEST, LONGEST, NEAR
+from hystfit.reading.limits import DEEPEST, FEWEST, LONGEST
+from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.branch_words import words_of
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
+from hystfit.reading.table.signal_evidence import meet
 from hystfit.reading.text.header import MOST_METADATA
 from hystfit.reading.text.stated_interval import interval_of
 from hystfit.reading.text.stated_results import result_of
@@ -61,7 +61,6 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
         raise DataError(f"{file.source} holds no arrays of numbers; write each column as a list under its name")
     units = {*_unit_texts(content)}
     tables = [_table(file, _with_units(arrays, units), note) for arrays, _, _ in parts]
-    table = tables[0] if len(tables) == 1 else below_each_other(tables)
     described = [_part(name, scalars) for _, name, scalars in parts]
     if len(parts) > 1 and len({*(part.name for part in described), ""}) <= len(parts):
         names = [f"record={k}" for k in range(len(parts))]
@@ -71,7 +70,7 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
         described = [dataclasses.replace(part, name=name) for part, name in zip(described, names, strict=True)]
     intervals = {interval_of({**_scalars(content), **scalars}) for *_, scalars in parts}
     return dataclasses.replace(
-        table,
+        tables[0] if len(tables) == 1 else below_each_other(tables, described),
         metadata=described[0].metadata if len(parts) == 1 else {},
         parts=tuple(described),
         interval=intervals.pop() if len(intervals) == 1 else None,
@@ -197,16 +196,11 @@ def _joined(parts: list[_Record], title: str) -> list[_Record]:
         title: name of the list that holds them.
     """
     told = all(_STEPS & words_of(" ".join([title, name, *map(str, scalars)])) for _, name, scalars in parts)
-    names = list(parts[0][0])
-    if len(parts) < 2 or not told or any(array.ndim > 1 for arrays, _, _ in parts for array in arrays.values()):
+    columns = {name: [arrays[name] for arrays, _, _ in parts] for name in parts[0][0]}
+    numbers = [column for column in columns.values() if column[0].dtype.kind == "f"]
+    if len(parts) < 2 or not told or not all(map(meet, numbers)):
         return parts
-    whole = {name: np.concatenate([arrays[name] for arrays, _, _ in parts]) for name in names}
-    for name in names:
-        steps = max(float(np.abs(np.diff(arrays[name])).max()) for arrays, _, _ in parts)
-        gaps = [abs(after[name][0] - before[name][-1]) for (before, *_), (after, *_) in itertools.pairwise(parts)]
-        if not max(gaps) <= max(NEAR * float(np.ptp(whole[name])), 2 * steps):
-            return parts
-    return [(whole, "", {})]
+    return [({name: np.concatenate(column) for name, column in columns.items()}, "", {})]
 
 
 def _records(items: Iterable[tuple[str, Any]]) -> list[tuple[str, dict[str, np.ndarray], dict[str, Any]]]:

@@ -12,28 +12,25 @@ import numpy as np
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.text_file import Opening
-from hystfit.reading.layouts.array_files import DOUBLE, check_size, hdf5_arrays
+from hystfit.reading.layouts.array_files import DOUBLE, check_size, hdf5_arrays, is_hdf
 from hystfit.reading.layouts.array_table import errors_of, read_arrays
 from hystfit.reading.layouts.json_text import table_of_tree
 from hystfit.reading.layouts.mat_structure import check_structure
 from hystfit.reading.table.raw_table import Table
 
-_HDF = b"\x89HDF"
-
 
 def read_matlab(file: FileBytes, opening: Opening) -> Table:
     """MATLAB variables, also within structures; an array of structures has a record, or a named channel, in each."""
-    if file.raw.startswith(b"MATLAB 7.3") or _HDF in (file.raw[:4], file.raw[512:516]):
-        return read_arrays(_of_hdf, file, opening)
+    if file.raw.startswith(b"MATLAB 7.3") or is_hdf(file.raw):
+        of_columns = lambda raw: {
+            name: array.T for name, array in hdf5_arrays(raw).items()
+        }  # which MATLAB stores first
+        return read_arrays(of_columns, file, opening)
     with errors_of(file, opening):
         tree = _by_cell(_variables(file.raw))
     if any(map(_has_structures, tree.values())):
         return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
     return read_arrays(lambda _: _flatten(tree) | _scalars(tree), file, opening)
-
-
-def _of_hdf(raw: bytes) -> dict[str, np.ndarray]:
-    return {name: array.T for name, array in hdf5_arrays(raw).items()}  # MATLAB stores columns first
 
 
 def _variables(raw: bytes) -> dict[str, Any]:

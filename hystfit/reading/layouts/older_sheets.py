@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import datetime
 import io
 import zipfile
-from collections.abc import Iterator, Sequence
 from typing import Any
 
 from hystfit.errors import DataError
@@ -15,20 +13,8 @@ from hystfit.reading.layouts.array_files import check_members
 MOST_CELLS = 4_000_000  # of a sheet, in use or not: each takes about 60 bytes
 
 
-@dataclasses.dataclass(frozen=True)
-class Sheet:
-    """A sheet: its title, and its rows of cells, "" where a cell is empty."""
-
-    title: str
-    rows: Sequence[Sequence[Any]]
-
-    def iter_rows(self, *, values_only: bool = True, max_row: int | None = None) -> Iterator[Sequence[Any]]:
-        """The rows, as a sheet of openpyxl gives them."""
-        yield from self.rows[:max_row]
-
-
-def sheets_of(raw: bytes) -> list[Sheet]:
-    """The sheets in the bytes of a file.
+def sheets_of(raw: bytes) -> dict[str, list[list[Any]]]:
+    """The rows of the sheets in the bytes of a file by their titles, "" where a cell is empty.
 
     Raises:
         DataError: it unpacks to many times its size, or a sheet has too many cells.
@@ -39,13 +25,13 @@ def sheets_of(raw: bytes) -> list[Sheet]:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             check_members(archive, raw)
     book = calamine.CalamineWorkbook.from_filelike(io.BytesIO(raw))
-    return [_sheet(name, book.get_sheet_by_name(name)) for name in book.sheet_names]
+    return {name: _rows(name, book.get_sheet_by_name(name)) for name in book.sheet_names}
 
 
-def _sheet(name: str, sheet: Any) -> Sheet:
+def _rows(name: str, sheet: Any) -> list[list[Any]]:
     if sheet.total_height * sheet.total_width > MOST_CELLS:
         raise DataError(f"sheet {name!r} has more than {MOST_CELLS} cells, in use or not; save it as CSV")
-    return Sheet(name, [[_cell(value) for value in row] for row in sheet.to_python(skip_empty_area=False)])
+    return [[_cell(value) for value in row] for row in sheet.to_python(skip_empty_area=False)]
 
 
 def _cell(value: Any) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.text_file import TextFile
-from hystfit.reading.table.branch_words import FALLING, RISING, words_of
+from hystfit.reading.names.branch_words import FALLING, RISING, words_of
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.text.plain_text import plain_text
 

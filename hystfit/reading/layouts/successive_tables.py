@@ -70,9 +70,8 @@ def read_tables(text: TextFile) -> Table | None:
     common = sample_properties(text.lines[: pieces[0].first], tables[chosen[0]].names)
     if loop is not None:
         return dataclasses.replace(loop, notes=tuple(notes), metadata=common | loop.metadata)
-    table = below_each_other([tables[k] for k in chosen]) if len(chosen) > 1 else tables[chosen[0]]
-    table = dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
-    return table
+    table = below_each_other([tables[k] for k in chosen], parts) if len(chosen) > 1 else tables[chosen[0]]
+    return dataclasses.replace(table, parts=tuple(parts), notes=tuple(notes), metadata=common | table.metadata)
 
 
 def _alike(tables: dict[int, Table]) -> list[int]:
@@ -188,7 +187,7 @@ def _part(text: TextFile, piece: _Piece, table: Table) -> Part:
     titles = [line for line in _lines_above(text, piece) if setting_of(line) is None]
     title = titles[-1] if titles else ""
     title = title[1:-1] if title.startswith("[") and title.endswith("]") else title
-    return Part(title, table.metadata, table.parts[0].stated if table.parts else ())
+    return Part(title, table.metadata, table.whole.stated)
 
 
 def _lines_above(text: TextFile, piece: _Piece) -> list[str]:

@@ -8,7 +8,7 @@ import io
 import itertools
 import warnings
 import zipfile
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,7 @@ from hystfit.reading.layouts.array_files import check_members
 from hystfit.reading.layouts.older_sheets import MOST_CELLS, sheets_of
 from hystfit.reading.layouts.transposed import turned
 from hystfit.reading.limits import SAMPLE
-from hystfit.reading.names.column_names import column_quantity
-from hystfit.reading.table.raw_table import Part, Table, below_each_other, one_loop
+from hystfit.reading.table.raw_table import Table, below_each_other, one_loop
 from hystfit.reading.text import cells
 from hystfit.reading.text.dialect import Text, dialect_of
 from hystfit.reading.text.number_block import careful_block
@@ -37,12 +36,13 @@ def read_workbook(file: FileBytes, opening: Opening) -> Table:
     """Excel sheets, the first with columns of numbers and those with the same ones, unless `--sheet` names one; needs the extra "files"."""
     openpyxl = optional("openpyxl", "files", "reading Excel files")
 
-    def sheets() -> list[Any]:
+    def sheets() -> dict[str, Iterable[Sequence[Any]]]:
         with zipfile.ZipFile(io.BytesIO(file.raw)) as archive:
             check_members(archive, file.raw)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # on styles and extensions of the sheets
-            return openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True).worksheets
+            book = openpyxl.load_workbook(io.BytesIO(file.raw), read_only=True, data_only=True)
+        return {page.title: page.iter_rows(values_only=True) for page in book.worksheets}
 
     return _read(file, opening, sheets, lambda: _holds_formulas(openpyxl, file.raw))
 
@@ -53,20 +53,29 @@ def read_older_sheets(file: FileBytes, opening: Opening) -> Table:
     return _read(file, opening, lambda: sheets_of(file.raw), lambda: False)
 
 
-def _read(file: FileBytes, opening: Opening, sheets: Callable[[], list[Any]], formulas: Callable[[], bool]) -> Table:
+def _read(
+    file: FileBytes,
+    opening: Opening,
+    sheets: Callable[[], Mapping[str, Iterable[Sequence[Any]]]],
+    formulas: Callable[[], bool],
+) -> Table:
     """The columns of the sheets of a workbook.
 
     Args:
-        sheets: opens the file; the names and rows of its sheets.
+        sheets: opens the file; the rows of its sheets by their titles.
         formulas: whether there are formulas, whose values the file may lack.
     """
     source, sheet = file.source, opening.sheet
     try:
-        pages = {title: rows for page in sheets() for title, rows in _side_by_side(page.title, _cells_of(page, source))}
+        pages = {
+            title: cells
+            for name, rows in sheets().items()
+            for title, cells in _side_by_side(name, _cells_of(name, rows))
+        }
     except DataError as error:
         raise DataError(f"{source}: {error}") from error
     except Exception as error:  # the libraries raise zipfile, KeyError and their own errors on damaged files
-        raise _unreadable(source, error) from error
+        raise DataError(f"{source} cannot be read as a workbook: {error}; save it again as .xlsx or as CSV") from error
     titles = list(pages)
     if isinstance(sheet, str) and sheet not in pages and sheet.isdigit():
         sheet = int(sheet)
@@ -117,8 +126,7 @@ def _tables(file: FileBytes, pages: Mapping[str, list[list[str]]]) -> tuple[dict
 
 def _holds_pair(table: Table) -> bool:
     """Whether at least two columns of numbers change that are no times or counters."""
-    kinds = [column_quantity(*told) for told in zip(table.names, table.units, strict=True)]
-    numbers = [k for k, kind in enumerate(kinds) if k not in table.labels and kind not in ("time", "index")]
+    numbers = [k for k in table.positions if k not in table.labels and table.quantity(k) not in ("time", "index")]
     return sum(np.unique(table.columns[k][np.isfinite(table.columns[k])]).size > 1 for k in numbers) > 1
 
 
@@ -165,16 +173,12 @@ def _table_of(file: FileBytes, rows: list[list[str]]) -> Table | None:
 def _records(tables: Mapping[str, Table]) -> Table:
     """Sheets with the same columns as one table, of which each is a record with its title."""
     sheets = ", ".join(map(repr, tables))
-    base = [table.parts[0] if table.parts else Part() for table in tables.values()]
-    parts = [
-        dataclasses.replace(part, name=title, metadata=table.metadata)
-        for part, (title, table) in zip(base, tables.items(), strict=True)
-    ]
+    parts = [dataclasses.replace(table.whole, name=title, metadata=table.metadata) for title, table in tables.items()]
     if (loop := one_loop([*tables], [*tables.values()])) is not None:
         text = f"{len(tables)} sheets of the same columns, each a branch: {sheets} (--sheet reads one)"
         return loop.noted(Note(Code.FILE_FORMAT, text))
     text = f"{len(tables)} sheets of the same columns, each a record: {sheets} (--sheet reads one)"
-    return dataclasses.replace(below_each_other([*tables.values()]), parts=tuple(parts)).noted(Note(Code.CURVES, text))
+    return below_each_other([*tables.values()], parts).noted(Note(Code.CURVES, text))
 
 
 def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, chosen: bool) -> Note:
@@ -188,31 +192,16 @@ def _sheet_note(title: str, titles: Sequence[str], pairs: Collection[str], *, ch
     return warn(Code.FILE_FORMAT, text)
 
 
-def _unreadable(source: str, error: Exception) -> DataError:
-    return DataError(f"{source} cannot be read as a workbook: {error}; save it again as .xlsx or as CSV")
-
-
-def _cells_of(page: Any, source: str, most: int | None = None) -> list[list[str]]:
-    """Cells of a sheet, row by row.
-
-    Args:
-        most: number of rows; None for all.
-    """
-    rows: list[list[str]] = []
+def _cells_of(title: str, rows: Iterable[Sequence[Any]]) -> list[list[str]]:
+    """Cells of a sheet, row by row."""
+    found: list[list[str]] = []
     count = 0
-    try:
-        for row in page.iter_rows(values_only=True, max_row=most):
-            count += len(row) + 1
-            if count > MOST_CELLS:
-                raise DataError(
-                    f"{source}, sheet {page.title!r} has more than {MOST_CELLS} cells, in use or not; save it as CSV"
-                )
-            rows.append([_cell(value) for value in row])
-    except DataError:
-        raise
-    except Exception as error:  # as above
-        raise _unreadable(source, error) from error
-    return rows
+    for row in rows:
+        count += len(row) + 1
+        if count > MOST_CELLS:
+            raise DataError(f"sheet {title!r} has more than {MOST_CELLS} cells, in use or not; save it as CSV")
+        found.append([_cell(value) for value in row])
+    return found
 
 
 def _cell(value: object) -> str:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable
 
 from hystfit.params.units import quantity, symbol_of
+from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.names_with_units import RATIO, split_unit
 from hystfit.reading.names.unit_case import in_case
 from hystfit.reading.names.vocabulary import ROLES, VOCABULARY, WORDS
@@ -165,11 +166,7 @@ def without_role(name: str) -> str:
 @_of_names
 def parts_of(name: str) -> frozenset[str]:
     """Words, letters and numbers in a name that tell which part of a device or axis it is of: x of Disp_X_mm, joint and 1 of joint_1."""
-    return frozenset(
-        re.findall(
-            r"[a-z]{2,}|(?<![a-z])[a-z](?![a-z])|\d+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", split_unit(name)[0]).lower()
-        )
-    )
+    return frozenset(words_of(split_unit(name)[0]))
 
 
 @_of_names

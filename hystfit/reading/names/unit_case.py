@@ -9,6 +9,7 @@ import functools
 import re
 
 from hystfit.params.units import quantity
+from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.vocabulary import WORDS
 
 # Symbols of units in lower case, and how they are written.
@@ -50,7 +51,7 @@ _HUGE = frozenset({"MA", "MV", "MT"})
 def in_case(name: str, unit: str) -> str:
     """A unit as it is written, for one in the wrong case of a column with this name; "" where it is no such unit."""
     plain = unit.replace("µ", "u").replace("μ", "u").lower()
-    torque = plain == "nm" and not _TORQUE.isdisjoint(_words(name))
+    torque = plain == "nm" and not _TORQUE.isdisjoint(words_of(name))
     huge = unit == "Mm" or (unit in _HUGE and len(name) > 1 and name.isupper())
     if quantity(unit) and not (torque or huge):
         return ""
@@ -79,7 +80,7 @@ def split_in_case(name: str) -> tuple[str, str] | None:
         if count == 1 == len(unit[0]) and len(base) == 1 and base.lower() not in _SYMBOLS_OF:
             continue
         text = unit[0] if count == 1 else f"{unit[0]}/{unit[-1]}"
-        if count == 2 and text.lower() in _MOMENTS and not _TORQUE.isdisjoint(_words(base)):
+        if count == 2 and text.lower() in _MOMENTS and not _TORQUE.isdisjoint(words_of(base)):
             return base, _MOMENTS[text.lower()]
         if written := in_case(base, text):
             return base, written
@@ -88,7 +89,7 @@ def split_in_case(name: str) -> tuple[str, str] | None:
 
 def _agrees(name: str, unit: str) -> bool:
     """Whether the quantity of a unit is one that the name states."""
-    kinds, words = _kinds(name), _words(name)
+    kinds, words = _kinds(name), words_of(name)
     if unit == "%":
         return len(name) > 1
     if unit.endswith(("Nm", "kgf*cm", "kgf*m")):
@@ -97,14 +98,9 @@ def _agrees(name: str, unit: str) -> bool:
     return bool(kinds & ({of_unit} | _STATED.get(of_unit, set())))
 
 
-def _words(name: str) -> list[str]:
-    parts = re.split(r"[\W_\d]+|(?<=[a-z])(?=[A-Z])", name)
-    return [part.lower() for part in parts if part]
-
-
 def _kinds(name: str) -> set[str]:
     """Quantities that the words of a name state."""
-    words = [*_words(name), name.strip().lower().replace(" ", "_")]
+    words = [*words_of(name), name.strip().lower().replace(" ", "_")]
     if terminal := _TERMINAL.fullmatch(name.lower().replace("_", "")):
         words.append(terminal[1])
     return {kind for word in words for kind in (WORDS.get(word), _SYMBOLS_OF.get(word)) if kind}

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Sequence
 
 import numpy as np
 
 from hystfit.data.stated import Stated
 from hystfit.outcome import Note
-from hystfit.reading.table.branch_words import BRANCHES, FALLING, words_of
+from hystfit.reading.names.branch_words import BRANCHES, FALLING, words_of
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.reading.table.signal_evidence import meet
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +87,25 @@ class Table:
         """Number of rows of numbers."""
         return self.line.size
 
+    @property
+    def positions(self) -> range:
+        """Positions of all columns."""
+        return range(len(self.names))
+
+    def quantity(self, position: int) -> str:
+        """Physical quantity of a column by its name and unit, "" if unknown."""
+        return column_quantity(self.names[position], self.units[position])
+
+    @property
+    def clocks(self) -> list[int]:
+        """Positions of the columns of times."""
+        return [k for k in self.positions if k in self.stamps or self.quantity(k) == "time"]
+
+    @property
+    def whole(self) -> Part:
+        """What the file says of its only record."""
+        return self.parts[0] if self.parts else Part()
+
     def constant(self, position: int) -> bool:
         """Whether a column has no two different numbers."""
         values = self.columns[position]
@@ -135,6 +155,11 @@ class Table:
             over=tuple(self.over[k] for k in positions) if self.over else (),
         )
 
+    def beside(self, name: str, values: np.ndarray, unit: str = "") -> Table:
+        """The table with one more column of numbers at its end, shape (rows,)."""
+        names, units, columns = (*self.names, name), (*self.units, unit), (*self.columns, values)
+        return dataclasses.replace(self, names=names, units=units, columns=columns)
+
     def noted(self, *notes: Note) -> Table:
         """The table with more notes."""
         return dataclasses.replace(self, notes=(*self.notes, *notes))
@@ -177,9 +202,7 @@ def plain_table(
     return Table(tuple(names), tuple(units), tuple(columns), labels, zeros, zeros, line, source, sha256, notes=notes)
 
 
-# Part of the range of an input that no page of a loop covers, while a loop of its own does; and by how many of its largest steps the
-# next page begins after the end of one.
-_PAGE, _USUAL_STEPS = 0.9, 2.0
+_PAGE = 0.9  # part of the range of an input that no page of a loop covers, while a loop of its own does
 
 
 def one_loop(titles: Sequence[str], tables: Sequence[Table]) -> Table | None:
@@ -192,8 +215,7 @@ def one_loop(titles: Sequence[str], tables: Sequence[Table]) -> Table | None:
     numbered = int(tables[0].counts(0))
     if len(ordered) == 2 and ordered[0].runs(numbered) * ordered[1].runs(numbered) > 0:  # both listed upward
         ordered[1] = ordered[1].take(np.arange(ordered[1].rows)[::-1])
-    below = below_each_other(ordered)
-    return dataclasses.replace(below, curve=np.zeros(below.rows, int), part=None, parts=(Part(),))
+    return dataclasses.replace(below_each_other(ordered, [Part()]), part=None)
 
 
 def _are_pages(tables: Sequence[Table]) -> bool:
@@ -203,16 +225,15 @@ def _are_pages(tables: Sequence[Table]) -> bool:
     turning = []
     for name in tables[0].names:
         columns = [table.columns[table.names.index(name)] for table in tables]
-        steps = np.concatenate([np.diff(column) for column in columns])
-        gaps = [abs(after[0] - before[-1]) for before, after in itertools.pairwise(columns)]
-        if not max(gaps) <= _USUAL_STEPS * np.abs(steps).max(initial=0.0):
+        if not meet(columns):
             return False
+        steps = np.concatenate([np.diff(column) for column in columns])
         if steps.min(initial=0.0) < 0 < steps.max(initial=0.0):
             turning.append(max(map(np.ptp, columns)) / np.ptp(np.concatenate(columns)))
     return min(turning, default=1.0) < _PAGE
 
 
-def below_each_other(tables: Sequence[Table]) -> Table:
+def below_each_other(tables: Sequence[Table], parts: Sequence[Part]) -> Table:
     """Tables with columns of the same names as one, of which each is a record; the columns are in the order of the first."""
     first, rows = tables[0], [table.rows for table in tables]
     places = [[table.names.index(name) for name in first.names] for table in tables]
@@ -226,6 +247,7 @@ def below_each_other(tables: Sequence[Table]) -> Table:
         section=zeros,
         line=np.concatenate([table.line for table in tables]),
         part=np.repeat(np.arange(len(tables)), rows),
+        parts=tuple(parts),
         metadata={},
         left_out={},
         unread=sum(table.unread for table in tables),

@@ -119,7 +119,7 @@ def without_end_marks(table: Table) -> Table:
 
     Far is farther than the range of the column, as a saturation pressure or a temperature that is logged beside a loop is.
     """
-    numbers = [k for k in range(len(table.names)) if k not in table.labels and np.isfinite(table.columns[k]).any()]
+    numbers = [k for k in table.positions if k not in table.labels and np.isfinite(table.columns[k]).any()]
     if len(numbers) < 3:
         return table
     columns = np.column_stack([table.columns[k] for k in numbers])

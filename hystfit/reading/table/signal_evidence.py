@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 
-from hystfit.reading.limits import MOST_LABELS
+from hystfit.reading.limits import JUMP, MOST_LABELS, NEAR
 
 _ROWS_OF_LEVEL = 50  # of a column that is set to levels in turn
 _APART = 0.1  # range of such levels, as a fraction of the largest: those of a position that is read back differ by less
@@ -33,6 +36,7 @@ _SAME_STEP = 1e-4  # part of a step by which the next one is the same: along a s
 _EQUAL, _EACH_WAY, _TURNS = 0.9, 0.2, 0.2
 _AT_JUMPS = 0.95  # of all changes of the steps, in the largest tenth of them: of a sine that part is 0.16
 _LEVELS = 5  # distinct values of a column that is held at each of them: pulses of a current have two or three
+_STEPS_APART = 2.0  # of the largest steps of a signal, by which a part of it may begin after the end of the one before
 _USUAL = 1.5  # step of a clock over its median step, up to which it goes on
 # By how much the squares of the differences of neighbors are larger across the branches of a loop than along them: noise alone has up to
 # 2.0 in 1800 draws of 40 to 60 samples, and a loop with noise of 0.15 of its range 2.6 to 3.4.
@@ -50,6 +54,12 @@ def extent(values: np.ndarray) -> float:
 def sample(values: np.ndarray) -> np.ndarray:
     """Every nth sample of a long column."""
     return values[:: max(1, values.size // _MOST_SAMPLES)]
+
+
+def _known(*columns: np.ndarray) -> list[np.ndarray]:
+    """Columns of equal length in the rows in which all of them have numbers."""
+    rows = np.isfinite(columns).all(axis=0)
+    return [column[rows] for column in columns]
 
 
 def is_held(values: np.ndarray) -> bool:
@@ -141,9 +151,7 @@ def has_loop(u: np.ndarray, y: np.ndarray, part: np.ndarray) -> bool:
     Args:
         part: as for `explained`.
     """
-    u, y, part = (sample(values) for values in (u, y, part))
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y, part = u[both], y[both], part[both]
+    u, y, part = _known(*map(sample, (u, y, part)))
     if u.size < _FEWEST or np.ptp(u) == 0 or np.ptp(y) == 0:
         return False
     apart = _between_neighbors(y, u, np.gradient(u) > 0, part)
@@ -190,8 +198,7 @@ def computed(u: np.ndarray, y: np.ndarray) -> bool:
 
 def rounded(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether no number is farther from a straight line than half a digit of either column: the volts of a sensor beside its mm."""
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y = u[both], y[both]
+    u, y = _known(u, y)
     if u.size < _FEWEST or np.ptp(u) == 0 or not _beside_a_line(u, y, _FEWEST) < _PROPORTIONAL:
         return False
     slope, offset = np.polyfit(u, y, 1)
@@ -207,18 +214,16 @@ def _digit(values: np.ndarray) -> float:
 
 def same_loop(u: np.ndarray, one: np.ndarray, other: np.ndarray) -> bool:
     """Whether two outputs over one input differ by their scale and a multiple of the input, as J and B = J + mu0 H do."""
-    both = np.isfinite(u) & np.isfinite(one) & np.isfinite(other)
-    if both.sum() < _FEWEST_COMPUTED or np.ptp(u[both]) == 0:
+    u, one, other = _known(u, one, other)
+    if u.size < _FEWEST_COMPUTED or np.ptp(u) == 0:
         return False
-    bent = [y[both] - np.polyval(np.polyfit(u[both], y[both], 1), u[both]) for y in (one, other)]
+    bent = [y - np.polyval(np.polyfit(u, y, 1), u) for y in (one, other)]
     return all(np.ptp(y) > 0 for y in bent) and _beside_a_line(*bent, _FEWEST_COMPUTED) < _PROPORTIONAL
 
 
 def _beside_a_line(u: np.ndarray, y: np.ndarray, fewest: int) -> float:
     """Part of the variance that a straight line leaves; 1 of fewer samples, and of a constant column."""
-    u, y = sample(u), sample(y)
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y = u[both], y[both]
+    u, y = _known(sample(u), sample(y))
     if u.size < fewest or np.ptp(u) == 0 or np.ptp(y) == 0:
         return 1.0
     u, y = (u - u.mean()) / np.ptp(u), (y - y.mean()) / np.ptp(y)
@@ -227,9 +232,7 @@ def _beside_a_line(u: np.ndarray, y: np.ndarray, fewest: int) -> float:
 
 def repeats(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether an output has the numbers of the input, but for nearly nothing of its variance."""
-    u, y = sample(u), sample(y)
-    both = np.isfinite(u) & np.isfinite(y)
-    u, y = u[both], y[both]
+    u, y = _known(sample(u), sample(y))
     return u.size >= _FEWEST and float(np.mean((u - y) ** 2)) < _PROPORTIONAL * float(np.var(y))
 
 
@@ -264,10 +267,25 @@ def overtones(values: np.ndarray) -> float:
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
 
 
-def clock_goes_on(clock: np.ndarray, starts: np.ndarray) -> bool:
-    """Whether the time before each of these rows goes on by no more than a usual step: the blocks are segments of one test."""
+def meet(parts: Sequence[np.ndarray]) -> bool:
+    """Whether each part of a signal begins where the one before ends, but for a small part of its range or two of its largest steps."""
+    largest = max(float(np.nanmax(np.abs(np.diff(part)), initial=0.0)) for part in parts)
+    near = max(NEAR * extent(np.concatenate(parts)), _STEPS_APART * largest)
+    return all(abs(after[0] - before[-1]) <= near for before, after in itertools.pairwise(parts))
+
+
+def jumps(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether steps after these rows are large beside the three before and the three after them, shape of `at`, bool."""
+    steps = np.abs(np.diff(values))
+    padded = np.pad(np.nan_to_num(steps), 3)
+    around = np.max([padded[at + 3 + k] for k in (-3, -2, -1, 1, 2, 3)], axis=0)
+    return (steps[at] > JUMP * around) & (steps[at] > NEAR * extent(values))
+
+
+def clock_goes_on(clock: np.ndarray, starts: np.ndarray, most: float = _USUAL) -> bool:
+    """Whether the time before each of these rows goes on by so many median steps at most: the blocks are segments of one test."""
     steps = np.diff(clock)
-    return bool((steps > 0).all() and (steps[starts - 1] <= _USUAL * np.median(steps)).all())
+    return bool((steps > 0).all() and (steps[starts - 1] <= most * np.median(steps)).all())
 
 
 def is_even(clock: np.ndarray) -> bool:

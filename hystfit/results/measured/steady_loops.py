@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shared.slopes import CYCLES, POINTS
 from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy
@@ -142,13 +143,14 @@ class Excitation:
     origin: Origin = MIDDLE  # where its height and its width are read
 
     @classmethod
-    def of(cls, data: Dataset, *, hardens: bool = False, jumps: bool = False) -> Excitation:
+    def of(cls, data: Dataset, model: AbstractHysteresis | None = None) -> Excitation:
         """The excitation over the range of the inputs from the first to the last sample that counts.
 
         Args:
-            hardens: whether the loop of the model changes with the path, so that the cycles run that of the longest record.
-            jumps: whether the output of the model jumps at an input, which is then known to the distance of the samples alone.
+            model: where its loop changes with the path, the cycles run that of the longest record; where its output jumps at an input,
+                this is known to the distance of the samples alone.
         """
+        hardens, jumps = model is not None and model.hardens, model is not None and model.jumps
         low, high = min(float(r.reached.min()) for r in data), max(float(r.reached.max()) for r in data)
         interval, sine, points = _waveform(data)
         if jumps:
