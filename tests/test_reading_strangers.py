@@ -196,6 +196,18 @@ def test_a_voltage_that_is_swept_drives_a_current_of_two_values(tmp_path: Path) 
     is_pair(one(tmp_path, text + rows(",", 0.02 * np.arange(voltage.size), voltage, current)), voltage, current)
 
 
+def test_a_voltage_that_is_swept_drives_its_current_beside_a_charge(tmp_path: Path) -> None:
+    """Cyclic voltammetry by a program for cells, which writes the charge that passed as well."""
+    voltage = np.tile(np.concatenate([np.arange(80), np.arange(80, 0, -1)]) / 100, 2)
+    time, way = 0.2 * np.arange(320), np.where(np.arange(320) % 160 < 80, 1.0, -1.0)
+    current = np.round(way * (2 - 2 * np.exp(-(np.arange(320) % 80) / 6)) + 0.3 * voltage, 6)
+    charge = np.round(np.cumsum(current) * 2e-4, 8)
+    measured = np.round(voltage + 1e-4 * np.sin(37 * np.arange(320)), 6)
+    names = "time/s\tcontrol/V\tEwe/V\t<I>/mA\t(Q-Qo)/C\n"
+    record = one(tmp_path, names + rows("\t", time, voltage, measured, current, charge), "a.mpt")
+    is_pair(record, measured, current)
+
+
 # Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
 
 

@@ -94,6 +94,8 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
         rows.append(lag)
     if result.usable and (why := result.obstacle("inverse")) and result.model.obstacle("inverse") is None:
         rows.append(("Inverse", f"none: {why}"))
+    if result.status is Status.UNDETERMINED:  # the samples are too few to tell
+        return tuple(rows)
     return (*rows, ("Not determined", _undetermined(result)))
 
 
