@@ -12,6 +12,7 @@ import pytest
 from hystfit.data import Dataset
 from hystfit.errors import DataError
 from hystfit.outcome import Code
+from hystfit.params.units import conversion
 from hystfit.reading import read
 
 from .conftest import examined
@@ -279,3 +280,13 @@ def test_a_clock_is_no_output_of_the_signal_beside_it(tmp_path: Path) -> None:
     record = one(tmp_path, rows(" ", S, STROKE), "Disp.out")
     np.testing.assert_allclose(record.u, S)
     assert any(note.code is Code.NO_LOOP for note in examined(record).findings)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [("T(℃),L(㎜)\n", ("°C", "mm")), ("温度,変位\n℃,㎜\n", ("degC", "mm")), ("T [℃],ΔL [㎛]\n", ("°C", "μm"))],
+)
+def test_units_of_one_character(head: str, units: tuple[str, str], tmp_path: Path) -> None:
+    record = one(tmp_path, head + rows(",", U, Y))
+    is_pair(record)
+    assert all(conversion(own, unit) == 1.0 for own, unit in zip((record.u_unit, record.y_unit), units, strict=True))
