@@ -324,3 +324,24 @@ def test_small_reversals_on_the_branches_of_one_loop_are_not_its_cycles() -> Non
     assert shape is not None
     assert shape.circulation == "counter-clockwise"
     assert shape.area == pytest.approx(2 * (np.ptp(u) - 2), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        {"y_name": "Kerr rotation", "y_unit": "mdeg"},
+        {"y_name": "Faraday angle", "y_unit": "mrad"},
+        {"y_name": "Kerr signal", "y_unit": "V"},
+        {"y_name": "XMCD", "y_unit": ""},
+    ],
+)
+def test_light_that_a_magnetization_turns_has_coercivity_and_remanence_and_no_data_sheet(
+    labels: dict[str, str],
+) -> None:
+    record = ellipse(u_name="Field", u_unit="Oe", **labels)
+    measured = quantities(record)
+    found = {one.name: one for one in next(iter(measured.rows.values()))}
+    assert found["coercive_input"].label.startswith("coercivity")
+    assert found["coercive_input"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
+    assert found["remanence_falling"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)
+    assert not any("volume" in note.text for note in measured.notes)

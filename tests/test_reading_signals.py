@@ -242,3 +242,9 @@ def test_numbered_trials_over_one_input_are_records(tmp_path: Path) -> None:
     assert isinstance(data, hf.Dataset)
     assert [record.name for record in data] == ["Trial 1", "Trial 2"]
     is_pair(data[1], U, 1.01 * Y)
+
+
+def test_a_dichroism_is_read_rather_than_the_two_signals_that_it_is_the_difference_of(tmp_path: Path) -> None:
+    one_way, other = 1.2 + 0.01 * Y, 1.2 - 0.01 * Y
+    record = one(tmp_path, "# Field(T)  TEY_cp(a.u.)  TEY_cm(a.u.)  XMCD(a.u.)\n" + rows("  ", U, one_way, other, Y))
+    is_pair(record)

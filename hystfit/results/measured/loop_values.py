@@ -34,7 +34,7 @@ from hystfit.results.measured.loop_branches import (
     loss,
     turns_of,
 )
-from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
@@ -171,7 +171,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.FERROELECTRIC:
         record, of_zero = centered(record)
         y = record.y[kept]
-    magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
+    has_sheet = kind is LoopKind.MAGNETIC and not turns_light(record)
+    magnetic = MagneticLoop.of(record, sample, sigma, correct) if has_sheet else None
     turns = turns_of(u)
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
