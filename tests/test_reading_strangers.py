@@ -290,3 +290,19 @@ def test_units_of_one_character(head: str, units: tuple[str, str], tmp_path: Pat
     record = one(tmp_path, head + rows(",", U, Y))
     is_pair(record)
     assert all(conversion(own, unit) == 1.0 for own, unit in zip((record.u_unit, record.y_unit), units, strict=True))
+
+
+@pytest.mark.parametrize("comment", ["", "\tPZT 1 Hz\n"])
+def test_names_and_units_that_origin_exports(comment: str, tmp_path: Path) -> None:
+    """Long names, units with marks for Greek letters and powers, and the comments of the columns."""
+    head = "A(X)\tB(Y)\nElectric Field \\i(E)\tPolarization\nkV cm\\+(-1)\t\\g(m)C/cm\\+(2)\n" + comment
+    record = one(tmp_path, head + rows("\t", U, Y), "loop.dat")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("Electric Field E", "Polarization")
+    assert (record.u_unit, record.y_unit) == ("kV cm-1", "µC/cm2")
+
+
+def test_paths_in_a_header_have_no_marks_of_origin(tmp_path: Path) -> None:
+    record = one(tmp_path, "Sample: D:\\film\\b(2)\nField (Oe),Moment (emu)\n" + rows(",", U, Y))
+    is_pair(record)
+    assert record.metadata["Sample"] == "D:\\film\\b(2)"
