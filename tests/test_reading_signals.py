@@ -222,9 +222,9 @@ def test_the_number_of_a_row_is_no_output_beside_a_signal_that_is_text(counter: 
         hf.read(path)
 
 
-@pytest.mark.parametrize("names", ["CL [-]  CD [-]  CM [-]", "Ka [-]  Kb [-]  Kc [-]"])
-def test_the_clean_angle_drives_coefficients_whatever_their_names(names: str, tmp_path: Path) -> None:
+def test_the_angle_of_a_wing_drives_coefficients_with_a_bracket_for_their_unit(tmp_path: Path) -> None:
     """A wing that pitches as a sine: its loads are noisy, and the angle is not."""
+    names = "CL [-]  CD [-]  CM [-]"
     angle = np.round(10 + 8 * np.sin(PHASE), 4)
     lift = np.round(0.1 * angle + 0.25 * np.sin(PHASE - 0.6) + 0.01 * NOISE[0], 4)
     drag, moment = 0.02 + 0.002 * angle + 0.002 * NOISE[1], -0.05 - 0.01 * lift + 0.003 * NOISE[2]

@@ -51,9 +51,9 @@ _RAW_VOLTS = -3.0  # of a sensor's signal in volts beside the same quantity in i
 _COLD = -5.0  # points of one that does not
 # Distinct values up to which a column of many rows is one that is set, and its points.
 _FEW, _MANY_ROWS, _IS_SET = 12, 50, -2.0
-# Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) as the input of one with that many times more
-# harmonics, and lost the other way around. Fewer samples show no harmonics.
-_CLEAN, _PURE, _PLAINER, _WAVE = 0.5, 0.02, 2.0, 64
+# Points of a clean wave (harmonics up to that part of its power; a triangle has 0.014) beside one with that many times more harmonics.
+# Fewer samples show no harmonics.
+_CLEAN, _PURE, _PLAINER, _WAVE = 1.0, 0.02, 2.0, 64
 # Points of an input of which the output is the rate, and by more than the other way around, or equally and with its sign, which is worth
 # that much more.
 _INDUCED, _OF_ITS_SIGN = 2.0, 0.1
@@ -79,8 +79,8 @@ _BELONG = 3.0
 _WHITE, _NO_DRIVE = 0.3, -2.0
 _LOOP = 0.5  # of an output that has a loop, where another one without it would be better by its place alone
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
-# The same of a commanded input, of which the output has that many times the noise: a D/A converter and a sensor.
-_COMMANDED, _NOISIER = 0.5, 10.0
+# Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
+_COMMANDED, _NOISIER = 1.0, 10.0
 # Points of an input that was set: it goes up and down by equal steps or holds, and the output does not. They outweigh the quantities (a
 # displacement that was set and the voltage of its sensor, a load and the displacement under it) but for a field and its induction.
 _SET_BY_STEPS = 8.0
@@ -156,10 +156,9 @@ class _Evidence:
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             wave = self.facts.overtones
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
-            noisier = lambda one, other: self.facts.roughness[one] > _NOISIER * self.facts.roughness[other]
-            points += _CLEAN * (int(plainer(i, o)) - int(plainer(o, i)))
-            points += _COMMANDED * (int(noisier(o, i)) - int(noisier(i, o)))
-            points += _INDUCED * ({kinds[i], kinds[o]} == {*_ELECTRIC} and self._is_induced(i, o))
+            points += _CLEAN * plainer(i, o)
+            points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
+            points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
         return Reading(i, o, points)
 
     def related(self, found: Sequence[Reading]) -> list[Reading]:
@@ -308,5 +307,5 @@ class _Evidence:
 
 
 def _either_drives(one: str, other: str) -> bool:
-    """Whether quantities do not tell which of two columns drives the other: one is unknown, or both are electric."""
-    return "" in (one, other) or {one, other} <= {*_ELECTRIC}
+    """Whether quantities do not tell which of two columns drives the other."""
+    return {one, other} in ({""}, {"voltage", "current"}, {"voltage"}, {"current"})
