@@ -324,3 +324,61 @@ def test_small_reversals_on_the_branches_of_one_loop_are_not_its_cycles() -> Non
     assert shape is not None
     assert shape.circulation == "counter-clockwise"
     assert shape.area == pytest.approx(2 * (np.ptp(u) - 2), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [
+        {"y_name": "Kerr rotation", "y_unit": "mdeg"},
+        {"y_name": "Faraday angle", "y_unit": "mrad"},
+        {"y_name": "Kerr signal", "y_unit": "V"},
+        {"y_name": "XMCD", "y_unit": ""},
+    ],
+)
+def test_light_that_a_magnetization_turns_has_coercivity_and_remanence_and_no_data_sheet(
+    labels: dict[str, str],
+) -> None:
+    record = ellipse(u_name="Field", u_unit="Oe", **labels)
+    measured = quantities(record)
+    found = {one.name: one for one in next(iter(measured.rows.values()))}
+    assert found["coercive_input"].label.startswith("coercivity")
+    assert found["coercive_input"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
+    assert found["remanence_falling"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)
+    assert not any("volume" in note.text for note in measured.notes)
+
+
+def test_the_data_sheet_of_a_magnet_has_what_its_instrument_states_beside_it(tmp_path):
+    """A permeagraph writes both coercivities: of the polarization and of the induction."""
+    field = np.linspace(0, 1500, 120)
+    polarization = 1.248 / (1 + np.exp((field - 1432) / 6)) - 1.248 / (1 + np.exp((1500 - 1432) / 6)) * field / 1500
+    lines = ["Br = 1,248 T", "HcB = 930,1 kA/m", "HcJ = 1432 kA/m", "(BH)max = 295,4 kJ/m³", "", "H [kA/m];B [T];J [T]"]
+    rows = zip(-field, polarization - 4e-4 * np.pi * field, polarization, strict=True)
+    lines += [";".join(f"{value:.4f}" for value in row).replace(".", ",") for row in rows]
+    (tmp_path / "magnet.txt").write_text("\n".join(lines) + "\n", encoding="cp1252")
+    found = values_of(hf.read(tmp_path / "magnet.txt"))
+    stated = {name: row.stated for name, row in found.items() if row.stated is not None}
+    assert stated == {
+        "coercive_input": 930.1,
+        "remanence": 1.248,
+        "HcJ": 1432.0,
+        "HcB": 930.1,
+        "Br": 1.248,
+        "energy_product": 295.4,
+    }
+
+
+def test_signs_before_the_results_of_a_tester_tell_its_branches(tmp_path):
+    voltage = np.concatenate([np.linspace(10, -10, 101), np.linspace(-10, 10, 101)[1:]])
+    rising = np.append(-1.0, np.diff(voltage)) > 0
+    charge = 25 * np.tanh((voltage - np.where(rising, 3.0, -2.5)) / 1.5)
+    head = "+Pr (uC/cm2): 23.2\n-Pr (uC/cm2): -24.1\n+Vc: 3.0\n-Vc: -2.5\n\nVoltage (V),Polarization (uC/cm2)\n"
+    text = head + "".join(f"{u:.3f},{y:.5f}\n" for u, y in zip(voltage, charge, strict=True))
+    (tmp_path / "loop.csv").write_text(text, encoding="utf-8")
+    found = values_of(hf.read(tmp_path / "loop.csv"))
+    stated = {name: row.stated for name, row in found.items() if row.stated is not None}
+    assert stated == {
+        "coercive_input_rising": 3.0,
+        "coercive_input_falling": -2.5,
+        "remanence_falling": 23.2,
+        "remanence_rising": -24.1,
+    }

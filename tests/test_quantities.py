@@ -303,7 +303,7 @@ def test_a_viscous_model_has_no_creep():
         ("kV/cm", "uC/cm2", LoopKind.FERROELECTRIC),
         ("V", "um", LoopKind.ACTUATOR),
         ("A", "mrad", LoopKind.ACTUATOR),
-        ("mT", "mdeg", LoopKind.OTHER),
+        ("mT", "mdeg", LoopKind.MAGNETIC),
         ("mm", "kN", LoopKind.DISPLACEMENT_DRIVEN),
         ("N", "mm", LoopKind.FORCE_DRIVEN),
         ("", "", LoopKind.OTHER),

@@ -9,6 +9,7 @@ import pytest
 
 from hystfit.data import Record
 from hystfit.outcome import Code
+from hystfit.outcome.note import has
 from hystfit.reading import read
 
 N = 120
@@ -208,3 +209,25 @@ def test_a_noisy_curve_has_no_branches(noise: float, rows: int, tmp_path: Path) 
     field = np.sort(rng.uniform(-400, 400, rows))
     record = one(tmp_path, "H (Oe),M (emu)\n", field, np.tanh(field / 90) + rng.normal(0, noise, rows))
     np.testing.assert_allclose(record.u, field)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(("name", "slope"), [("B_T", 1.2566e-3), ("J_T", 0.0)])
+def test_a_demagnetization_curve_without_the_sign_of_its_field(
+    tmp_path: Path, name: str, slope: float, way: int
+) -> None:
+    """The catalog of a magnet states the field as a number: the induction falls from the remanence to zero at the coercivity."""
+    field = np.linspace(0, 1080, 60)
+    polarization = 1.24 * (1 - 1 / (1 + np.exp((1030 - field) / 9))) - 2e-5 * field
+    record = one(tmp_path, f"H_kA_per_m,{name}\n", field[::way], (polarization - slope * field)[::way])
+    np.testing.assert_allclose(record.u, -field[::way], atol=1e-4)
+    assert has(record.notes, Code.PREPARED)
+
+
+@pytest.mark.parametrize("remanence", [0.0, 0.4])
+def test_a_field_keeps_its_sign_where_its_output_grows_or_begins_at_zero(tmp_path: Path, remanence: float) -> None:
+    """The first magnetization of iron, and the moment of a superconductor."""
+    field = np.linspace(0, 1080, 60)
+    moment = remanence + 0.8 * np.tanh(field / 300) if remanence else -0.8 * np.tanh(field / 300)
+    record = one(tmp_path, "H_kA_per_m,M_emu\n", field, moment)
+    np.testing.assert_allclose(record.u, field, atol=1e-4)

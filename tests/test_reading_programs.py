@@ -524,3 +524,51 @@ def test_a_time_that_starts_again_makes_no_clockwise_loop(starts: int, tmp_path:
     data = read(written(tmp_path, rows(",", t, 98 + 12 * np.exp(-t))))
     notes = (data if isinstance(data, Record) else data[0]).notes
     assert not any(note.severity is Severity.WARNING for note in notes if note.code is Code.COLUMN_CHOICE)
+
+
+def test_signals_that_simulink_logs(tmp_path: Path) -> None:
+    """Structures with time: of a block to the workspace each, of a scope with several signals, within the output of a simulation."""
+    signal = lambda values, label: {"values": values[:, None], "dimensions": 1, "label": label}
+    logged = lambda signals: {"time": T[:, None], "signals": signals, "blockName": "model/Scope"}
+    both = np.array([signal(U, "Voltage [V]"), signal(Y, "Displacement [um]")], dtype=object)
+    files = {
+        "scope": {"ScopeData": logged(both)},
+        "labeled": {"a": logged(signal(U, "Voltage [V]")), "b": logged(signal(Y, "Displacement [um]"))},
+        "plain": {"out": {"tout": T[:, None], "voltage": logged(signal(U, "")), "disp": logged(signal(Y, ""))}},
+        "alike": {"voltage": logged(signal(U, "s")), "disp": logged(signal(Y, "s"))},
+    }
+    for name, variables in files.items():
+        scipy.io.savemat(tmp_path / f"{name}.mat", variables)
+        record = one(tmp_path / f"{name}.mat")
+        is_pair(record, units=None if name in ("plain", "alike") else ("V", "um"))
+        np.testing.assert_array_equal(record.t, T)
+
+
+def test_two_lines_of_names_over_fixed_columns(tmp_path: Path) -> None:
+    """A listing of ANSYS, of which the number and kind of a variable stand over its name."""
+    names = "     TIME         2 UX           3 FX     \n                   UTOP          RBASE   \n"
+    title, text = " ***** ANSYS POST26 VARIABLE LISTING *****\n\n", ""
+    for first in range(0, N, 40):
+        some = zip(T[first : first + 40], U[first : first + 40], Y[first : first + 40], strict=True)
+        text += title + names + "".join(f"  {t:11.5E}    {u:12.6f}   {y:12.6f}  \n" for t, u, y in some) + "\n"
+    record = one(written(tmp_path, text, "loop.lis"))
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("2 UX UTOP", "3 FX RBASE")
+    np.testing.assert_allclose(record.t, T)
+
+
+def test_names_above_the_mark_of_the_data_and_the_title_of_a_section(tmp_path: Path) -> None:
+    head = "Operator jk\n@@End of Header.\nTime_since_start Applied_Field Signal\n@@Data\nNew Section: Section 0:\n"
+    rows = "".join(f"{t} {u} {y}\n" for t, u, y in zip(T, U, Y, strict=True))
+    record = one(written(tmp_path, head + rows + "@@END Data.\n", "loop.vsm"))
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("Applied_Field", "Signal")
+    np.testing.assert_array_equal(record.t, T)
+
+
+def test_fractions_of_seconds_since_1970_are_the_time(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", mot=1.6e9 + 0.37 + T, field=U, xmcd=Y)
+    record = one(tmp_path / "a.npz")
+    is_pair(record)
+    assert record.t is not None
+    np.testing.assert_allclose(record.t - record.t[0], T, atol=1e-6)

@@ -305,3 +305,60 @@ def test_groups_with_a_clock_and_a_signal_each(tmp_path: Path, stamped: bool) ->
     np.testing.assert_array_equal(record.y, np.repeat(F[::2], 2))
     assert record.t is not None
     np.testing.assert_allclose(record.t - record.t[0], PLACE)
+
+
+FIELD = np.linspace(10_000.0, -10_000.0, 101)
+FALLING = 1.8 * np.tanh((FIELD + 320) / 900)
+
+
+def sections(starts: tuple[float, ...], scale: tuple[float, ...]) -> str:
+    """Sections of a vibrating sample magnetometer: the field down in one and up in the next, from these times on."""
+    columns = "Time since start, Time [s]", "Applied Field, Applied Field [Oe]", "Signal X direction, Moment [memu]"
+    text = "@@Columns\n" + "".join(f"Column {k}: {name}\n" for k, name in enumerate(columns))
+    text += "@@END Columns\n@@End of Header.\n@@Data\n"
+    for k, (start, factor) in enumerate(zip(starts, scale, strict=True)):
+        time, sign = start + 2.0 * np.arange(FIELD.size), (-1) ** k
+        text += f"New Section: Section {k % 2}:\n" + table(time, sign * FIELD, sign * factor * FALLING, mark=" ")
+    return text + "@@END Data.\n"
+
+
+def test_branches_after_a_short_pause_are_one_loop(tmp_path: Path) -> None:
+    data = read_text(tmp_path, sections((1.0, 207.0), (1.0, 1.0)), "loop.VHD")
+    assert isinstance(data, Record)
+    np.testing.assert_allclose(data.u, np.r_[FIELD, -FIELD])
+    np.testing.assert_allclose(data.y, np.r_[FALLING, -FALLING], rtol=1e-5)
+    assert data.t is not None
+    assert data.t[101] - data.t[100] == 6.0
+
+
+def test_loops_of_two_sections_are_told_apart_where_the_clock_starts_again(tmp_path: Path) -> None:
+    data = read_text(tmp_path, sections((1.0, 207.0, 1.0, 207.0), (1.0, 1.0, 1.02, 1.02)), "loops.VHD")
+    assert isinstance(data, Dataset)
+    assert [record.name for record in data] == ["loop=0", "loop=1"]
+    for record, factor in zip(data, (1.0, 1.02), strict=True):
+        np.testing.assert_allclose(record.u, np.r_[FIELD, -FIELD])
+        np.testing.assert_allclose(record.y, factor * np.r_[FALLING, -FALLING], rtol=1e-5)
+
+
+@pytest.mark.parametrize(("second", "names"), [(40.0, ["Sample=20", "Sample=40"]), (20.1, ["a"])])
+def test_isotherms_at_two_temperatures_are_two_loops(tmp_path: Path, second: float, names: list[str]) -> None:
+    """A sorption balance writes a table of each scan, of which the first sample has not settled."""
+    pressure, text = np.linspace(0, 2700, 30), ""
+    for number, warm in enumerate((20.0, second)):
+        adsorbed = 2 * pressure / (pressure + 1500)
+        for course, order, wet in (("Sorption", 1, 0.0), ("Desorption", -1, 0.25)):
+            amount = adsorbed + (wet - 0.05 * number) * np.sin(np.pi * pressure / 2700)
+            rows = zip(pressure[::order], amount[::order], strict=True)
+            text += f"\nExperiment No   {number + 1}\nCourse          {course}\n\n"
+            text += (
+                "Pressure   Excess       Sample\n           Adsorption         \n(mbar)     (mmol/g)     (°C)\n"
+                + "-" * 30
+                + "\n"
+            )
+            text += "".join(f"{p:<11.1f}{q:<13.4f}{warm + 7 * (k == 0):<6.2f}\n" for k, (p, q) in enumerate(rows))
+            text += "-" * 30 + "\n"
+    data = read_text(tmp_path, text, "a.txt")
+    assert [record.name for record in Dataset.of(data)] == names
+    assert {record.u.size for record in Dataset.of(data)} == {120 // len(names)}
+    assert pair(data) == ("Pressure (mbar)", "Excess Adsorption (mmol/g)")
+    assert not any("Adsorption" in value for record in Dataset.of(data) for value in record.metadata.values())

@@ -220,3 +220,31 @@ def test_the_number_of_a_row_is_no_output_beside_a_signal_that_is_text(counter: 
     path.write_text("\n".join([f"{counter},u,y", *lines]) + "\n", encoding="utf-8")
     with pytest.raises(DataError, match="found 1 column"):
         hf.read(path)
+
+
+def test_the_angle_of_a_wing_drives_coefficients_with_a_bracket_for_their_unit(tmp_path: Path) -> None:
+    """A wing that pitches as a sine: its loads are noisy, and the angle is not."""
+    names = "CL [-]  CD [-]  CM [-]"
+    angle = np.round(10 + 8 * np.sin(PHASE), 4)
+    lift = np.round(0.1 * angle + 0.25 * np.sin(PHASE - 0.6) + 0.01 * NOISE[0], 4)
+    drag, moment = 0.02 + 0.002 * angle + 0.002 * NOISE[1], -0.05 - 0.01 * lift + 0.003 * NOISE[2]
+    pressure = 240 + 0.5 * NOISE[3]
+    record = one(
+        tmp_path, f"# t [s]  alpha [deg]  {names}  q [Pa]\n" + rows("  ", T, angle, lift, drag, moment, pressure)
+    )
+    is_pair(record, angle, lift)
+
+
+def test_numbered_trials_over_one_input_are_records(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("Pressure (kPa),Trial 1 (deg),Trial 2 (deg)\n" + rows(",", U, Y, 1.01 * Y), encoding="utf-8")
+    data = hf.read(path)
+    assert isinstance(data, hf.Dataset)
+    assert [record.name for record in data] == ["Trial 1", "Trial 2"]
+    is_pair(data[1], U, 1.01 * Y)
+
+
+def test_a_dichroism_is_read_rather_than_the_two_signals_that_it_is_the_difference_of(tmp_path: Path) -> None:
+    one_way, other = 1.2 + 0.01 * Y, 1.2 - 0.01 * Y
+    record = one(tmp_path, "# Field(T)  TEY_cp(a.u.)  TEY_cm(a.u.)  XMCD(a.u.)\n" + rows("  ", U, one_way, other, Y))
+    is_pair(record)

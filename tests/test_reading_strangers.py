@@ -12,6 +12,7 @@ import pytest
 from hystfit.data import Dataset
 from hystfit.errors import DataError
 from hystfit.outcome import Code
+from hystfit.params.units import conversion
 from hystfit.reading import read
 
 from .conftest import examined
@@ -196,6 +197,18 @@ def test_a_voltage_that_is_swept_drives_a_current_of_two_values(tmp_path: Path) 
     is_pair(one(tmp_path, text + rows(",", 0.02 * np.arange(voltage.size), voltage, current)), voltage, current)
 
 
+def test_a_voltage_that_is_swept_drives_its_current_beside_a_charge(tmp_path: Path) -> None:
+    """Cyclic voltammetry by a program for cells, which writes the charge that passed as well."""
+    voltage = np.tile(np.concatenate([np.arange(80), np.arange(80, 0, -1)]) / 100, 2)
+    time, way = 0.2 * np.arange(320), np.where(np.arange(320) % 160 < 80, 1.0, -1.0)
+    current = np.round(way * (2 - 2 * np.exp(-(np.arange(320) % 80) / 6)) + 0.3 * voltage, 6)
+    charge = np.round(np.cumsum(current) * 2e-4, 8)
+    measured = np.round(voltage + 1e-4 * np.sin(37 * np.arange(320)), 6)
+    names = "time/s\tcontrol/V\tEwe/V\t<I>/mA\t(Q-Qo)/C\n"
+    record = one(tmp_path, names + rows("\t", time, voltage, measured, current, charge), "a.mpt")
+    is_pair(record, measured, current)
+
+
 # Tables of rock magnetism ---------------------------------------------------------------------------------------------------------
 
 
@@ -267,3 +280,29 @@ def test_a_clock_is_no_output_of_the_signal_beside_it(tmp_path: Path) -> None:
     record = one(tmp_path, rows(" ", S, STROKE), "Disp.out")
     np.testing.assert_allclose(record.u, S)
     assert any(note.code is Code.NO_LOOP for note in examined(record).findings)
+
+
+@pytest.mark.parametrize(
+    ("head", "units"),
+    [("T(℃),L(㎜)\n", ("°C", "mm")), ("温度,変位\n℃,㎜\n", ("degC", "mm")), ("T [℃],ΔL [㎛]\n", ("°C", "μm"))],
+)
+def test_units_of_one_character(head: str, units: tuple[str, str], tmp_path: Path) -> None:
+    record = one(tmp_path, head + rows(",", U, Y))
+    is_pair(record)
+    assert all(conversion(own, unit) == 1.0 for own, unit in zip((record.u_unit, record.y_unit), units, strict=True))
+
+
+@pytest.mark.parametrize("comment", ["", "\tPZT 1 Hz\n"])
+def test_names_and_units_that_origin_exports(comment: str, tmp_path: Path) -> None:
+    """Long names, units with marks for Greek letters and powers, and the comments of the columns."""
+    head = "A(X)\tB(Y)\nElectric Field \\i(E)\tPolarization\nkV cm\\+(-1)\t\\g(m)C/cm\\+(2)\n" + comment
+    record = one(tmp_path, head + rows("\t", U, Y), "loop.dat")
+    is_pair(record)
+    assert (record.u_name, record.y_name) == ("Electric Field E", "Polarization")
+    assert (record.u_unit, record.y_unit) == ("kV cm-1", "µC/cm2")
+
+
+def test_paths_in_a_header_have_no_marks_of_origin(tmp_path: Path) -> None:
+    record = one(tmp_path, "Sample: D:\\film\\b(2)\nField (Oe),Moment (emu)\n" + rows(",", U, Y))
+    is_pair(record)
+    assert record.metadata["Sample"] == "D:\\film\\b(2)"

@@ -22,6 +22,7 @@ from hystfit.quality.loops import clear_reversals
 from hystfit.quality.plays import play_positions
 from hystfit.results.accuracy import Limits, persistent_error
 from hystfit.results.report.answer import Wording, next_commands
+from hystfit.results.report.text_report import verdict
 
 N = 600
 T = np.arange(N) / 100
@@ -85,9 +86,24 @@ def test_a_solver_that_did_not_converge_is_named_and_the_model_is_not_blamed():
     assert [note.text.startswith("trf") for note in fit.notes if note.code is Code.SOLVER] == [True]
 
 
+def test_an_erratic_output_is_no_noise_where_its_samples_follow_each_other():
+    """A simulation that is unstable at its step: it jumps now and then, and between the jumps it is a line without noise."""
+    u, y, state = 7.24 * (4 * np.abs(np.linspace(0, 1, 151) - 0.5) - 1), [], 0.0
+    for step in np.diff(u, prepend=u[0]):
+        state += step / 0.05 * (1 - (0.5 * np.sign(step * state) + 0.5) * abs(state) ** 1.5)
+        y.append(state)
+    record = hf.Record(u=u + 0.002 * WHITE[:151], y=np.array(y) + 0.003 * WHITE[-151:])
+    fit = hf.fit("preisach-magnetic:degree=1", record)
+    assert fit.baselines.noise < 0.01 * fit.train.rmse
+    assert fit.status is Status.POOR
+
+
 def test_as_many_parameters_as_samples_are_never_usable():
     few = made(output()[:300:60] + 0.02 * WHITE[:5], GROWING[:300:60])
-    assert hf.fit("bouc-wen", few, starts=1).status is Status.UNDETERMINED
+    fit = hf.fit("bouc-wen", few, starts=1)
+    assert fit.status is Status.UNDETERMINED
+    assert has(verdict(fit), Code.NOT_DETERMINED)  # the reason, and no word that nothing is undetermined
+    assert "Not determined" not in dict(fit.answer)
     u = np.array([0.0, 1.0, 0.2])
     assert hf.fit("preisach:n=6", hf.Record(u=u, y=u + 0.1 * u**2)).status is Status.UNDETERMINED
 

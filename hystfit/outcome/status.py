@@ -65,7 +65,8 @@ _ADVICE = {
         "must be linear"
     ),
     Status.UNDETERMINED: (
-        "the input does not excite all parameters: add reversals at several amplitudes, or lower the polynomial orders"
+        "the samples or reversals are too few for all parameters: measure more of them at several amplitudes, or take a model of fewer "
+        "parameters"
     ),
     Status.INCONSISTENT: (
         "the innovations of the filter do not have their predicted size: change noise or walk as the note says, or use least "

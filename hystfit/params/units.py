@@ -14,6 +14,7 @@ import dataclasses
 import functools
 import math
 import re
+import unicodedata
 
 from hystfit.errors import DataError, ParameterError
 
@@ -172,6 +173,8 @@ _BY_SYMBOL = {
     r"[mun]?(g|mol)/[lL]|[mun]?g/m\^?3|[uF]?N[FT]U": "concentration",
     r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
 }
+# Units that are one character of Chinese and Japanese text, such as ℃ and ㎜, in the letters of others.
+ONE_CHARACTER = {code: unicodedata.normalize("NFKC", chr(code)) for code in (0x2103, 0x2109, *range(0x3380, 0x33DE))}
 _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
     map(ord, "\u2126\u03a9"), "Ohm"
 )
@@ -187,7 +190,7 @@ def _plain(text: str) -> str:
     if len(text) > _LONGEST:
         return text
     plain = re.sub(r"\s+vs\b.*", "", text.strip().rstrip("."))  # of a voltage against a reference
-    plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(_MARKS))
+    plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(ONE_CHARACTER).translate(_MARKS))
     plain = re.sub(r"[ _(]+STP\b\)?", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
     plain = _HYPHEN.sub("*", re.sub(r"[ _]+[pP]er[ _]+", "/", plain))

@@ -12,6 +12,7 @@ from hystfit.outcome.note import warn
 from hystfit.params.units import quantity
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.conditions import changed_conditions
+from hystfit.reading.curves.demagnetization_curves import lacks_sign
 from hystfit.reading.curves.split_curves import divider_of
 from hystfit.reading.limits import FEW, ODD, OF_RECORD
 from hystfit.reading.names.column_names import column_unit
@@ -41,6 +42,10 @@ def records_of_curve(
     notes = [*notes]
     _without_codes(table, data, notes, gaps)
     table, data = _samples(table, data, notes, gaps)
+    if lacks_sign(table, choice, data["input"], data["output"]):
+        data["input"] = 0.0 - data["input"]
+        text = "the output falls from a remanence as the field grows: a demagnetization curve, whose field is read as negative"
+        notes.append(warn(Code.PREPARED, text))
     good = np.isfinite(data["input"])
     if "time" in data:
         good &= np.isfinite(data["time"])

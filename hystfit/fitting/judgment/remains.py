@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.fitting.judgment.verdict import are_white, residuals_are_white, stands_out
+from hystfit.fitting.judgment.verdict import are_white, may_be_noise, residuals_are_white, stands_out
 from hystfit.quality.held_out import correlation_length
-from hystfit.results.accuracy import VISIBLE, is_noise
 from hystfit.results.result import FitResult
 
 
@@ -22,19 +21,16 @@ def residuals_of(fit: FitResult) -> list[np.ndarray]:
 
 def leaves_noise(fit: FitResult, parameters: float) -> bool:
     """Whether the residuals of a fit are white, and its loop stands out of them, worth the parameters that the data determine."""
-    return _may_be_noise(fit) and residuals_are_white(residuals_of(fit), fit.baselines.curve, parameters)
+    return may_be_noise(fit.train.rmse, fit.baselines) and residuals_are_white(
+        residuals_of(fit), fit.baselines.curve, parameters
+    )
 
 
 def without_loop(fit: FitResult, parameters: int) -> bool:
     """Whether the residuals of a fit are white, and no loop that takes as many parameters or more stands out of them."""
     rows = residuals_of(fit)
-    return _may_be_noise(fit) and are_white(rows) and not stands_out(rows, fit.baselines.curve, parameters)
-
-
-def _may_be_noise(fit: FitResult) -> bool:
-    """Whether residuals that are visible are as small as neighboring samples show the noise to be, where that is known.
-
-    The few samples of a loop that switches between them leave large residuals that a test for whiteness passes.
-    """
-    visible = 100 * fit.train.rmse > VISIBLE * fit.baselines.span
-    return not visible or fit.baselines.noise is None or is_noise(fit.train.rmse, fit.baselines)
+    return (
+        may_be_noise(fit.train.rmse, fit.baselines)
+        and are_white(rows)
+        and not stands_out(rows, fit.baselines.curve, parameters)
+    )

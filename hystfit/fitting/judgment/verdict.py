@@ -46,6 +46,15 @@ _MOST_OF = 0.7  # of the error of a fit: half of its square
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
+def may_be_noise(rmse: float, baselines: Baselines) -> bool:
+    """Whether an error that is visible is as small as neighboring samples show the noise to be, where that is known.
+
+    The few samples of a loop that switches between them leave large residuals that a test for whiteness passes.
+    """
+    visible = 100 * rmse > VISIBLE * baselines.span
+    return not visible or baselines.noise is None or is_noise(rmse, baselines)
+
+
 def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
     """Whether the residuals are white and the loop is significant: no other model can then do better, however large they are.
 
@@ -105,9 +114,10 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     if percent <= POOR and share < _LEAST_SHARE:
         text = f"hysteresis accounts for only {100 * share:.2g} % of the dissipation: the data show viscous damping, but no hysteresis"
         return Status.NO_LOOP, _error(Code.SINGLE_VALUED, text)
-    # If the noise level is unknown, white residuals may also be model errors.
+    # If the noise level is unknown or far less, white residuals may also be model errors.
     effective = fitted.estimate.effective or parameters
-    white = baselines.noise is not None and residuals_are_white(fitted.rows, baselines.curve, effective)
+    noisy = baselines.noise is not None and may_be_noise(train.rmse, baselines)
+    white = noisy and residuals_are_white(fitted.rows, baselines.curve, effective)
     if not white and (apart := _records_apart(fitted)) is not None:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white

@@ -41,6 +41,8 @@ _CHARGING = re.compile(r"chg|charge|^c$|cha", re.IGNORECASE)
 _LEVELS = 6  # currents that charge and discharge a cell; rests, ramps and voltages that are held have others
 # The usual current of a cell, in hundredths of the range of its currents; that of a film between the pulses that switch it is less.
 _LEAST = 3
+_ROWS = 5  # over which the rate of a voltage is taken, beyond the noise of its single steps
+_SAME = 0.1  # of a rate, up to which two are the same: noise of 0.1 mV over five rows of 1 mV changes it by 0.03 rms
 _BACK = 0.02  # part of the charge that passed, up to which a half-cycle may run back
 
 
@@ -52,8 +54,10 @@ def with_throughput(table: Table) -> Table | None:
     names = [_words_of(name) for name in table.names]
     in_volts = lambda k: _is_number(table, k) and (not table.units[k] or quantity(table.units[k]) == "voltage")
     voltage = next((k for k, name in enumerate(names) if _OF_VOLTAGE.match(name) and in_volts(k)), None)
-    found = None if voltage is None else _passed(table, names) or _integral(table, table.columns[voltage])
-    if voltage is None or found is None or not np.ptp(found[0][np.isfinite(found[0])]) > 0:
+    if voltage is None or _is_voltammogram(table, table.columns[voltage]):
+        return None
+    found = _passed(table, names) or _integral(table, table.columns[voltage])
+    if found is None or not np.ptp(found[0][np.isfinite(found[0])]) > 0:
         return None
     passed, unit, how = found
     noted = table.beside(NAME, passed, unit or "Ah").noted(
@@ -94,18 +98,13 @@ def _passed(table: Table, names: Sequence[str]) -> tuple[np.ndarray, str, str] |
 
 def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] | None:
     """The same from a current that keeps few values, of both signs, while the voltage changes: a cell at constant currents."""
-    kinds = [*map(table.quantity, table.positions)]
-    time, source = (kinds.index(kind) if kind in kinds else None for kind in ("time", "current"))
+    time, source = _clock_and_current(table)
     if time is None or source is None or quantity(table.units[time] or "s") != "time":
         return None
     current, intervals = np.nan_to_num(table.columns[source]), np.diff(table.columns[time])
     if not current.min() < 0 < current.max() or not np.all(intervals >= 0) or not np.isfinite(np.diff(voltage)).any():
         return None
-    levels = np.round(current / (RARE * np.ptp(current)))
-    values, counts = np.unique_counts(levels[levels != 0])
-    most_kept = np.argsort(counts)[-_LEVELS:]
-    usual = np.median(np.repeat(np.abs(values[most_kept]), counts[most_kept])) if values.size else 0.0
-    kept = counts[most_kept].sum() > MOST * counts.sum() and usual >= _LEAST
+    levels, kept = _levels(current)
     switched, steps = np.diff(levels) != 0, np.abs(np.diff(voltage))
     moves = np.add.reduceat(np.where(switched, 0.0, np.diff(voltage)), np.append(0, np.flatnonzero(switched)))
     changes = np.nansum(np.abs(moves)) > MAJORITY * np.nansum(steps[switched])
@@ -115,6 +114,35 @@ def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] 
         return None
     passed = np.append(0.0, np.cumsum(current[1:] * intervals)) * (conversion(table.units[time] or "s", "h") or 1.0)
     return passed, f"{table.units[source] or 'A'}h", f"{table.names[source]!r} over {table.names[time]!r}"
+
+
+def _clock_and_current(table: Table) -> tuple[int | None, int | None]:
+    """Positions of the time and of the current."""
+    kinds = [*map(table.quantity, table.positions)]
+    time, source = (kinds.index(kind) if kind in kinds else None for kind in ("time", "current"))
+    return time, source
+
+
+def _levels(current: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The current in hundredths of its range, and whether it keeps few values, as that with which a cell is cycled does."""
+    levels = np.round(current / (RARE * np.ptp(current)))
+    values, counts = np.unique_counts(levels[levels != 0])
+    most_kept = np.argsort(counts)[-_LEVELS:]
+    usual = np.median(np.repeat(np.abs(values[most_kept]), counts[most_kept])) if values.size else 0.0
+    return levels, bool(counts[most_kept].sum() > MOST * counts.sum() and usual >= _LEAST)
+
+
+def _is_voltammogram(table: Table, voltage: np.ndarray) -> bool:
+    """Whether the voltage goes up and down at one rate while the current keeps no values: it drives, and the charge follows."""
+    time, source = _clock_and_current(table)
+    if time is None or source is None or not np.ptp(current := np.nan_to_num(table.columns[source])) > 0:
+        return False
+    changes, intervals = (values[_ROWS:] - values[:-_ROWS] for values in (voltage, table.columns[time]))
+    rates = changes / intervals
+    usual = np.nanmedian(np.abs(rates)) if np.isfinite(rates).any() else 0.0
+    at_one = np.abs(np.abs(rates) - usual) < _SAME * usual
+    both = (rates[at_one] > 0).any() and (rates[at_one] < 0).any()
+    return bool(both and at_one.mean() > MAJORITY) and not _levels(current)[1]
 
 
 def _is_number(table: Table, position: int) -> bool:

@@ -16,7 +16,10 @@ from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import clock_goes_on, extent, jumps
 
 # Words in the names of columns that tell records apart, the best one first.
-_OBJECTS = "specimen sample coupon device pixel pix material test experiment table file filename probe versuch échantillon essai".split()
+_OBJECTS = (
+    "specimen sample trial coupon device pixel pix material test experiment table file filename probe".split()
+    + "versuch échantillon essai".split()
+)
 # Words of columns that do so unless the clock goes on from one value to the next, as it does over the cycles of one experiment.
 _CYCLES = {"cycle"}  # of which the numbers go on, as those of one experiment, where nothing jumps
 _PASSES = "run curve loop cycle series batch group label condition name id".split()

@@ -75,7 +75,7 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if bases[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
-        kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(table.names[k])})
+        kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(bases[k])})
     if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
         kinds.update({k: "stress" for k in free if kinds[k] == "pressure"})
     loads, warm = ([k for k in free if kinds[k] in names] for names in (LOADS, ("temperature",)))

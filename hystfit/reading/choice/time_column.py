@@ -12,6 +12,7 @@ from hystfit.reading.limits import FEWEST
 from hystfit.reading.names.column_names import column_quantity, column_role
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
+from hystfit.reading.text import cells
 
 
 def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int, notes: list[Note]) -> int | None:
@@ -23,6 +24,7 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
     """
     # A duration that goes up and down is no clock, unless its name is that of a time.
     named = [k for k in free if k in table.stamps or (kinds[k] == "time" and is_clock(table, k))]
+    named = named or [k for k in free if not kinds[k] and _is_since_1970(table, k)]
     named.sort(key=lambda k: k not in table.stamps)
     if not named and len(free) + given > 2:
         # The abscissa of a report of Abaqus is its X; of an oscilloscope, whose file states the interval, X numbers the samples.
@@ -59,6 +61,14 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
         notes.append(Note(Code.LEFT_OUT, text))
         kinds[k] = "index"
     return None
+
+
+def _is_since_1970(table: Table, k: int) -> bool:
+    """Whether a column without a unit always rises among the times of our age since 1970."""
+    values = table.columns[k]
+    if table.units[k] or not (np.diff(values) > 0).all():
+        return False
+    return cells.is_since_1970(values[0], values[-1])
 
 
 def is_clock(table: Table, k: int) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -15,6 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
 from hystfit.reading.choice.chosen_columns import Choice
+from hystfit.reading.curves.blocks_of_loops import conditions_of, loops_of
 from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.curves.other_inputs import other_inputs
 from hystfit.reading.curves.two_branches import mirrored
@@ -22,9 +22,7 @@ from hystfit.reading.curves.unseparated_curves import curves_at_conditions
 from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, NEAR
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on, jumps, meet
-
-_CLEARLY = 4.0  # times the range of a condition within a curve, by which it differs from curve to curve
+from hystfit.reading.table.signal_evidence import clock_goes_on, jumps
 
 
 def text_of(value: object) -> str:
@@ -62,9 +60,9 @@ def split_curves(
     if table.part is not None:
         pieces = _rows_of(table.part, len(table.parts))
         stated = any(part.stated for part in table.parts)
-        if not stated and len(pieces) > 1 and (loop := _one_loop(table, choice, pieces, notes)) is not None:
+        if not stated and len(pieces) > 1 and (loops := loops_of(table, choice, pieces, notes)):
             notes[:] = [note for note in notes if note.code is not Code.CURVES or note is notes[-1]]
-            return [("", loop)], False
+            return loops, len(loops) > 1
         return _by_part(table, choice, notes), True
     if table.calibration is not None:
         return calibrated_curves(table, choice, table.calibration, notes), True
@@ -100,8 +98,8 @@ def split_curves(
         raise DataError(f"{table.source}: every block between blank lines has a single row; remove the blank lines")
     if len(pieces) == 1:
         return [("", pieces[0])], False
-    if (loop := _one_loop(table, choice, pieces, notes)) is not None:
-        return [("", loop)], False
+    if loops := loops_of(table, choice, pieces, notes):
+        return loops, len(loops) > 1
     if choice.time is None and len(pieces) == 2 and (loop := mirrored(table, choice, pieces)) is not None:
         text = "2 blocks are the branches of one loop, read as one record: each is the other one mirrored through the origin"
         notes.append(Note(Code.CURVES, text))
@@ -110,7 +108,7 @@ def split_curves(
         notes.append(
             Note(Code.CURVES, f"{len(pieces)} curves, separated by blank lines, repeated headers or heads of sections")
         )
-    labels = _conditions(table, choice, pieces) or [f"curve={k}" for k in range(len(pieces))]
+    labels = conditions_of(table, choice, pieces) or [f"curve={k}" for k in range(len(pieces))]
     return list(zip(labels, pieces, strict=True)), True
 
 
@@ -122,53 +120,6 @@ def _goes_on(table: Table, choice: Choice, starts: np.ndarray) -> str:
     numbered = any(table.counts(k) for k in table.positions if k not in (choice.input, choice.output))
     jump = numbered and any(jumps(table.columns[k], starts - 1).any() for k in (choice.input, choice.output))
     return "the number of the sample goes on" if numbered and not jump else ""
-
-
-def _conditions(table: Table, choice: Choice, pieces: Sequence[np.ndarray]) -> list[str]:
-    """A label of every curve by the measured condition that tells them apart, such as the current of a damper; none without one."""
-    for position, name in enumerate(table.names if table.named else ()):
-        values = table.columns[position]
-        if position in (choice.time, choice.input, choice.output, *table.labels) or not np.isfinite(values).all():
-            continue
-        levels = np.array([np.median(values[piece]) for piece in pieces])
-        apart = float(np.diff(np.sort(levels)).min())
-        if apart > _CLEARLY * max(float(np.ptp(values[piece])) for piece in pieces):
-            digits = 1 - math.floor(math.log10(apart))
-            return [f"{split_unit(name)[0]}={text_of(round(level, digits) + 0.0)}" for level in levels.tolist()]
-    return []
-
-
-def _one_loop(table: Table, choice: Choice, pieces: Sequence[np.ndarray], notes: list[Note]) -> np.ndarray | None:
-    """Rows of blocks that are branches of one loop, each beginning where the previous one ends; None of others.
-
-    If there is a clock, it goes on from each block to the next.
-    """
-    u, y = table.columns[choice.input], table.columns[choice.output]
-    rows = np.concatenate(pieces)
-    starts = np.cumsum([piece.size for piece in pieces])[:-1]
-    apart = choice.time is not None and not clock_goes_on(table.columns[choice.time][rows], starts)
-    if apart or not _follow_each_other(u, y, pieces):
-        return None
-    text = (
-        f"{len(pieces)} blocks are branches of one loop, read as one record: each begins where the previous one ends, and the input "
-        "reverses"
-    )
-    notes.append(Note(Code.CURVES, text))
-    return rows
-
-
-def _follow_each_other(u: np.ndarray, y: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:
-    """Whether the input runs up and down in turn from block to block, and each block begins near the end of the one before."""
-    near, way = NEAR * np.ptp(u[np.isfinite(u)]), 0.0
-    for piece in pieces:
-        ends = u[piece[0]], u[piece[-1]]
-        stroke = float(ends[1] - ends[0])
-        # A block is one branch: nowhere does it leave the range between its ends.
-        inside = np.all((u[piece] >= min(ends) - near) & (u[piece] <= max(ends) + near))
-        if not inside or abs(stroke) <= near or stroke * way > 0:
-            return False
-        way = stroke
-    return meet([u[piece] for piece in pieces]) and meet([y[piece] for piece in pieces])
 
 
 def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str, np.ndarray]]:

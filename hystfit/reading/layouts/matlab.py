@@ -27,7 +27,7 @@ def read_matlab(file: FileBytes, opening: Opening) -> Table:
         }  # which MATLAB stores first
         return read_arrays(of_columns, file, opening)
     with errors_of(file, opening):
-        tree = _by_cell(_variables(file.raw))
+        tree = _by_cell(_logged(_variables(file.raw)))
     if any(map(_has_structures, tree.values())):
         return table_of_tree(_listed(tree), file, Note(Code.FILE_FORMAT, "structures of MATLAB"))
     return read_arrays(lambda _: _flatten(tree) | _scalars(tree), file, opening)
@@ -42,6 +42,23 @@ def _variables(raw: bytes) -> dict[str, Any]:
     check_size(sum(DOUBLE * math.prod(map(int, shape)) for shape in shapes), raw)
     found = loadmat(io.BytesIO(raw), simplify_cells=True)
     return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _logged(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """The variables; the signals that Simulink logs in a structure with their time are called by their labels or numbers."""
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        signals = value.get("signals") if isinstance(value, Mapping) and "time" in value else None
+        items = [signals] if isinstance(signals, Mapping) else _items(signals)
+        if items and all(isinstance(item, Mapping) and "values" in item for item in items):
+            labels = [str(item.get("label", "")) if np.size(item.get("label", "")) else "" for item in items]
+            if len({*labels, ""}) <= len(items):
+                labels = [str(k) for k in range(1, len(items) + 1)] if len(items) > 1 else [""]
+            found[f"{name}.time"] = value["time"]
+            found |= {f"{name}.{label}".rstrip("."): item["values"] for label, item in zip(labels, items, strict=True)}
+        else:
+            found[name] = _logged(value) if isinstance(value, Mapping) else value
+    return found
 
 
 def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, np.ndarray]:

@@ -67,7 +67,8 @@ def read_tables(text: TextFile) -> Table | None:
     if rest:
         lines = listed([f"line {piece.first + 1}" for piece in rest])
         notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns: {lines}"))
-    common = sample_properties(text.lines[: pieces[0].first], tables[chosen[0]].names)
+    top = [line for line in text.lines[: pieces[0].first] if line.strip() not in pieces[0].header]
+    common = sample_properties(top, tables[chosen[0]].names)
     if loop is not None:
         return dataclasses.replace(loop, notes=tuple(notes), metadata=common | loop.metadata)
     table = below_each_other([tables[k] for k in chosen], parts) if len(chosen) > 1 else tables[chosen[0]]

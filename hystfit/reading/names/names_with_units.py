@@ -6,7 +6,7 @@ import functools
 import re
 from collections.abc import Sequence
 
-from hystfit.params.units import parse_unit, quantity
+from hystfit.params.units import ONE_CHARACTER, parse_unit, quantity
 from hystfit.reading.limits import LONGEST
 from hystfit.reading.names.scaled_units import factor_of
 from hystfit.reading.names.unit_case import in_case, split_in_case
@@ -28,7 +28,7 @@ _JOINED = re.compile(
 _FLOW = re.compile(r"(.+?)[_ ](c?m3|ft3|[mu]?[Ll])[_/]?(s|min|h)")
 _FLOWS = {"cms": "m3/s", "cfs": "ft3/s", "lpm": "L/min", "slpm": "L/min", "sccm": "cm3/min", "gpm": "gal/min"}
 _FLUX = re.compile(r"(.+?)_([mnuµ]?mol|c?m3|[mk]?g|[MkmW]?J|m?L)_(c?m2|k?g)_(s|min|h|hr|d|day)")
-_WIDE = str.maketrans("（）［］【】／", "()[][]/")  # of Chinese and Japanese text
+_WIDE = str.maketrans("（）［］【】／", "()[][]/") | ONE_CHARACTER  # of Chinese and Japanese text
 _CYRILLIC = dict(
     zip(
         "мм см м мкм нм Н кН Па кПа МПа с сек мс В кВ мВ А мА Тл мТл Э кЭ А/м кА/м Гц мин ч".split(),
@@ -69,6 +69,7 @@ _WORD = 4  # letters from which a unit is written as a word
 
 def is_unit(text: str) -> bool:
     """Whether a text is a unit as laboratories write them, and not more likely a name."""
+    text = text.translate(ONE_CHARACTER)
     if text.isdigit() or _NODE.fullmatch(text):  # P_11 is a component
         return False
     if _UNIT.fullmatch(text) or text.lower() in _ARBITRARY:

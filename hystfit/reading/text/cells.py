@@ -216,6 +216,11 @@ def unit_of_epoch(first: float, last: float) -> str:
     return next(units, "")
 
 
+def is_since_1970(first: float, last: float) -> bool:
+    """Whether these are the first and last of times of our age since 1970, in any unit."""
+    return _THIS_AGE[0] < first <= last < _THIS_AGE[1] or unit_of_epoch(first, last) != ""
+
+
 def dots_are_doubtful(delimiter: str | None) -> bool:
     """Whether a file with this delimiter may come from a language in which dots separate thousands (and commas decimals)."""
     return delimiter in (";", "\t")

@@ -316,7 +316,8 @@ def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], in
     bare = [a == b and not RELATIVE_PRESSURE.fullmatch(a) for a, b in zip(_bare(units), units, strict=True)]
     # Without brackets, below fewer columns.
     without = len(units) < width and all(is_unit(cell) or is_symbol(cell) for cell in units)
-    if not units or (any(bare) and not without) or len(top) != width:
+    more = len(units) < width and not any("=" in cell or cells.kind(cell, ".") == cells.NUMBER for cell in units)
+    if not units or (any(bare) and not without and not more) or len(top) != width:
         return None
     names, told = [[name] for name in top], [""] * width
     for row in rows[1:]:

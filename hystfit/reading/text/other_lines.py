@@ -180,9 +180,12 @@ def _apart(text: Text, block: Block) -> int:
     dialect, first = text.dialect, int(block.index[0])
     nested = lambda row: _is_outer(row, dialect)
     fits = lambda cell, kind: kind == cells.MISSING or cells.kind(cell, dialect.decimal) == cells.TEXT
-    above = text.lines[first - 1] if first > 1 else ""
-    if is_mark(above) or above in heads_of_sections(text.lines, block.index):
-        return first - 1
+    heads = heads_of_sections(text.lines, block.index)
+    for place in range(first - 1, max(0, first - 1 - FEW), -1):  # "@@Data", maybe with the title of a section below it
+        if is_mark(text.lines[place]) or text.lines[place] in heads:
+            return place
+        if len(block.rows[place]) >= dialect.width and not text.lines[place].rstrip().endswith(":"):
+            break
     for place in range(first - 1, max(0, first - 1 - ABOVE), -1):
         between = block.rows[place]
         if place < first - FEW and not nested(between):

@@ -21,10 +21,10 @@ _NAMES = {
     "polarization_tip": r"P_?v?max",
     "switched_polarization": r"Psw",
     "loop_area": r"(?:hysteresis |energy )?loss|W_?loss|loop area",
-    "": r"initial slope|slope correction|squareness|S\*",
+    "": r"initial slope|slope correction|squareness|S\*|\(?BH\)?[_ ]?max",
 }
 _RESULT = re.compile(
-    "|".join(f"(?P<q{k}>{pattern})" for k, pattern in enumerate(_NAMES.values())).join(("±?(?:", r")\s*[+-]?")),
+    "|".join(f"(?P<q{k}>{pattern})" for k, pattern in enumerate(_NAMES.values())).join((r"[±+-]?\s*(?:", r")\s*[+-]?")),
     re.IGNORECASE,
 )
 _VALUE = re.compile(r"\s*(?P<number>[+-]?[\d.,]*\d[.,]?(?:[eE][+-]?\d+)?)\s*(?P<unit>[^\d\s,;]\S{0,11})?\s*", re.ASCII)

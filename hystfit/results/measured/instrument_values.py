@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterable, Iterator
 
 from hystfit.data.record import Record
@@ -10,15 +11,26 @@ from hystfit.data.stated import OFFSET, SLOPE, Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
+from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.loop_branches import Branch
 from hystfit.results.measured.measured_value import LoopValue
 
 Levels = Callable[[list[Branch]], Iterable[LoopValue]]
 
+# Names of results that rows of a data sheet of magnets have, by these.
+_SHEET = {
+    "HcJ": re.compile(r"HcJ|Hci|[ij]Hc", re.IGNORECASE),
+    "HcB": re.compile(r"HcB|BHc", re.IGNORECASE),
+    "Br": re.compile(r"Br", re.IGNORECASE),
+    "energy_product": re.compile(r"\(?BH\)?[_ ]?max", re.IGNORECASE),
+}
+
 
 def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches: list[Branch]) -> Iterator[LoopValue]:
     """The quantities with those that the instrument states; those that its slope correction changes (`levels`) in rows of their own."""
-    stated = {_name_of(one): one for one in record.stated if one.quantity}
+    other = "HcJ" if column_quantity(record.y_name, record.y_unit) == "induction" else "HcB"  # where J = 0, or B
+    own = [one for one in record.stated if one.quantity and not _SHEET[other].fullmatch(one.label)]
+    stated = {_name_of(one): one for one in own}
     if any(row.name == "remanence_end" for row in found):
         u = record.u[record.used]
         side = "rising" if u.argmin() > u.argmax() else "falling"  # the direction in which the input ends
@@ -36,6 +48,14 @@ def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches
         if one.name in stated:
             label = f"{one.label}, after the slope correction of the file"
             yield dataclasses.replace(beside(one), name=f"{one.name}_corrected", label=label)
+
+
+def with_data_sheet(record: Record, sheet: Iterable[LoopValue]) -> Iterator[LoopValue]:
+    """The rows of a data sheet of magnets with those that the instrument states."""
+    for row in sheet:
+        pattern = _SHEET.get(row.name)
+        stated = next((one for one in record.stated if pattern is not None and pattern.fullmatch(one.label)), None)
+        yield dataclasses.replace(row, stated=_in_unit(stated, row.unit))
 
 
 def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note]:
@@ -65,8 +85,9 @@ _SIGNED = {
 
 
 def _name_of(stated: Stated) -> str:
-    """The name under which a stated result stands here: "Vc+" is the coercivity of the rising branch."""
-    side = _SIGNED.get((stated.quantity, stated.label[-1:]))  # "Prrel-" is the one at the start, on whichever side
+    """The name under which a stated result stands here: "Vc+" and "+Vc" are the coercivity of the rising branch."""
+    sign = stated.label[:1] if stated.label[:1] in ("+", "-") else stated.label[-1:]
+    side = _SIGNED.get((stated.quantity, sign))  # "Prrel-" is the one at the start, on whichever side
     return stated.quantity if side is None else f"{stated.quantity}_{side}"
 
 

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import enum
+import re
 
 from hystfit.data.dataset import Dataset
+from hystfit.data.record import Record
 from hystfit.reading.names.column_names import column_quantity
+
+_LIGHT = re.compile(r"kerr|moke|mcd", re.IGNORECASE)  # effects of Kerr and of X-ray magnetic circular dichroism
 
 
 class LoopKind(enum.StrEnum):
@@ -23,8 +27,8 @@ class LoopKind(enum.StrEnum):
         """The kind of the records, by the units and names of their columns; `OTHER` where these tell of no other kind."""
         first = data[0]
         u, y = column_quantity(first.u_name, first.u_unit), column_quantity(first.y_name, first.y_unit)
-        if u in ("field", "induction") and first.y_unit.endswith(("deg", "rad", "°")):
-            return cls.OTHER  # light that a field turns (Kerr, Faraday), and no actuator
+        if turns_light(first):
+            return cls.MAGNETIC
         for kind, inputs, outputs in _LOOP_KINDS:
             if u in inputs and y in outputs:
                 return kind
@@ -40,6 +44,12 @@ _LOOP_KINDS = (
     (LoopKind.DISPLACEMENT_DRIVEN, _PATHS, _FORCES | {"stiffness"}),
     (LoopKind.FORCE_DRIVEN, _FORCES, _PATHS),
 )
+
+
+def turns_light(record: Record) -> bool:
+    """Whether the output is light that a magnetization turns or absorbs: it tells coercivity and remanence, and no energy."""
+    driven = column_quantity(record.u_name, record.u_unit) in ("field", "induction")
+    return driven and (record.y_unit.endswith(("deg", "rad", "°")) or _LIGHT.search(record.y_name) is not None)
 
 
 def may_be_force(data: Dataset) -> bool:

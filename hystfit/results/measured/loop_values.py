@@ -20,7 +20,7 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.results.measured.instrument_values import convention_notes, with_stated
+from hystfit.results.measured.instrument_values import convention_notes, with_data_sheet, with_stated
 from hystfit.results.measured.loop_branches import (
     ENDS,
     Branch,
@@ -34,7 +34,7 @@ from hystfit.results.measured.loop_branches import (
     loss,
     turns_of,
 )
-from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
@@ -171,7 +171,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.FERROELECTRIC:
         record, of_zero = centered(record)
         y = record.y[kept]
-    magnetic = MagneticLoop.of(record, sample, sigma, correct) if kind is LoopKind.MAGNETIC else None
+    has_sheet = kind is LoopKind.MAGNETIC and not turns_light(record)
+    magnetic = MagneticLoop.of(record, sample, sigma, correct) if has_sheet else None
     turns = turns_of(u)
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
@@ -238,7 +239,7 @@ def _with_data_sheet(
     error = lambda row: (
         float(np.sqrt(sum((m.get(row.name, np.nan) - row.value) ** 2 for m in moved))) if moved else None
     )
-    sheet = tuple(dataclasses.replace(row, scale=error(row)) for row in sheet)
+    sheet = tuple(with_data_sheet(record, (dataclasses.replace(row, scale=error(row)) for row in sheet)))
     if sheet and not magnetic.absolute:
         text = (
             "Br, HcB and (BH)max need the volume of the sample, or its mass and density, and units of field and output"

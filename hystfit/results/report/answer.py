@@ -20,7 +20,7 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
-from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
+from hystfit.results.measured.loop_kinds import REMANENT, LoopKind, turns_light
 from hystfit.results.measured.quantities import QUANTITIES, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
@@ -94,6 +94,8 @@ def numbers_of(result: FitResult) -> tuple[tuple[str, str], ...]:
         rows.append(lag)
     if result.usable and (why := result.obstacle("inverse")) and result.model.obstacle("inverse") is None:
         rows.append(("Inverse", f"none: {why}"))
+    if result.status is Status.UNDETERMINED:  # the samples are too few to tell
+        return tuple(rows)
     return (*rows, ("Not determined", _undetermined(result)))
 
 
@@ -120,6 +122,8 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     for q in result.quantities:
         one = QUANTITIES[q.name]
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
+            continue
+        if q.name == "loop_area" and turns_light(result.data[0]):
             continue
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text

@@ -8,7 +8,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import PROSE, shortened, within
@@ -69,7 +69,7 @@ def quantities_of(result: FitResult) -> str:
 
 def verdict(result: FitResult) -> list[Note]:
     """The notes that explain or qualify the status, and quantities in which model and measured loop differ."""
-    notes = [note for note in result.notes if note.code in _VERDICT]
+    notes = [note for note in result.notes if _explains(note)]
     return notes + [_difference(one, result.data) for one in result.quantities if one.differs]
 
 
@@ -82,7 +82,12 @@ def _difference(one: QuantityEstimate, data: Dataset) -> Note:
 
 def remarks(result: FitResult) -> list[Note]:
     """All other notes."""
-    return [note for note in result.notes if note.code not in _VERDICT]
+    return [note for note in result.notes if not _explains(note)]
+
+
+def _explains(note: Note) -> bool:
+    """Whether a note is a reason of the status, or belongs to those."""
+    return note.code in _VERDICT or note.severity is Severity.ERROR
 
 
 def facts(result: FitResult) -> dict[str, list[str]]:
