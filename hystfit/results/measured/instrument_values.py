@@ -50,7 +50,7 @@ def with_stated(record: Record, found: list[LoopValue], levels: Levels, branches
             yield dataclasses.replace(beside(one), name=f"{one.name}_corrected", label=label)
 
 
-def with_data_sheet(record: Record, sheet: Iterable[LoopValue]) -> Iterator[LoopValue]:
+def with_stated_sheet(record: Record, sheet: Iterable[LoopValue]) -> Iterator[LoopValue]:
     """The rows of a data sheet of magnets with those that the instrument states."""
     for row in sheet:
         pattern = _SHEET.get(row.name)

@@ -20,7 +20,7 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
-from hystfit.results.measured.instrument_values import convention_notes, with_data_sheet, with_stated
+from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
     ENDS,
     Branch,
@@ -239,7 +239,7 @@ def _with_data_sheet(
     error = lambda row: (
         float(np.sqrt(sum((m.get(row.name, np.nan) - row.value) ** 2 for m in moved))) if moved else None
     )
-    sheet = tuple(with_data_sheet(record, (dataclasses.replace(row, scale=error(row)) for row in sheet)))
+    sheet = tuple(with_stated_sheet(record, (dataclasses.replace(row, scale=error(row)) for row in sheet)))
     if sheet and not magnetic.absolute:
         text = (
             "Br, HcB and (BH)max need the volume of the sample, or its mass and density, and units of field and output"
