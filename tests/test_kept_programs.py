@@ -11,7 +11,7 @@ from hystfit.config import PROGRAM_FOLDER, expect_few_runs
 from hystfit.fitting.solvers import lanes
 from hystfit.fitting.solvers.lanes import Stack
 from hystfit.models.shared import simulation
-from hystfit.params import kept_programs
+from hystfit.params import kept_programs, program_limit
 from hystfit.params.host_arrays import compiled
 from hystfit.params.kept_programs import kept, unoptimized
 from hystfit.runs.threads import Workers
@@ -144,3 +144,19 @@ def test_a_quickly_compiled_program_computes_the_same_with_another_one_within_it
     """The one within takes no options of its own."""
     with expect_few_runs():
         np.testing.assert_allclose(compiled(_doubled)(hf.BoucWen(), U), by_scan(hf.BoucWen(), 2 * U), rtol=1e-14)
+
+
+@pytest.mark.skipif(not program_limit._MAPS.is_file(), reason="the maps of a process are a file of Linux")
+def test_programs_of_many_lengths_are_dropped_before_they_take_up_the_maps_of_the_process(monkeypatch, tmp_path):
+    """As many maps as a process may have end it with a segmentation fault; here 300 more than it has are the limit."""
+    maps = lambda: program_limit._MAPS.read_bytes().count(b"\n")
+    limit, room = tmp_path / "max_map_count", 300
+    limit.write_text(str(int((maps() + room) / program_limit._SHARE)))
+    monkeypatch.setattr(program_limit, "_MOST", limit)
+    monkeypatch.setattr(program_limit, "_EVERY", 2)
+    before, most, first = maps(), 0, np.asarray(hf.simulate(hf.BoucWen(), U)[0])
+    for length in range(20, 48):
+        hf.simulate(hf.BoucWen(), np.zeros(length))
+        most = max(most, maps())
+    assert 100 < most - before < 1.5 * room
+    assert np.asarray(hf.simulate(hf.BoucWen(), U)[0]) == pytest.approx(first, abs=0)

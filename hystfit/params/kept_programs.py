@@ -28,6 +28,7 @@ import jax
 import numpy as np
 
 from hystfit.config import PROGRAM_FOLDER, compiles_quickly, platform, program_options
+from hystfit.params.program_limit import keep_below_limit
 from hystfit.version import version_of
 
 _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
@@ -84,7 +85,12 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
         program = programs[key, quick]
         return otherwise(*trees) if program is None else program(*arrays)
 
-    return functools.wraps(function)(lambda *trees: (call if PROGRAM_FOLDER in os.environ else otherwise)(*trees))
+    @functools.wraps(function)
+    def run(*trees: Any) -> Any:
+        keep_below_limit()
+        return (call if PROGRAM_FOLDER in os.environ else otherwise)(*trees)
+
+    return run
 
 
 def unoptimized(leaves: Iterable[Any]) -> bool:
