@@ -257,6 +257,7 @@ def test_the_next_measurement_is_the_one_that_tells_most(population):
         ({"covariates": ["temperature"]}, "has no value of temperature"),
         ({"by": {"device 0": "a"}}, "names no device for the loop 'device 1'"),
         ({"flat": True}, "device 0: "),
+        ({"poor": True}, "device 0: poor (the error is"),
         ({"unit": "V"}, "record 'device 2': the output has another unit"),
         ({"draws": 3}, "at least 100"),
     ],
@@ -266,12 +267,15 @@ def test_bad_input_is_named(change, words):
     records = records[change.pop("records", slice(0, 3))]
     if change.pop("flat", False):  # a device without a loop
         records = [records[0].replace(y=2 * U), *records[1:]]
+    if change.pop("poor", False):  # two devices, of which the model describes one
+        records = [records[0].replace(y=np.sin(9 * U) + 0.1 * np.cumsum(U)), records[1]]
     if unit := change.pop("unit", ""):
         records = [record.replace(y_unit="N") for record in records[:-1]] + [records[-1].replace(y_unit=unit)]
     options = {"fix": {**FIX, "offset": 0.0}, "noise": "iid", "starts": 1} | change
     with pytest.raises((DataError, ParameterError)) as caught:
         hf.fit_population("bouc-wen", records, **options)
     assert words in str(caught.value)
+    assert len(str(caught.value)) < 400  # not all notes on each device
 
 
 def test_the_verb_proposes_the_next_measurement(tmp_path, capsys):

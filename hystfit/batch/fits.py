@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -19,6 +18,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError, optional
 from hystfit.outcome import Status, Table
 from hystfit.outcome.table import write_csv
+from hystfit.outcome.wrapping import begun
 from hystfit.params.units import with_unit
 from hystfit.registry import near
 from hystfit.results.estimates import grouped
@@ -224,9 +224,8 @@ class Fits(ManyFits):
         many = [f"{name}[{len(family)}]" for name, family in rows if len(family) > 1]
         usable = [*self.summary((*self.quantities, *few)).lines("  ", width)]
         usable += [f"  {', '.join(many)}: in fits.csv"] if many else []
-        shortened = lambda text: textwrap.shorten(text, 240, placeholder=" ...")
         worst = [row for row in self.worst(5) if not row.usable]
-        return self._lines([], usable, [f"  {row.name}: {row.status}: {shortened(row.reason)}" for row in worst])
+        return self._lines([], usable, [f"  {row.name}: {row.status}: {begun(row.reason)}" for row in worst])
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`; unknown values are null."""

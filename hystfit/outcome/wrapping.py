@@ -9,6 +9,7 @@ from collections.abc import Sequence
 NAMED = 5  # names of a list that prose gives one by one
 PROSE = 100  # columns from which a line of prose is hard to read
 _LAST_COLUMN = re.compile(r"^.*\S {2,}(?=\S)")
+_REASON = 240  # characters of a reason in a list of several
 _HANG = 0.7  # part of the width behind which the last column of a table is no prose that could wrap
 _COMMAND = re.compile(r"\s*(?:\$ )?(?:hystfit|cc|printf) ")  # whole, to be copied
 
@@ -23,6 +24,11 @@ def shortened(lines: Sequence[str], most: int, rest: str = "and {} more") -> lis
     """The first lines of a list, and one that counts those beyond the first `most`."""
     more = len(lines) - most
     return [*lines[:most], rest.format(more)] if more > 0 else list(lines)
+
+
+def begun(text: str) -> str:
+    """The beginning of a text that is one of several reasons in a list; whoever needs the rest finds it in the table of all."""
+    return textwrap.shorten(text, _REASON, placeholder=" ...")
 
 
 def within(text: str, width: int) -> str:

@@ -21,7 +21,7 @@ from hystfit.inference.fittable import check_smooth
 from hystfit.models.base import AbstractHysteresis
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import warn
-from hystfit.outcome.wrapping import listed
+from hystfit.outcome.wrapping import begun, listed
 from hystfit.population.devices import Common, Device, effects_of
 from hystfit.population.hierarchy import Hierarchy, Pool, draw_hierarchy
 from hystfit.population.population_fit import PopulationFit
@@ -141,7 +141,7 @@ def _fitted(
     for k, (name, rows) in enumerate(groups.items()):
         report(f"errors of {name}", k / len(groups))
         if bad := [row for row in rows if row.status not in _FIT]:
-            left_out[name] = f"{bad[0].status}" + (f" ({bad[0].reason})" if bad[0].reason else "")
+            left_out[name] = f"{bad[0].status}" + (f" ({begun(bad[0].reason)})" if bad[0].reason else "")
             continue
         try:
             result = _again(fits, rows, options)
