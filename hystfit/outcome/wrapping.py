@@ -27,7 +27,7 @@ def shortened(lines: Sequence[str], most: int, rest: str = "and {} more") -> lis
 
 
 def begun(text: str) -> str:
-    """The beginning of a text that is one of several reasons in a list; whoever needs the rest finds it in the table of all."""
+    """The beginning of a reason that stands in a list of several; a fit of that loop alone gives the whole."""
     return textwrap.shorten(text, _REASON, placeholder=" ...")
 
 

@@ -1,7 +1,7 @@
 """Compiled programs of a process, dropped before they take up the memory maps that Linux allows it.
 
 A program is compiled for one shape of its arguments and takes about ten maps. At the limit LLVM finds no memory, and the process ends with
-a segmentation fault: so did one that simulated inputs of about 2000 lengths.
+a segmentation fault: so did one that fitted and simulated many loops of different lengths. JAX drops the programs of all packages together.
 """
 
 from __future__ import annotations
