@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import gamma, norm
+from scipy.stats import gamma, norm, rankdata
 from scipy.stats import t as student
 
 import hystfit as hf
@@ -20,9 +20,10 @@ from hystfit.inference.noise.slow_likelihood import Samples
 from hystfit.inference.problem import Problem
 from hystfit.models import PrandtlIshlinskii, Preisach
 from hystfit.outcome import Status
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.sample import suited_sampler
-from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import NoiseGrid, weight_equations, weight_priors
+from hystfit.sampling.truncated_normal import draw_opposite, draw_truncated, inverse
+from hystfit.sampling.weight_equations import weight_equations, weight_priors
 from hystfit.sampling.weight_sampler import Weights, overrelaxed
 
 
@@ -32,7 +33,8 @@ def turning(seed: int, count: int, steps: int = 12) -> np.ndarray:
     return np.concatenate([np.linspace(a, b, steps, endpoint=False) for a, b in itertools.pairwise(turns)])
 
 
-def test_exact_motion_has_the_moments_of_a_truncated_normal() -> None:
+@pytest.mark.parametrize("opposite", [False, True])
+def test_exact_motion_has_the_moments_of_a_truncated_normal(opposite: bool) -> None:
     # Three coordinates, two of them bounded, one with its mean outside: moments by sums over a grid.
     precision = np.array([[2.0, 0.9, -0.4], [0.9, 1.5, 0.6], [-0.4, 0.6, 1.0]])
     slope, bounded = np.array([-1.5, 1.0, 0.3]), np.array([True, True, False])
@@ -44,18 +46,30 @@ def test_exact_motion_has_the_moments_of_a_truncated_normal() -> None:
     mean = mass @ x
     covariance = (x * mass[:, None]).T @ x - np.outer(mean, mean)
 
-    @jax.jit
-    def draws(key: jax.Array) -> jax.Array:
-        move = lambda x, key: (
-            (draw_truncated(key, x, jnp.asarray(slope), jnp.asarray(precision), jnp.asarray(bounded))[-1],) * 2
-        )
-        return jax.lax.scan(move, jnp.ones(3), jax.random.split(key, 8_000))[1]
+    density = jnp.asarray(slope), jnp.asarray(precision), jnp.asarray(bounded)
 
-    found = np.asarray(draws(jax.random.key(0)))
+    def move(x: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        new = draw_opposite(key, x, *density, order, 8) if opposite else draw_truncated(key, x, *density)[-1]
+        return new, new
+
+    order = lambda x: x @ x
+    found = np.asarray(
+        jax.jit(lambda: jax.lax.scan(move, jnp.ones(3), jax.random.split(jax.random.key(0), 8_000))[1])()
+    )
     assert (found[:, bounded] >= 0).all()
     error = np.sqrt(np.diag(covariance) / 2000)  # at least a quarter as many effective draws
     np.testing.assert_array_less(np.abs(found.mean(axis=0) - mean), 4 * error)
     np.testing.assert_allclose(np.cov(found.T), covariance, atol=0.05)
+    sizes = rankdata(np.sum(found**2, axis=1))
+    along = np.corrcoef(sizes[1:], sizes[:-1])[0, 1]
+    assert along < -0.5 if opposite else along > -0.2
+
+
+def test_the_inverse_by_blocks_is_that_of_the_whole() -> None:
+    roots = np.random.default_rng(0).normal(size=(150, 150))
+    matrix = roots @ roots.T / 150 + 0.01 * np.eye(150)
+    found = np.asarray(jax.jit(inverse)(jnp.asarray(matrix)))
+    np.testing.assert_allclose(found, np.linalg.inv(matrix), rtol=0, atol=1e-11 * np.abs(found).max())
 
 
 def test_overrelaxation_leaves_a_density_as_it_is_and_takes_the_other_side() -> None:
@@ -108,7 +122,7 @@ def test_draws_agree_with_rejection_from_the_unbounded_posterior(plays: hf.FitRe
 def test_equations_are_those_of_the_dense_covariance(plays: hf.FitResult) -> None:
     weights = np.random.default_rng(0).uniform(0.5, 2.0, len(plays.data[0]))
     problem = plays.problem.reweighted([weights])
-    grid = NoiseGrid(np.array([0.3, 5.0]), np.array([4.0, 20.0]))
+    grid = NoiseGrid(np.array([0.3, 5.0]), np.array([4.0, 20.0]), np.zeros(2))
     chosen = {**weight_priors(problem, plays.x, None), "offset": priors.Normal(0.2, 0.5)}
     found = weight_equations(problem, plays.x, grid, chosen, size=2.0)
     residual, jacobian = (rows[problem.used] for rows in problem.linearize(plays.x))
@@ -228,7 +242,7 @@ def lagging() -> hf.FitResult:
 
 @pytest.mark.slow
 def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitResult) -> None:
-    # Given the time constant, the weights are normal with a variance in closed form: the posterior of the constant by sums over a grid.
+    # Given the time constant, the weights are a truncated normal whose normal has a closed form: the posterior by sums over a grid.
     fit = lagging
     prior = priors.LogNormal(2.0, 0.5)
     vague = {
@@ -236,13 +250,17 @@ def test_a_time_constant_is_sampled_with_the_weights_behind_it(lagging: hf.FitRe
     }
     posterior = hf.sample(fit, "weights", noise="iid", priors={"tau": prior} | vague, draws=1000, seed=1)
     assert fit.free_names[0] == "tau"
-    y, taus = fit.data[0].y, np.linspace(0.5, 3.4, 300)
+    y, taus, rng = fit.data[0].y, np.linspace(0.3, 3.8, 100), np.random.default_rng(0)
+    normals, squares = rng.normal(size=(3, 20_000)), rng.chisquare(y.size - 3, 20_000)
 
     def log_marginal(tau: float) -> float:
         X = np.column_stack([fit.problem.predict(np.array([tau, *unit]))[0] for unit in np.eye(3)])
-        rss = np.sum((y - X @ np.linalg.lstsq(X, y, rcond=None)[0]) ** 2)
-        spread = np.linalg.slogdet(X.T @ X)[1] + (y.size - X.shape[1]) * np.log(rss)
-        return norm.logpdf(np.log(tau / 2.0), scale=0.5) - np.log(tau) - 0.5 * spread
+        best, free = np.linalg.lstsq(X, y, rcond=None)[0], y.size - X.shape[1]
+        rss = np.sum((y - X @ best) ** 2)
+        spread = np.linalg.slogdet(X.T @ X)[1] + free * np.log(rss)
+        away = np.linalg.solve(np.linalg.cholesky(X.T @ X).T, normals) * np.sqrt(rss / squares)
+        inside = np.mean(np.all(best[:2, None] + away[:2] >= 0, axis=0))  # both weights
+        return norm.logpdf(np.log(tau / 2.0), scale=0.5) - np.log(tau) - 0.5 * spread + np.log(inside)
 
     logs = np.array([log_marginal(tau) for tau in taus])
     p = np.exp(logs - np.max(logs))
@@ -290,33 +308,49 @@ def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
     for number in rng.integers(m, size=8):
         w = np.asarray(equations.estimate) * rng.uniform(0.5, 1.5, equations.estimate.size)
         w[k], variance = equations.estimate[k], rng.uniform(0.5, 2.0) * equations.squares[number] / equations.count
-        found.append(equations.excess(w, number, variance, equations.fit(equations.squares_at(w), number, variance)))
+        found.append(
+            equations.excess(w, number, variance, equations.fit(equations.square(w, number), number, variance))
+        )
     np.testing.assert_allclose(found, found[0], atol=1e-6)
     w[k] += 0.5
-    fit_there = equations.fit(equations.squares_at(w), number, variance)
+    fit_there = equations.fit(equations.square(w, number), number, variance)
     assert abs(equations.excess(w, number, variance, fit_there) - found[0]) > 0.1
 
 
-def test_the_grid_of_noises_lies_about_the_most_probable_one() -> None:
-    from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
+def test_noises_have_the_shares_that_residuals_tell() -> None:
+    from hystfit.inference.noise.slow_likelihood import Contrasts
 
-    rng = np.random.default_rng(0)
-    slow = np.zeros(2000)
-    for k in range(1, 2000):
-        slow[k] = np.exp(-1 / 15) * slow[k - 1] + np.sqrt(1 - np.exp(-2 / 15)) * rng.normal()
-    u = np.sin(0.05 * np.arange(2000))
-    problem = Problem(hf.BoucWen(), hf.Record(u=u, y=u))
-    residual, nothing = slow + 0.5 * rng.normal(size=2000), np.zeros((2000, 0))
-    found = fit_slow_noise(Contrasts(Samples.of(problem.host_setting), residual, nothing, nothing))
-    grid = NoiseGrid.about(found, priors.LogNormal(10.0, 0.5))
-    assert grid.ratios.size == 25
-    expected = norm.logpdf(
-        np.log(grid.times), np.log(10.0), 0.5
-    )  # in the logarithm of the time, in which the grid is even
-    np.testing.assert_allclose(grid.log_prior - grid.log_prior[0], expected - expected[0], atol=1e-9)
-    low, high = np.quantile(grid.times, [0, 1])
-    assert low < 15 < high
+    rng, n = np.random.default_rng(0), 400
+    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    residual = np.linalg.cholesky(np.exp(-lags / 15)) @ rng.normal(size=n) + 0.5 * rng.normal(size=n)
+    u = np.sin(0.05 * np.arange(n))
+    samples, nothing = Samples.of(Problem(hf.BoucWen(), hf.Record(u=u, y=u)).host_setting), np.zeros((n, 0))
+    grid = NoiseGrid.about(Contrasts(samples, residual, nothing, nothing), priors.LogNormal(10.0, 0.5))
+    expected = norm.logpdf(np.log(grid.times), np.log(10.0), 0.5)  # the grid is even in the logarithm
+    for k, (ratio, time) in enumerate(zip(grid.ratios, grid.times, strict=True)):
+        covariance = np.exp(-lags / time) + ratio * np.eye(n)
+        square = residual @ np.linalg.solve(
+            covariance, residual
+        )  # the variance has a density proportional to its inverse
+        expected[k] -= 0.5 * (np.linalg.slogdet(covariance)[1] + n * np.log(square))
+    np.testing.assert_allclose(grid.log_shares, expected - expected.max(), atol=1e-6)
+    share = np.exp(grid.log_shares)
+    assert share.reshape(5, 5)[[0, 0, -1, -1], [0, -1, 0, -1]].max() < 0.1
+    assert grid.times.min() < 15 < grid.times.max()
     assert grid.ratios.min() < 0.25 < grid.ratios.max()
+
+
+def test_draws_of_noises_have_their_shares(cells: hf.FitResult) -> None:
+    prepared = Weights(draws=300, extend=1).prepare(cells, "ou", None)
+    posterior = hf.sample(cells, "weights", noise="ou", draws=300, extend=1)
+    share = np.exp(prepared.grid.log_shares)
+    share /= share.sum()
+    logs = np.log(prepared.grid.times)
+    mean = share @ logs
+    sd = np.sqrt(share @ (logs - mean) ** 2)
+    found = np.log(posterior["noise_time"]).reshape(-1)
+    assert abs(found.mean() - mean) < 4 * sd / np.sqrt(found.size)
+    assert found.std() == pytest.approx(sd, rel=0.1)
 
 
 def test_status_tells_of_chains_that_are_too_short(cells: hf.FitResult) -> None:

@@ -106,8 +106,12 @@ class ResidualAnalysis:
         """Slow and independent noise with the statistics of the residuals."""
         if self.fitted is not None:
             return self.fitted
-        none = np.zeros((self.residual.size, 0))
-        return fit_slow_noise(Contrasts(self.samples, self.residual, self.basis, none))
+        return fit_slow_noise(self.contrasts)
+
+    @property
+    def contrasts(self) -> Contrasts:
+        """Those that know the noise, without a curve."""
+        return Contrasts(self.samples, self.residual, self.basis, np.zeros((self.residual.size, 0)))
 
     @functools.cached_property
     def repeating(self) -> Repeating | None:

@@ -20,10 +20,10 @@ from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import compiled
 from hystfit.quality.held_out import FOLDS, correlation_length
 from hystfit.quality.loops import APART, clear_reversals, distinct, extents
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.truncated_normal import draw_truncated
 from hystfit.sampling.weight_equations import (
-    NoiseGrid,
     WeightEquations,
     parameters_of,
     weight_equations,
@@ -144,11 +144,10 @@ def posterior_mean(posterior: Posterior, problem: Problem) -> Float[np.ndarray, 
     """Mean of the weights given the samples of a problem, with the median noise and smoothness of a posterior and default priors."""
     x, size = posterior.result.x, float(problem.scales.y)
     noise = {name: float(np.median(posterior[name])) for name in posterior.names if name.startswith("noise_")}
-    slow, unit = None, noise["noise_white"]
+    unit, grid = noise["noise_white"], NoiseGrid.one()
     if "noise_slow" in noise:
         unit = noise["noise_slow"]
-        slow = np.array([(noise["noise_white"] / unit) ** 2])
-    grid = NoiseGrid(slow, np.array([noise.get("noise_time", 0.0)]))
+        grid = NoiseGrid.one((noise["noise_white"] / unit) ** 2, noise["noise_time"])
     equations = weight_equations(problem, x, grid, weight_priors(problem, x, None), size)
     strength = float(np.median(posterior.stats["smoothness"])) * posterior.result.problem.used.sum()
     w = np.asarray(_mean(equations, (unit / size) ** 2, strength, jax.random.key(posterior.seed)))

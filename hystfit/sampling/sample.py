@@ -33,10 +33,11 @@ from hystfit.results.saving.folders import alone
 from hystfit.runs.chunks import claim
 from hystfit.sampling.base import AbstractSampler, Progress
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.registry import SAMPLERS
 from hystfit.sampling.setup import MOST, Prepared
-from hystfit.sampling.weight_equations import NoiseGrid, are_free_or_positive
+from hystfit.sampling.weight_equations import are_free_or_positive
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
 _AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -14,16 +13,16 @@ from jaxtyping import Array, Bool, Float
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import gram
 from hystfit.inference.density import Density
-from hystfit.inference.noise.slow_likelihood import Samples, SlowNoiseFit, slow_solver
+from hystfit.inference.noise.slow_likelihood import Samples
 from hystfit.inference.priors import AbstractPrior, HalfNormal, Normal, choose_priors
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import smoothness_penalty
 from hystfit.models.shared.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 from hystfit.params.space import ParameterSpace
+from hystfit.sampling.noise_grid import NoiseGrid, weighted_rows
 from hystfit.sampling.setup import inside
 
-_STEPS = np.array([-2.4, -1.2, 0.0, 1.2, 2.4])  # of the grid of noises along each axis, in standard deviations
 _INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
 
 
@@ -40,7 +39,7 @@ class WeightEquations(eqx.Module):
     slopes: Float[Array, "m p"]  # slopes, grams: half its gradient and half its curvature
     grams: Float[Array, "m p p"]
     log_dets: Float[Array, " m"]  # log determinants of the noises' covariances over their variance
-    log_priors: Float[Array, " m"]  # of the noises, up to a constant
+    log_shares: Float[Array, " m"]  # of the noises in the posterior, up to a constant
     roughness: Float[Array, "p p"]  # R
     penalized: Float[Array, ""]  # rank of R
     precision: Float[Array, " p"]  # diagonal of D: priors of the weights without a penalty
@@ -55,14 +54,14 @@ class WeightEquations(eqx.Module):
         precision = gram / variance + strength * self.roughness + jnp.diag(self.precision)
         return (gram @ self.estimate - self.slopes[number]) / variance + self.pull, precision
 
-    def squares_at(self, w: Float[Array, " p"]) -> Float[Array, " m"]:
-        """q_k(w)."""
+    def square(self, w: Float[Array, " p"], number: Any) -> Scalar:
+        """q_k(w) for noise number k."""
         away = w - self.estimate
-        return jnp.maximum(self.squares + 2 * self.slopes @ away + (self.grams @ away) @ away, 0.0)
+        return jnp.maximum(self.squares[number] + (2 * self.slopes[number] + self.grams[number] @ away) @ away, 0.0)
 
-    def fit(self, squares: Float[Array, " m"], number: Any, variance: Any) -> Scalar:
-        """Log likelihood of noise number `number` with a variance, up to a constant."""
-        return -0.5 * (self.log_dets[number] + self.count * jnp.log(variance) + squares[number] / variance)
+    def fit(self, square: Any, number: Any, variance: Any) -> Scalar:
+        """Log likelihood of noise number `number` with a variance, up to a constant; `square` is that of the weights."""
+        return -0.5 * (self.log_dets[number] + self.count * jnp.log(variance) + square / variance)
 
     def log_prior(self, w: Float[Array, " p"]) -> Scalar:
         """Log prior without the penalty, up to a constant."""
@@ -112,47 +111,6 @@ class Exact(eqx.Module):
         return sum(rows, self.density.log_likelihood_of(jnp.concatenate([x, noise])))
 
 
-class NoiseGrid(eqx.Module):
-    """Noises among which the sampler moves, about the most probable one: ratios of white to slow variance (None: white), and times."""
-
-    models: ClassVar[tuple[str, ...]] = ("iid", "ou")  # noise models that are on such grids
-    ratios: Any
-    times: Any
-    log_prior: Any = 0.0
-
-    @classmethod
-    def about(cls, fit: SlowNoiseFit | None, prior: AbstractPrior | None = None) -> NoiseGrid:
-        """Along the principal axes of the logarithms of both about the noise of a fit; one independent noise where that is None.
-
-        Args:
-            fit: slow and independent noise.
-            prior: of the correlation time; None for one that is uniform in its logarithm.
-        """
-        if fit is None:
-            return cls(None, np.zeros(1))
-        place = lambda noise: np.log([(noise.white / noise.slow) ** 2, noise.time])
-        center, others = place(fit.noise), np.array([place(noise) for noise in fit.others])
-        # Nodes of a 3 x 3 Gauss-Hermite rule: the neighbors of the middle one lie at sqrt(3) standard deviations.
-        first, second = (others[5] - others[4]) / np.sqrt(3), (others[7] - others[4]) / np.sqrt(3)
-        at = center + (_STEPS[:, None, None] * first + _STEPS[None, :, None] * second).reshape(-1, 2)
-        times = np.exp(at[:, 1])
-        by_time = 0.0 if prior is None else np.asarray(jax.vmap(prior.log_density)(to_device(times))) + at[:, 1]
-        return cls(np.exp(at[:, 0]), times, by_time)
-
-    def solvers(self, samples: Samples) -> list[tuple[Any, float]]:
-        """For each noise: the inverse covariance over the variance times columns, and the log determinant."""
-        if self.ratios is None:
-            return [(lambda rows: rows, 0.0)]
-        return [slow_solver(samples, ratio, time) for ratio, time in zip(self.ratios, self.times, strict=True)]
-
-    def parameters(self, number: Any, variance: Any, xp: Any = np) -> Any:
-        """Parameters of the noise model from numbers and variances [y^2], in the order of its declarations: shape (..., q)."""
-        if self.ratios is None:
-            return xp.sqrt(variance)[..., None]
-        white = xp.sqrt(variance * xp.asarray(self.ratios)[number])
-        return xp.stack([white, xp.sqrt(variance), xp.asarray(self.times)[number]], axis=-1)
-
-
 def are_free_or_positive(space: ParameterSpace) -> bool:
     """Whether zero is the only bound of weights, from below."""
     low, high = space.lower[space.linear], space.upper[space.linear]
@@ -178,13 +136,10 @@ def weight_equations(
     roughness = smoothness_penalty(space, list(problem.data), x)
     penalized = np.diag(roughness) > 0
     precision, pull = _of_priors(problem, priors, size)
-    residual, jacobian = problem.linearize(x)
-    samples, root = Samples.of(problem.host_setting), np.sqrt(np.asarray(problem.objective.batch.weight))
-    on = problem.used
-    rows, r = (jacobian * unit * root[..., None])[on], (residual * root)[on][:, None] / size
+    residual, jacobian = weighted_rows(problem, x)
     joint, log_dets = [], []
-    for solve, log_det in grid.solvers(samples):
-        joint.append(gram([rows, r], solve))
+    for solve, log_det in grid.solvers(Samples.of(problem.host_setting)):
+        joint.append(gram([jacobian * unit, residual[:, None] / size], solve))
         log_dets.append(log_det)
     grams = np.stack(joint)
     device = to_device
@@ -194,13 +149,13 @@ def weight_equations(
         slopes=device(grams[:, :-1, -1]),
         grams=device(grams[:, :-1, :-1]),
         log_dets=device(np.array(log_dets)),
-        log_priors=device(np.broadcast_to(grid.log_prior, len(log_dets))),
+        log_shares=device(grid.log_shares),
         roughness=device(roughness),
         penalized=device(float(penalized.sum())),
         precision=device(precision),
         pull=device(pull),
         bounded=device(bounded),
-        count=device(float(on.sum())),
+        count=device(float(residual.size)),
     )
 
 

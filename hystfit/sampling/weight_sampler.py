@@ -2,9 +2,9 @@
 
 Few other parameters, such as a time constant, move with the weights in the linearized model; the exact density accepts the sweep or not.
 
-Each sweep draws the weights by exact Hamiltonian motion within their bounds (`hystfit.sampling.truncated_normal`), the noise from a grid
-with its variance in closed form, and the strength of the penalty as a precision whose inverse square root is half-Cauchy (Wand et al.
-2011, Bayesian Analysis 6): the penalty is the prior that the weights are smooth.
+Each sweep draws the weights by exact Hamiltonian motion within their bounds (`hystfit.sampling.truncated_normal`), the noise by its shares
+(`hystfit.sampling.noise_grid`) with its variance in closed form, and the strength of the penalty as a precision whose inverse square root
+is half-Cauchy (Wand et al. 2011, Bayesian Analysis 6): the penalty is the prior that the weights are smooth.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from hystfit.runs.chunks import Chunks
 from hystfit.runs.threads import Workers
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import Prepared
-from hystfit.sampling.truncated_normal import draw_truncated
+from hystfit.sampling.truncated_normal import draw_opposite
 from hystfit.sampling.weight_equations import (
     Exact,
-    NoiseGrid,
     WeightEquations,
     parameters_of,
     weight_equations,
@@ -49,7 +49,7 @@ from hystfit.sampling.weight_equations import (
 )
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
-_MOVES = 2  # of the weights in a sweep: moves are cheap beside the factorization that they share
+_POINTS = 12  # among which the weights move: 1200 sweeps of 464 weights give 400 effective draws of the strength, 200 with one point
 _PILOTS = 3  # chains of the linearized density, each about the mean of the one before
 _PILOT = 2 * _CHUNK  # sweeps of a pilot that count, and as many before them
 _WIDER = 2.0  # variance of one parameter that is not a weight, over that of the linearized density: 250 effective draws where 1 had 41
@@ -178,15 +178,8 @@ def _start(equations: WeightEquations, key: Array) -> State:
     strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
     number = jax.random.randint(second, (), 0, equations.squares.size)
     variance = equations.squares[number] / equations.count + _LEAST
-    return state_at(equations, w, number, variance, strength)
-
-
-def state_at(equations: WeightEquations, w: Array, number: Array, variance: Array, strength: Array) -> State:
-    """A state from which sweeps start; for use inside traced code."""
-    fit = equations.fit(equations.squares_at(w), number, variance)
-    own = {"w": w, "number": number, "variance": variance, "strength": strength, "fit": fit}
-    own["excess"] = equations.excess(w, number, variance, fit)
-    return own | dict.fromkeys(("rate", "accepted", "log_density", "log_penalty"), jnp.zeros(()))
+    own = {"w": w, "number": number, "variance": variance, "strength": strength}
+    return own | dict.fromkeys(("accepted", "log_density", "log_penalty"), jnp.zeros(()))
 
 
 @compiled
@@ -197,40 +190,45 @@ def _advance(equations: WeightEquations, state: State, key: Array) -> State:
 
 
 def sweep(equations: WeightEquations, state: State, key: Array) -> State:
-    """One sweep: noise, weights, noise again, and the strength of the penalty; for use inside traced code.
+    """One sweep: noise, its variance, weights, the variance again, and the strength of the penalty; for use inside traced code.
 
-    The first three together leave the density of the equations as it is in either direction of time, so that one comparison with the
-    exact density accepts them or not (delayed acceptance: Christen and Fox 2005, J. Comput. Graph. Stat. 14).
+    Variance, weights and variance leave the density of the equations as it is in either direction of time, so that one comparison with
+    the exact density accepts them or not (delayed acceptance: Christen and Fox 2005, J. Comput. Graph. Stat. 14).
     """
-    keys = jax.random.split(key, 6)
-    number, variance = _noise(equations, equations.squares_at(state["w"]), keys[0])
-    slope, precision = equations.conditional(number, variance, state["strength"])
-    w = draw_truncated(keys[1], state["w"], slope, precision, equations.bounded, _MOVES)[-1]
-    squares = equations.squares_at(w)
-    number, variance = _noise(equations, squares, keys[2])
-    new = {"w": w, "number": number, "variance": variance, "fit": equations.fit(squares, number, variance)}
-    new["excess"] = equations.excess(w, number, variance, new["fit"])
-    accepted = jnp.log(jax.random.uniform(keys[3])) < new["excess"] - state["excess"]
-    new = {name: jnp.where(accepted, value, state[name]) for name, value in new.items()}
-    w, penalized = new["w"], equations.penalized
-    rough = 0.5 * w @ equations.roughness @ w
-    rate = jax.random.exponential(keys[4]) / (state["strength"] + penalized**2)
-    others = jax.random.gamma(keys[5], 0.5 * (penalized + 1), (_OTHERS,)) / (rate + rough)
+    keys = jax.random.split(key, 7)
+    number = jax.random.categorical(keys[0], equations.log_shares)
+    rough, square = lambda w: w @ equations.roughness @ w, lambda w: equations.square(w, number)
+    middle = _variance(equations, square(state["w"]), keys[1])
+    slope, precision = equations.conditional(number, middle, state["strength"])
+    w = draw_opposite(keys[2], state["w"], slope, precision, equations.bounded, rough, _POINTS)
+    known, excess = _log_densities(equations, number, state["w"], state["variance"])
+    variance = _variance(equations, square(w), keys[3])
+    new_known, new_excess = _log_densities(equations, number, w, variance)
+    accepted = jnp.log(jax.random.uniform(keys[4])) < new_excess - excess
+    either = lambda new, old: jnp.where(accepted, new, old)
+    w, variance = either(w, state["w"]), either(variance, state["variance"])
+    half, penalized = 0.5 * rough(w), equations.penalized
+    rate = jax.random.exponential(keys[5]) / (state["strength"] + penalized**2)
+    others = jax.random.gamma(keys[6], 0.5 * (penalized + 1), (_OTHERS,)) / (rate + half)
     strength = jnp.where(penalized > 0, overrelaxed(state["strength"], others), 1.0)
-    penalty = 0.5 * penalized * jnp.log(strength) - strength * rough
-    known = new["fit"] + new["excess"] + equations.log_prior(w) + equations.log_priors[new["number"]]
-    return new | {
-        "strength": strength, "rate": rate, "accepted": accepted.astype(float), "log_penalty": penalty, "log_density": known + penalty,
+    penalty = 0.5 * penalized * jnp.log(strength) - strength * half
+    return {
+        "w": w, "number": number, "variance": variance, "strength": strength, "accepted": accepted.astype(float),
+        "log_penalty": penalty, "log_density": either(new_known, known) + penalty,
     }  # fmt: skip
 
 
-def _noise(equations: WeightEquations, squares: Array, key: Array) -> tuple[Array, Array]:
-    """Number and variance of a noise given the squares of the residuals, whitened by each."""
-    first, second = jax.random.split(key)
+def _log_densities(equations: WeightEquations, number: Array, w: Array, variance: Array) -> tuple[Array, Array]:
+    """The exact one without the penalty, and its excess over that of the equations."""
+    fit = equations.fit(equations.square(w, number), number, variance)
+    excess = equations.excess(w, number, variance, fit)
+    return fit + excess + equations.log_prior(w) + equations.log_shares[number], excess
+
+
+def _variance(equations: WeightEquations, square: Array, key: Array) -> Array:
+    """A draw of the noise's variance given the square of the residuals."""
     n = equations.count
-    half = 0.5 * squares + n * _LEAST
-    number = jax.random.categorical(first, equations.log_priors - 0.5 * (equations.log_dets + n * jnp.log(half)))
-    return number, half[number] / jax.random.gamma(second, 0.5 * n)
+    return (0.5 * square + n * _LEAST) / jax.random.gamma(key, 0.5 * n)
 
 
 def overrelaxed(value: Array, others: Array) -> Array:
@@ -278,7 +276,7 @@ class WeightSetup(Prepared):
             notes.append(warn(Code.INCOMPLETE, text))
         longest = max(row.size for row in residuals.rows)
         of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")  # type: ignore[attr-defined]
-        grid = NoiseGrid.about(residuals.slow if label == "ou" else None, of_time)
+        grid = NoiseGrid.about(residuals.contrasts, of_time) if label == "ou" else NoiseGrid.one()
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
         problem = problem.with_noise(NOISES.make(label))
         equations = weight_equations(problem, result.x, grid, chosen, size)
