@@ -25,7 +25,7 @@ def new_arviz(monkeypatch) -> None:
     """ArviZ from version 1 on: `from_dict` takes one dictionary of groups, and the name InferenceData is still there."""
     fake = types.ModuleType("arviz")
     fake.InferenceData = dict
-    fake.from_dict = lambda data, *, name=None: data
+    fake.from_dict = lambda data, *, name=None, dims=None, coords=None: data
     monkeypatch.setitem(sys.modules, "arviz", fake)
 
 

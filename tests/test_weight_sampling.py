@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import warnings
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -168,6 +170,23 @@ def test_smooth_weights_are_sampled_by_default_and_resume(cells: hf.FitResult, d
         file.unlink()
     np.testing.assert_array_equal(hf.sample(cells, draws=100, extend=1, folder=folder).draws, posterior.draws)
     assert "w[21]" in "\n".join(posterior.summary().lines())
+
+
+def test_weights_are_one_array_of_the_file(drawn: tuple, tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    posterior = drawn[0]
+    posterior.save(tmp_path / "p")
+    with xarray.open_dataset(tmp_path / "p" / "posterior.nc", group="posterior", engine="h5netcdf") as table:
+        assert not [name for name in table if "[" in name]
+        assert {"w", "offset@loop 0", "offset@loop 1", "noise_white"} <= set(table)
+        assert table["w"].shape == (*posterior.draws.shape[:2], 21)
+        assert table["w"].attrs["units"] == posterior.units[posterior.names.index("w[0]")]
+        np.testing.assert_array_equal(table["w"].sel(w_entry="13"), posterior["w[13]"])
+        np.testing.assert_array_equal(table["offset@loop 1"], posterior["offset@loop 1"])
+    np.testing.assert_array_equal(hf.load_posterior(tmp_path / "p").draws, posterior.draws)
+    with warnings.catch_warnings():  # ArviZ announces its next version
+        warnings.simplefilter("ignore")
+        np.testing.assert_array_equal(posterior.to_arviz()["posterior"]["w"][..., 13], posterior["w[13]"])
 
 
 def test_predictions_are_those_of_each_draws_model(cells: hf.FitResult, drawn: tuple) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import norm, rankdata
+from scipy.special import ndtri
+from scipy.stats import rankdata
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
@@ -25,7 +26,7 @@ def split(draws: np.ndarray) -> np.ndarray:
 def normal_scores(draws: np.ndarray) -> np.ndarray:
     """Ranks over all chains as normal scores."""
     ranks = rankdata(draws, method="average").reshape(draws.shape)
-    return norm.ppf((ranks - 0.375) / (draws.size + 0.25))
+    return ndtri((ranks - 0.375) / (draws.size + 0.25))
 
 
 def _plain_rhat(draws: np.ndarray) -> float:

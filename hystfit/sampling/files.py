@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,26 +30,52 @@ from hystfit.sampling.posterior import SCHEMA, Posterior
 
 _PLAIN = ("sampler", "noise", "priors", "prior_quartiles", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
+_ENTRY = re.compile(r"([^@]+)\[([^\]]+)\](@.*)?", re.DOTALL)  # w[3], w[0,1]@record
 _SLACK = 10_000_000  # bytes of data beyond the size of the file, for what netCDF fills in
 _FILES = ("result.json", "posterior.nc", f"fit/{MANIFEST}")
 
 
-def variable(name: str) -> str:
-    """A parameter's name as a variable of a netCDF file, which takes no slashes (records are called field/7)."""
-    return name.replace("/", "|")
+@dataclasses.dataclass(frozen=True)
+class Variable:
+    """A variable of a netCDF file: a parameter, or the entries of an array of parameters, as ArviZ has them."""
+
+    columns: list[int]  # of the draws
+    entries: list[str]  # indices of an array, such as "3" and "0,1"; empty for a parameter that is no array
+
+    @property
+    def at(self) -> int | list[int]:
+        """The index of the columns."""
+        return self.columns if self.entries else self.columns[0]
+
+
+def variables(names: Sequence[str]) -> dict[str, Variable]:
+    """Variables by name for names of parameters; a netCDF name has no slashes (records are called field/7)."""
+    found: dict[str, Variable] = {}
+    for column, name in enumerate(names):
+        entry = _ENTRY.fullmatch(name)
+        whole = name if entry is None else entry[1] + (entry[3] or "")
+        one = found.setdefault(whole.replace("/", "|"), Variable([], []))
+        one.columns.append(column)
+        if entry is not None:
+            one.entries.append(entry[2])
+    return found
+
+
+def dimensions(posterior: Posterior) -> tuple[dict[str, list[str]], dict[str, list[str]]]:
+    """Dimensions beside chain and draw by variable, and their coordinates, as ArviZ takes them."""
+    arrays = {name: one.entries for name, one in variables(posterior.names).items() if one.entries}
+    return {name: [f"{name}_entry"] for name in arrays}, {f"{name}_entry": entries for name, entries in arrays.items()}
 
 
 def dataset(posterior: Posterior) -> Any:
     """Draws as an xarray Dataset with dimensions chain and draw; all other fields are JSON in an attribute."""
     xarray = _xarray()
     chains, draws, _ = posterior.draws.shape
-    place = {"chain": np.arange(chains), "draw": np.arange(draws)}
-    variables = {
-        variable(name): (("chain", "draw"), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)
-    }
-    table = xarray.Dataset(variables, coords=place)
-    for name, unit in zip(posterior.names, posterior.units, strict=True):
-        table[variable(name)].attrs["units"] = unit
+    dims, coords = dimensions(posterior)
+    table = xarray.Dataset(coords={"chain": np.arange(chains), "draw": np.arange(draws), **coords})
+    for name, one in variables(posterior.names).items():
+        unit = {"units": posterior.units[one.columns[0]]}
+        table[name] = (("chain", "draw", *dims.get(name, ())), posterior.draws[:, :, one.at], unit)
     table.attrs["hystfit"] = json.dumps(_header(posterior))
     return table
 
@@ -167,9 +196,7 @@ def _posterior(
     fitted = len(result.free_names)
     if len(set(names)) != len(names) or names[:fitted] != result.free_names or len(units) != len(names):
         raise ValueError("the parameters are not those of the fit beside it")
-    draws = np.stack([values[variable(name)] for name in names], axis=-1)
-    if draws.ndim != 3 or draws.size == 0 or draws.dtype.kind != "f":
-        raise ValueError(f"draws of shape {draws.shape} and type {draws.dtype}")
+    draws = _draws(values, names)
     lists = header.part("convergence")
     convergence = Convergence(**{k: np.array(lists.listed(k), float) for k in ("rhat", "bulk", "tail")})
     if any(getattr(convergence, k).shape != (len(names),) for k in ("rhat", "bulk", "tail")):
@@ -206,6 +233,19 @@ def _posterior(
         evidence=evidence,
         prior_quartiles=_pairs(header.part("prior_quartiles")),
     )
+
+
+def _draws(values: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
+    """Draws in the order of the names, shape (chains, draws, d)."""
+    found = variables(names)
+    first = values[next(iter(found))]
+    draws = np.empty((*first.shape[:2], len(names)))
+    for name, one in found.items():
+        part = values[name]
+        if part.dtype.kind != "f" or part.shape != draws[:, :, one.at].shape or part.size == 0:
+            raise ValueError(f"draws of {name} of shape {part.shape} and type {part.dtype}")
+        draws[:, :, one.at] = part
+    return draws
 
 
 def _pairs(stored: Stored) -> dict[str, list[float]]:

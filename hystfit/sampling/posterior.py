@@ -279,15 +279,15 @@ class Posterior(WithStatus):
     # -- files ---------------------------------------------------------------------------------------------------------
 
     def dataset(self) -> Any:
-        """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them."""
+        """Draws as an xarray Dataset with dimensions chain and draw, as ArviZ has them; w[0], w[1], ... are one array w."""
         return _view("files:dataset")(self)
 
     def to_arviz(self) -> Any:
-        """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on."""
+        """As ArviZ' container: `InferenceData` before version 1, a DataTree from then on; w[0], w[1], ... are one array w."""
         stats = {"lp": self.log_density, **self.stats}
-        variable = _view("files:variable")
-        posterior = {variable(name): self.draws[:, :, k] for k, name in enumerate(self.names)}
-        return arviz_data({"posterior": posterior, "sample_stats": stats})
+        posterior = {name: self.draws[:, :, one.at] for name, one in _view("files:variables")(self.names).items()}
+        dims, coords = _view("files:dimensions")(self)
+        return arviz_data({"posterior": posterior, "sample_stats": stats}, dims=dims, coords=coords)
 
     def save(self, folder: str | Path) -> Path:
         """Write posterior.nc (groups posterior and sample_stats), result.json, and the fit in fit/.
