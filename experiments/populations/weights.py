@@ -15,8 +15,9 @@ import hystfit as hf
 from hystfit import priors
 from hystfit.inference.problem import Problem
 from hystfit.models import Preisach
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import NoiseGrid, WeightEquations, weight_equations
+from hystfit.sampling.weight_equations import WeightEquations, weight_equations
 from hystfit.sampling.weight_sampler import state_at, sweep
 
 TURNS, STEPS = 20, 12  # of the input, and samples between them
@@ -44,7 +45,7 @@ def calibration(n: int, simulations: int) -> dict[str, float]:
     columns = jnp.asarray(jacobian[0][: u.size])
     rest = jnp.asarray(residual[0][: u.size] + problem.data[0].y) - columns @ x
     prior = {"offset": priors.Normal(0.0, 0.5)}
-    equations = weight_equations(problem, x, NoiseGrid.about(None), prior, 1.0)
+    equations = weight_equations(problem, x, NoiseGrid.one(), prior, 1.0)
     keys = jax.random.split(jax.random.key(n), simulations)
     ranks = np.array([np.asarray(_ranks(equations, columns, rest, key)) for key in keys])
     share = (ranks + 0.5) / (KEPT + 1)
@@ -68,7 +69,7 @@ def _ranks(equations: WeightEquations, columns: Any, rest: Any, key: Any) -> Any
     y = rest + columns @ w + sigma * jax.random.normal(keys[3], rest.shape)
     r = rest + columns @ equations.estimate - y
     own = dataclasses.replace(equations, squares=(r @ r)[None], slopes=(columns.T @ r)[None])
-    start = state_at(own, jnp.full(p, 1.0 / p), jnp.zeros((), int), r @ r / r.size, equations.penalized**2)
+    start = state_at(jnp.full(p, 1.0 / p), jnp.zeros((), int), r @ r / r.size, equations.penalized**2)
     once = lambda state, key: (new := sweep(own, state, key), new)
     after = jax.lax.scan(once, start, jax.random.split(keys[4], WARMUP))[0]
     draws = jax.lax.scan(once, after, jax.random.split(keys[5], THIN * KEPT))[1]

@@ -178,6 +178,11 @@ def _start(equations: WeightEquations, key: Array) -> State:
     strength = equations.penalized / (w @ equations.roughness @ w + _LEAST) * jnp.exp(jax.random.normal(first))
     number = jax.random.randint(second, (), 0, equations.squares.size)
     variance = equations.squares[number] / equations.count + _LEAST
+    return state_at(w, number, variance, strength)
+
+
+def state_at(w: Array, number: Array, variance: Array, strength: Array) -> State:
+    """A state from which sweeps start; for use inside traced code."""
     own = {"w": w, "number": number, "variance": variance, "strength": strength}
     return own | dict.fromkeys(("accepted", "log_density", "log_penalty"), jnp.zeros(()))
 
