@@ -19,7 +19,8 @@ from hystfit.models.preisach.properties import (
     orders,
     wiping_out,
 )
-from hystfit.models.preisach.solve import fit_preisach
+from hystfit.models.preisach.smooth import fit_smooth
+from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.models.preisach.staircase import Rest
 from hystfit.outcome.status import Status
 from hystfit.outcome.wrapping import NAMED, listed
@@ -31,6 +32,7 @@ _LIMIT = 2.0  # percent of the output's range up to which a property holds
 _MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _CELLS = 20  # along an axis, of the model whose errors are split by order
+_SMOOTHNESS = 1e-6  # strength of the penalty on the weights of this model
 _FIRST = 1  # reversals that the memory holds on a first-order curve
 
 
@@ -63,15 +65,21 @@ def higher_order(record: Record) -> HigherOrder | None:
     """
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
-    model = Preisach.of(_CELLS, initial=_rest(record))
-    order = orders(model.start([record]), record, SAME_LEVEL)
+    model = Preisach.of(_CELLS, initial=_rest(record)).start([record])
+    order = orders(model, record, SAME_LEVEL)
     if not (record.used & (order > _FIRST)).any():
         return None
     first = record.used & (order <= _FIRST)
-    known = _determined(model.start([record]), record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
+    known = _determined(model, record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
     part = record.replace(weight=np.where(first, record.weight, 0.0)) if known >= _KNOWN else record
-    fit = fit_preisach(part, model, smoothness=(1e-6,))
-    return HigherOrder(part is not record, known, error_by_order(fit.model, record, SAME_LEVEL))
+    return HigherOrder(part is not record, known, error_by_order(_fitted(model, part), record, SAME_LEVEL))
+
+
+def _fitted(model: Preisach, record: Record) -> Preisach:
+    """The model with the weights that fit the record."""
+    weights = fit_smooth(SmoothSystem.of([model.design_matrix(record.u)], [record]), (_SMOOTHNESS,)).weights
+    cells, slopes = np.split(weights[:-1], [model.w.size])
+    return dataclasses.replace(model, w=cells, slopes=slopes, offset=weights[-1])
 
 
 def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.ndarray) -> float:
