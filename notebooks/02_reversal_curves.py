@@ -143,7 +143,7 @@ other = hf.BoucWen(c=0.6, mu=0.5, tau=0.02, rho=0.5)
 records = [measure(nested, "bender", seed=2), hf.Record(u=nested, y=np.asarray(hf.simulate(other, nested)[0]), name="Bouc-Wen law")]
 for record in records:
     print(record.name)
-    print(check_preisach(record, model=True).text())
+    print(check_preisach(record).text())
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")

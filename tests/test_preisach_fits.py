@@ -653,11 +653,11 @@ class TestProperties:
 
     def test_a_record_without_minor_loops_is_said_to_test_nothing(self):
         u = np.sin(np.linspace(0, 20, 400))
-        found = check_preisach(Record(u, outputs(self.table, 90 + 90 * u)), model=True)
+        found = check_preisach(Record(u, outputs(self.table, 90 + 90 * u)))
         assert not found.tested
         assert set(found.outcomes.values()) == {"untested"}
         assert "only the major loop closes" in found.notes[0]
-        rising = check_preisach(Record(np.linspace(0, 1, 50), np.linspace(0, 1, 50)), model=True)
+        rising = check_preisach(Record(np.linspace(0, 1, 50), np.linspace(0, 1, 50)))
         assert "no loop closes" in rising.notes[0]
         assert "more than one reversal" in rising.notes[2]
 
@@ -665,7 +665,7 @@ class TestProperties:
         tops = [v for top in np.linspace(9, 180, 20) for v in (top, 0)]
         u = through((0, *tops, *HIGHER_ORDER[1:], 100, 40, 150, 70, 130), 40)
         y = outputs(self.table, u)
-        found = check_preisach(Record(u, y), model=True)
+        found = check_preisach(Record(u, y))
         assert found.higher is not None
         assert found.higher.held_out
         assert found.outcomes["higher-order"] == "holds"
@@ -675,7 +675,7 @@ class TestProperties:
         for v, du in zip(u, np.diff(u, prepend=u[0]), strict=True):
             w += 0.03 * abs(du) * (v - w) + 0.5 * du
             local.append(w)
-        found = check_preisach(Record(u, np.array(local)), model=True)
+        found = check_preisach(Record(u, np.array(local)))
         assert found.higher is not None
         assert found.higher.held_out
         assert found.outcomes["higher-order"] == "fails"

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
@@ -27,13 +26,19 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
-from hystfit.models.shared.sample_scan import first_samples, scan_samples
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.slopes import Slopes
-from hystfit.models.shared.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
+from hystfit.models.shared.starting import (
+    best_of_grid,
+    grid_columns,
+    input_range,
+    offset_columns,
+    thinned,
+    used_samples,
+)
 from hystfit.models.shared.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
@@ -221,8 +226,8 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     """
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
-    states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
     u, y = used_samples(records)
+    states = u[:, None] - grid_columns(BoucWen(c=1.0, mu=1.0), {"tau": tau, "rho": rho}, records)  # h for mu c = 1
     offsets = offset_columns(records)
     bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
     k, theta, _ = best_of_grid(states, np.column_stack([u, offsets, bend]), y)
@@ -231,20 +236,3 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     mu = float(np.clip(-unit_factor / c, 0.02, 0.98))
     values = {"c": c, "mu": mu, "tau": float(tau[k]), "rho": float(rho[k]), "offset": offset}
     return values, theta[2 + len(records) :]
-
-
-def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
-    return np.asarray(_unit_hysteresis(in_room(np.diff(u, prepend=u[0])), tau, rho, np.int64(u.size)))[: u.size]
-
-
-@compiled
-def _unit_hysteresis(steps: Array, tau: Array, rho: Array, count: Array) -> Array:
-    one, up, down = jnp.ones_like(tau), tau * (1 + rho), tau * (1 - rho)
-
-    def once(h: Array, dv: Array) -> tuple[Array, Array]:
-        h = trapezoid(h, dv, one, up, down)
-        return h, h
-
-    with first_samples(count):
-        return scan_samples(once, jnp.zeros_like(tau), steps)[1]

@@ -106,8 +106,7 @@ class PreisachCheck:
     record: str  # its name
     closures: Closures  # of its loops
     loops: tuple[Congruency, ...]  # congruency of its minor loops
-    # errors by order of reversal; None where it was not requested, or there are none above the first
-    higher: HigherOrder | None
+    higher: HigherOrder | None  # errors by order of reversal; None where there are none above the first
     outcomes: dict[str, Outcome]  # of "wiping-out", "congruency" and "higher-order"
     notes: tuple[str, ...]  # what they mean, one sentence each, in the same order
 
@@ -149,22 +148,19 @@ class PreisachCheck:
         }
 
 
-def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
-    """Test the two properties that characterize a Preisach model (Mayergoyz): wiping-out and congruency.
+def check_preisach(record: Record) -> PreisachCheck:
+    """Test the two properties that characterize a Preisach model (Mayergoyz), wiping-out and congruency, and a model of the record.
 
     Args:
-        record: measured.
-        model: also identify a Preisach model and see how its errors grow with the order of reversal.
+        record: measured; the errors of a Preisach model identified on it should not grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))
     minor = closures.width < _MAJOR * float(np.ptp(record.u))
     inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
-    found = [_wiping_words(closures, minor), _congruency_words(inner)]
-    higher = higher_order(record) if model else None
-    if model:
-        found.append(_order_words(higher))
+    higher = higher_order(record)
+    found = [_wiping_words(closures, minor), _congruency_words(inner), _order_words(higher)]
     names = ("wiping-out", "congruency", "higher-order")
-    outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=False))
+    outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=True))
     return PreisachCheck(record.name, closures, loops, higher, outcomes, tuple(note for _, note in found))
 
 
@@ -215,7 +211,7 @@ def check_family(data: Record | Dataset) -> PreisachChecks:
         DataError: `data` holds no records.
     """
     dataset = Dataset.of(data)
-    return PreisachChecks(tuple(check_preisach(record, model=True) for record in dataset), recognize_family(dataset))
+    return PreisachChecks(tuple(check_preisach(record) for record in dataset), recognize_family(dataset))
 
 
 def _outcome(value: float) -> Outcome:
