@@ -82,7 +82,7 @@ class Split:
 
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
-    """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
+    """Design matrices of the records, made when they are wanted for: those of all records would take far more memory than the sums."""
     models = space.of_records(x, len(records), np.asarray)
     first = next(models)
     if isinstance(first, Preisach):  # whose records differ in weights alone
@@ -122,9 +122,9 @@ def weighted_columns(
         for position, block in enumerate(design.blocks):  # block after block: no copy of the whole matrix
             part, start = block.columns, layout.first(position, number)
             rest += part @ values[start : start + part.shape[1]]
-            asked = np.flatnonzero((place[at] >= start) & (place[at] < start + part.shape[1]))
-            part = np.asarray(part) if asked.size else part
-            for k in asked:
+            wanted = np.flatnonzero((place[at] >= start) & (place[at] < start + part.shape[1]))
+            part = np.asarray(part) if wanted.size else part
+            for k in wanted:
                 solved[:, k] = part[index, place[at[k]] - start]
         rest = rest[index]
         columns.append(solved)

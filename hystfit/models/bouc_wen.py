@@ -15,7 +15,6 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
-    AbstractSecant,
     Scheme,
     bound,
     exact_step,
@@ -46,7 +45,45 @@ from hystfit.quality.needs import Needs
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
-class BoucWen(AbstractHysteresis, AbstractSecant):
+_STRAIGHT = 1e-3  # tau swing below which tanh(x) / x is 1 - x^2 / 3 to 1e-12
+
+
+class AbstractBoucWen(AbstractHysteresis):
+    """y = c v - h, where h takes the part mu of the slope at a reversal and saturates at the rate tau."""
+
+    rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
+
+    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
+    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
+    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
+    scheme: Scheme = eqx.field(static=True, default="semi-implicit", kw_only=True)
+
+    def log_secant(self, swing: Scalar) -> Scalar:
+        """log of the slope between the tips of a symmetric loop of half range `swing` [u], over c: 1 - mu tanh(tau swing) / (tau swing)."""
+        x = self.tau * swing
+        small = x < _STRAIGHT
+        safe = jnp.where(small, 1.0, x)
+        return jnp.log1p(-self.mu * jnp.where(small, 1 - x**2 / 3, jnp.tanh(safe) / safe))
+
+    def step_ratio(self, largest: Any) -> Any:
+        """See the base class: 0 for the exact scheme."""
+        return np.asarray(self.tau) * (1 + np.abs(self.rho)) * (self.scheme != "exact") * largest / COARSE
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """Where the sampling is too coarse for the default scheme."""
+        largest = COARSE * float(self.step_ratio(largest_step(u)))
+        if largest <= COARSE:
+            return ()
+        return (
+            f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
+            f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
+            "model's name)",
+        )
+
+
+class BoucWen(AbstractBoucWen):
     """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
     Here delta = rho tau. With |rho| < 1 the loop is dissipative, and |h| <= mu c / (tau + delta). The classic form with A, beta, gamma
@@ -61,8 +98,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         ModelError: an unknown scheme.
     """
 
-    rate_independent: ClassVar[bool] = True
-    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -70,10 +105,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         too_few="mu, tau and rho are nearly redundant",
     )
 
-    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
-    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
-    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     h0: Scalar = param(
         0.0,
         bounds=(-1.0, 1.0),
@@ -82,7 +113,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
-    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     @property
     def delta(self) -> Scalar:
@@ -125,13 +155,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
 
         last, h = scan_samples(once, state[0], (s, x, phi(up, x), phi(down, x)))
         return last[None], self.offset + self.c * u - h
-
-    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.step_ratio(largest_step(u)))
-
-    def step_ratio(self, largest: Any) -> Any:
-        return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), largest)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
@@ -200,23 +223,6 @@ class BoucWenStep(AbstractStepInverse):
 
             x = jax.lax.fori_loop(0, 12, newton, x)
         return Root(u0 + s * x, slope > 0)
-
-
-def step_ratio(scheme: str, rate: Any, largest: Any) -> Any:
-    """`rate` times the largest step of an input over that for which the cheap scheme is trusted; 0 for the exact one."""
-    return np.asarray(rate) * (scheme != "exact") * largest / COARSE
-
-
-def coarse(ratio: Any) -> tuple[str, ...]:
-    """Advice where the ratio is above 1."""
-    if ratio <= 1:
-        return ()
-    largest = COARSE * float(ratio)
-    return (
-        f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
-        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
-        "model's name)",
-    )
 
 
 def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float], np.ndarray]:

@@ -92,7 +92,7 @@ class SmoothSystem:
     visited: Mapping[int, Sequence[Columns]]
     size: float  # of the output, by which it was divided
     scattered: bool = False  # whether the groups are samples scattered over the records
-    # solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again
+    # solutions of these equations, by the bytes of the weights that were fixed
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
@@ -230,7 +230,7 @@ def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarra
 class _Gram:
     """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a `basis`.
 
-    `inside` tells which columns are that product, `others` which stand for themselves, the output last; the sum is made in `whole`, shape
+    `inside` tells which columns are that product, `others` the plain columns, the output last; the sum is made in `whole`, shape
     (p + 1, p + 1), zeros at first.
     """
 
@@ -241,7 +241,7 @@ class _Gram:
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
-        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are columns that stand for themselves there."""
+        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are the plain columns there."""
         states, place = np.unique(index, return_inverse=True)
         mass = np.bincount(place, weight)
         mean = np.bincount(place, weight * y) / mass

@@ -86,11 +86,11 @@ def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.nd
     """Part of the others' states (rms of what sets them apart from each other) that follows from those of the first samples."""
     A, index = features(model, u)
     A = np.column_stack([A, np.ones(len(A))])
-    seen, asked = A[np.unique(index[first])], A[np.unique(index[others])]
-    _, size, rows = np.linalg.svd(seen, full_matrices=False)
+    known, wanted = A[np.unique(index[first])], A[np.unique(index[others])]
+    _, size, rows = np.linalg.svd(known, full_matrices=False)
     rows = rows[size > 1e-6 * size[0]]
-    beyond = asked - (asked @ rows.T) @ rows
-    return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(asked - asked.mean(axis=0)) or 1.0))
+    beyond = wanted - (wanted @ rows.T) @ rows
+    return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(wanted - wanted.mean(axis=0)) or 1.0))
 
 
 def _rest(record: Record) -> Rest:
