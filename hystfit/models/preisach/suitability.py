@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.design_matrix import features
-from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.model import Preisach, rest_before
 from hystfit.models.preisach.properties import (
     Closures,
     Congruency,
@@ -21,7 +21,6 @@ from hystfit.models.preisach.properties import (
 )
 from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.models.preisach.smooth_system import SmoothSystem
-from hystfit.models.preisach.staircase import Rest
 from hystfit.outcome.status import Status
 from hystfit.outcome.wrapping import NAMED, listed
 from hystfit.quality.loops import SAME_LEVEL
@@ -65,7 +64,7 @@ def higher_order(record: Record) -> HigherOrder | None:
     """
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
-    model = Preisach.of(_CELLS, initial=_rest(record)).start([record])
+    model = Preisach.of(_CELLS, initial=rest_before(record)).start([record])
     order = orders(model, record, SAME_LEVEL)
     if not (record.used & (order > _FIRST)).any():
         return None
@@ -91,12 +90,6 @@ def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.nd
     rows = rows[size > 1e-6 * size[0]]
     beyond = wanted - (wanted @ rows.T) @ rows
     return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(wanted - wanted.mean(axis=0)) or 1.0))
-
-
-def _rest(record: Record) -> Rest:
-    """A record that starts at an end of its input's range came from saturation, or from empty."""
-    place = (record.u[0] - record.u.min()) / (float(np.ptp(record.u)) or 1.0)
-    return "negative" if place < 0.02 else "positive" if place > 0.98 else "demagnetized"
 
 
 @dataclasses.dataclass(frozen=True)
