@@ -22,9 +22,14 @@ from hystfit.inference.priors import LOG_WIDE
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import analyze
 from hystfit.models.shared.simulation import run
-from hystfit.params.coordinates import Coordinates
-from hystfit.params.relative_size import relative_size
+from hystfit.params.coordinates import REAL, Coordinates
 from hystfit.results.result import FitResult
+
+
+def _sizes(c: Coordinates, x: np.ndarray) -> np.ndarray:
+    """Relative size of each parameter: its value, or its scale where it may be zero."""
+    scale, kind = np.asarray(c.scale), np.asarray(c.kinds)
+    return np.where(kind == REAL, np.maximum(np.abs(x), scale), np.maximum(np.abs(x), 1e-3 * scale))
 
 
 class Plan(eqx.Module):
@@ -50,7 +55,7 @@ class Plan(eqx.Module):
         return cls(
             coordinates=c,
             x=jnp.asarray(x),
-            size=jnp.asarray(np.where(held, 0.0, relative_size(problem.space, x))),
+            size=jnp.asarray(np.where(held, 0.0, _sizes(c, x))),
             information=_information(result),
             dt=jnp.asarray(result.data.sampling_interval or 0.0),
             limits=(jnp.asarray(inputs.min()), jnp.asarray(inputs.max())),
