@@ -13,7 +13,7 @@ from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.provenance import provenance
 
 ERRORS = ("rmse", "error_percent", "max_error_percent")
-_OUTER = (0.05, 0.5, 0.95)
+_OUTER = (0.05, 0.5, 0.95)  # quantiles over the loops that the table shows
 
 
 class ManyFits(WithStatus, abc.ABC):
