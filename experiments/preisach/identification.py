@@ -43,7 +43,7 @@ def cells(data: hf.Record | list[hf.Record]) -> hf.FitResult:
     return hf.fit(blank(), data, method=SmoothWeights(smoothness=(SMOOTHNESS,)))
 
 
-def static_model(record: hf.Record) -> hf.Preisach:
+def static_model(record: hf.Record) -> AbstractHysteresis:
     """Non-negative cells from reversal curves."""
     return cells(record).model
 
@@ -57,7 +57,7 @@ def with_relaxation(records: list[hf.Record], tau: tuple[float, ...] = (0.1, 1.0
     """Preisach followed by relaxation: for given weights the relaxation is inverted in the output and the cells follow from a convex
     solve; an outer least squares finds the weights.
     """
-    inner: dict[str, hf.Preisach] = {}
+    inner: dict[str, AbstractHysteresis] = {}
 
     def left(a: np.ndarray) -> np.ndarray:
         slow = hf.Relaxation(a=a, tau=tau)
