@@ -35,7 +35,7 @@ from hystfit.control import Controller, design, export_c, run_loop
 
 from hystfit.results.preisach_plots import plot_forc_diagram
 from hystfit.results.preisach_plots import plot_curves, plot_density
-from hystfit.models.preisach import check_preisach, fit_forc, forc_diagram
+from hystfit.models.preisach import check_preisach, forc_diagram
 from hystfit.models.preisach.properties import through
 
 hf.enable_x64()  # double precision, required by every fit
@@ -84,11 +84,11 @@ print(len(family), "curves,", sum(len(r) for r in family), "samples")
 # `hystfit fit FILE --by CURVE --model preisach-forc`; `hystfit check` reports whether a file contains such curves.
 
 # %%
-fit = fit_forc(family[::2], 16 if QUICK else 32)
+fit = hf.fit(f"preisach-forc:n={16 if QUICK else 32}", family[::2])
 held = family[1::2]
-error = np.concatenate([fit.predict(r.u) - r.y for r in held])
+error = np.concatenate([fit.predict(r) - r.y for r in held])
 span = np.ptp(np.concatenate([r.y for r in family]))
-print(f"fitted curves    {fit.nrmse_percent:.3f} % of the range")
+print(f"fitted curves    {fit.train.nrmse_percent:.3f} % of the range")
 print(f"the other curves {100 * np.sqrt(np.mean(error**2)) / span:.3f} %, largest {100 * np.abs(error).max() / span:.2f} %")
 print(f"sensor noise     {100 * NOISE / span:.3f} %")
 for note in fit.notes:
@@ -100,9 +100,9 @@ for note in fit.notes:
 
 # %%
 figure, axes = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
-plot_curves(held, [fit.predict(r.u) for r in held], axes[0], every=2 if QUICK else 4)
+plot_curves(held, [fit.predict(r) for r in held], axes[0], every=2 if QUICK else 4)
 axes[0].set_title("held-out curves: measured, predicted")
-plot_density(fit.model, axes[1], reach=fit.reach)
+fit.plot("density", axes[1])
 axes[1].set_title("estimated density [um/V$^2$]")
 plot_density(bender, axes[2])
 axes[2].set_title("true density [um/V$^2$]")
@@ -143,7 +143,7 @@ other = hf.BoucWen(c=0.6, mu=0.5, tau=0.02, rho=0.5)
 records = [measure(nested, "bender", seed=2), hf.Record(u=nested, y=np.asarray(hf.simulate(other, nested)[0]), name="Bouc-Wen law")]
 for record in records:
     print(record.name)
-    print(check_preisach(record, model=True).text())
+    print(check_preisach(record).text())
 
 # %%
 figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")

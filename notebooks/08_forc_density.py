@@ -27,9 +27,9 @@ import numpy as np
 
 import hystfit as hf
 from hystfit import signals
-from hystfit.models.preisach import fit_forc, forc_diagram
+from hystfit.models.preisach import forc_diagram
 from hystfit.results.preisach_plots import plot_forc_diagram
-from hystfit.results.preisach_plots import plot_curves, plot_density
+from hystfit.results.preisach_plots import plot_curves
 
 hf.enable_x64()  # double precision, required by every fit
 QUICK = os.environ.get("HYSTFIT_QUICK") == "1"  # a shorter run: fewer curves and cells
@@ -79,19 +79,19 @@ plt.show()
 
 # %% [markdown]
 # ## The density as a model
-# `fit_forc` solves for a density that is nowhere negative, with a penalty on its second differences. We fit a part of the curves and predict the others.
+# `preisach-forc` solves for a density that is nowhere negative, with a penalty on its second differences. We fit a part of the curves and predict the others.
 
 # %%
 step = 8 if QUICK else 4
 train, held = curves[::step], [curve for k, curve in enumerate(curves) if k % step == step // 2]
-fit = fit_forc(train, 24 if QUICK else 40)
-errors = [np.sqrt(np.mean((fit.predict(r.u) - r.y)[r.used] ** 2)) for r in held]
+fit = hf.fit(f"preisach-forc:n={24 if QUICK else 40}", train)
+errors = [np.sqrt(np.mean((fit.predict(r) - r.y)[r.used] ** 2)) for r in held]
 reach = max(np.ptp(r.y[r.used]) for r in curves)
 print(f"{len(train)} curves fitted, {len(held)} held out: rms error {100 * np.sqrt(np.mean(np.square(errors))) / reach:.2f} % of the range")
 
 figure, axes = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
-plot_curves(held, [fit.predict(r.u) for r in held], axes[0], every=2 if QUICK else 4)
-plot_density(fit.model, axes[1], reach=fit.reach)
+plot_curves(held, [fit.predict(r) for r in held], axes[0], every=2 if QUICK else 4)
+fit.plot("density", axes[1])
 plt.show()
 
 # %% [markdown]

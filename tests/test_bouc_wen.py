@@ -19,7 +19,6 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import ModelError
 from hystfit.fitting.judgment.assessment import notes_of_model
 from hystfit.models import AsymmetricBoucWen, BoucWen, simulate
-from hystfit.models.bouc_wen import unit_hysteresis
 from hystfit.models.bouc_wen_steps import phi, trapezoid, zero_crossing
 
 FEW = settings(max_examples=40, deadline=None, derandomize=True)
@@ -383,15 +382,6 @@ def test_samples_before_those_that_count_are_not_advised_on() -> None:
 def test_an_unknown_scheme_is_refused(kind: Any) -> None:
     with pytest.raises(ModelError, match="semi-implicit or exact, got 'euler'"):
         kind(scheme="euler")
-
-
-def test_the_hysteresis_for_starting_values_is_that_of_the_model() -> None:
-    u = path(4, 2.0)
-    tau, rho = np.array([0.5, 3.0]), np.array([-0.5, 0.9])
-    found = unit_hysteresis(u, tau, rho)
-    for k in range(2):
-        model = BoucWen(c=2.0, mu=0.5, tau=tau[k], rho=rho[k])
-        np.testing.assert_allclose(found[:, k], states(model, jnp.asarray(u)), atol=1e-13)
 
 
 def test_delta_is_rho_tau() -> None:

@@ -13,7 +13,6 @@ from hystfit.cli import run
 from hystfit.errors import DataError, ParameterError
 from hystfit.models.preisach.forc_diagram import ForcDiagram, forc_diagram
 from hystfit.models.preisach.forc_numbers import forc_numbers
-from hystfit.models.preisach.solve import density_of, fit_forc
 from hystfit.outcome import Status
 from hystfit.quality.reversal_curves import corrected_curves, reversal_curves
 from hystfit.results.measured.forc_loop import forc_loop
@@ -83,8 +82,8 @@ def test_numbers_are_those_of_the_density(curves, truth):
 
 
 def test_a_fitted_density_gives_the_same_numbers(curves, truth):
-    exact = density_of(truth)
-    fitted = density_of(fit_forc(curves, 30).model)
+    exact = ForcDiagram.of_model(truth)
+    fitted = ForcDiagram.of_model(hf.fit("preisach-forc:n=30", curves).model)
     assert exact.mass.sum() == pytest.approx(float(np.sum(truth.masses())), rel=0.05)
     ours, theirs = forc_numbers(fitted).values, forc_numbers(exact).values
     assert ours["median_coercivity"] == pytest.approx(theirs["median_coercivity"], abs=0.04)

@@ -10,7 +10,8 @@ import scipy.interpolate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystfit.models import PrandtlIshlinskii, Preisach, simulate
+from hystfit.errors import ModelError
+from hystfit.models import PrandtlIshlinskii, Preisach, RateDependentPlays, simulate
 
 FEW = settings(max_examples=30, deadline=None, derandomize=True)
 RNG = np.random.default_rng(0)
@@ -168,3 +169,12 @@ def test_saturated_relays_add_up_to_all_weights() -> None:
     y = np.asarray(simulate(model, np.array([0.0, 2.0, -2.0]))[0])
     assert y[1] == pytest.approx(float(np.sum(RELAYS.w)), rel=1e-14)
     assert y[2] == pytest.approx(-float(np.sum(RELAYS.w)), rel=1e-14)
+
+
+def test_plays_by_number_have_thresholds_that_are_dense_where_loops_are_small() -> None:
+    for made in (PrandtlIshlinskii.of(3), RateDependentPlays.of(3)):
+        np.testing.assert_allclose(made.r, [1 / 32, 4 / 32, 9 / 32], rtol=1e-15)
+        with pytest.raises(ModelError, match="at least one play"):
+            type(made).of(0)
+    with pytest.raises(ModelError, match="degree one"):
+        PrandtlIshlinskii.of(3, degree=0)

@@ -17,7 +17,6 @@ from hystfit.fitting.solvers.smooth_weights import SmoothWeights
 from hystfit.models.preisach import (
     EverettTable,
     check_preisach,
-    fit_forc,
     forc_diagram,
     higher_order,
     smooth,
@@ -32,9 +31,13 @@ from hystfit.models.preisach.properties import CONGRUENCY, HIGHER_ORDER, WIPING_
 from hystfit.models.preisach.signed import SignedPreisach
 from hystfit.models.preisach.smooth import SMOOTHNESS, _Trials, fit_smooth
 from hystfit.models.preisach.smooth_system import SmoothSystem
-from hystfit.models.preisach.solve import fit_preisach
 from hystfit.models.shared.nonnegative import solve_nonnegative
 from hystfit.quality.reversal_curves import recognize_family
+
+
+def weights_alone(strength):
+    """The method for smooth weights with one strength of the penalty."""
+    return SmoothWeights(smoothness=(strength,))
 
 
 def output(model, u):
@@ -50,9 +53,9 @@ def bell(levels, h0=0.35, size=0.2):
     return np.exp(-0.5 * ((h - h0) / size) ** 2 - 0.5 * (m / size) ** 2)
 
 
-def truth(initial="demagnetized", n=12):
+def truth(initial="demagnetized", n=12, kind=Preisach):
     levels = np.linspace(-1, 1, n + 1)
-    return Preisach(w=bell(levels), levels=levels, initial=initial, spacing="given")
+    return kind(w=bell(levels), levels=levels, initial=initial, spacing="given")
 
 
 class TestSmoothing:
@@ -125,9 +128,10 @@ class TestWeights:
     def test_rich_input_gives_back_the_weights(self):
         model = truth("negative")
         u = hf.signals.random_reversals(duration=400, rate=20, speed=1.0, seed=1)[1]
-        fit = fit_preisach(Record(u, output(model, u)), model, smoothness=[1e-14], offsets="none")
-        assert fit.nrmse_percent < 1e-4
-        seen = fit.reach > 0.5
+        record = Record(u, output(model, u))
+        fit = hf.fit(model, record, method=weights_alone(1e-14), fix={"offset": 0.0})
+        assert fit.train.nrmse_percent < 1e-4
+        seen = SmoothSystem.of([model.design_matrix(u)], [record]).reach[: model.w.size] > 0.5
         assert seen.sum() > 60
         np.testing.assert_allclose(np.asarray(fit.model.w)[seen], np.asarray(model.w)[seen], atol=5e-3)
 
@@ -138,10 +142,10 @@ class TestWeights:
         sign = np.append(np.ones(201), -np.ones(200))
         record = Record(field, np.tanh(30 * (field + 0.1 * sign)) + 0.1 * field)
         fits = {
-            name: fit_preisach(record, 12, spacing=name, symmetric=symmetric, smoothness=[1e-6])
+            name: hf.fit(Preisach.of(12, spacing=name, symmetric=symmetric), record, method=weights_alone(1e-6))
             for name in ("square" if symmetric else "quantile", "uniform", "steep")
         }
-        errors = [fit.nrmse_percent for fit in fits.values()]
+        errors = [fit.train.nrmse_percent for fit in fits.values()]
         assert errors[-1] < 0.3 * min(errors[:-1])
         levels = np.asarray(fits["steep"].model.levels)
         assert (levels[0], levels[-1]) == (-1.0, 1.0)
@@ -153,19 +157,20 @@ class TestWeights:
         """One period that begins at zero field, on a branch and not in the demagnetized state."""
         model, period = truth(), np.sin(np.linspace(0, 2 * np.pi, 121))
         record = Record(period, output(model, np.tile(period, 3))[-121:])
-        errors = [fit_preisach(r, model, smoothness=[1e-14]).nrmse_percent for r in (record, record.repeating())]
-        assert errors[0] > 1.0
-        assert errors[1] < 0.01
+        systems = [SmoothSystem.of([model.design_matrix(r.u)], [r]) for r in (record, record.repeating())]
+        errors = [np.sqrt(fit_smooth(system, [1e-14]).rss / len(record)) for system in systems]
+        assert errors[0] > 0.01 * np.ptp(record.y)
+        assert errors[1] < 1e-4 * np.ptp(record.y)
         with pytest.raises(DataError, match="not a period of a cycle"):
             Record(period[:90], period[:90]).repeating()
 
     def test_cells_that_the_data_never_switched_are_told(self):
         model = truth("negative")
         u = np.concatenate([np.linspace(-1, 0, 50), np.linspace(0, -1, 50)])
-        fit = fit_preisach(Record(u, output(model, u)), model)
+        system = SmoothSystem.of([model.design_matrix(u)], [Record(u, output(model, u))])
         i, _ = np.tril_indices(12)
-        np.testing.assert_array_equal(fit.reach < 1e-9, i >= 6)  # cells above u = 0
-        assert "never switched" in " ".join(fit.notes)
+        np.testing.assert_array_equal(system.reach[: model.w.size] < 1e-9, i >= 6)  # cells above u = 0
+        assert "never switched" in " ".join(system.notes())
 
     @pytest.mark.parametrize(("n", "symmetric", "states"), [(6, False, 100), (4, True, 100), (16, False, 1000)])
     @pytest.mark.parametrize("level", [0.0, 1e6])
@@ -218,12 +223,12 @@ class TestWeights:
         assert int(np.argmin(found)) == 0
         assert not np.isfinite(found[2:]).any()  # none of these was finished
 
-    @pytest.mark.parametrize("nonnegative", [True, False])
-    def test_groups_are_solved_until_the_error_is_above_what_is_asked(self, monkeypatch, nonnegative):
-        model = truth("negative", n=6)
+    @pytest.mark.parametrize("kind", [Preisach, SignedPreisach])
+    def test_groups_are_solved_until_the_error_is_above_what_is_asked(self, monkeypatch, kind):
+        model = truth("negative", n=6, kind=kind)
         u = hf.signals.random_reversals(duration=60, rate=20, speed=1.0, seed=2)[1]
         y = output(model, u) + 0.05 * np.random.default_rng(1).normal(size=u.size)
-        system = SmoothSystem.of([model.design_matrix(u)], [Record(u, y)], nonnegative=nonnegative)
+        system = SmoothSystem.of([model.design_matrix(u)], [Record(u, y)])
         fixed, strength = np.full(system.roughness.shape[0], np.nan), 1e-3
         whole = _Trials(system, fixed).error(strength, refitted=True)
         solved, solve = [], smooth._solve
@@ -243,8 +248,8 @@ class TestWeights:
         u = np.cos(np.linspace(0, 2 * np.pi, 161))
         y = np.tanh(3 * (u - 0.3 * np.sign(np.gradient(-u)))) + 0.003 * np.random.default_rng(0).normal(size=u.size)
         record = Record(u, y)
-        model = Preisach.of(16, initial="positive").start([record])
-        system = SmoothSystem.of([model.design_matrix(u)], [record], nonnegative=False)
+        model = SignedPreisach.of(16, initial="positive").start([record])
+        system = SmoothSystem.of([model.design_matrix(u)], [record])
         total, count, errors = system.grams.sum(axis=0), system.counts.sum(), []
         for strength in SMOOTHNESS:
             squares = 0.0
@@ -310,9 +315,9 @@ def family(model, count=25, points=60):
 class TestReversalCurves:
     def test_other_curves_are_predicted(self):
         curves = family(truth("positive"))
-        fit = fit_forc(curves[::2], 20)
+        fit = hf.fit("preisach-forc:n=20", curves[::2])
         y = np.concatenate([r.y for r in curves[1::2]])
-        error = np.concatenate([fit.predict(r.u) for r in curves[1::2]]) - y
+        error = np.concatenate([fit.predict(r) for r in curves[1::2]]) - y
         assert np.sqrt(np.mean(error**2)) < 0.01 * np.ptp(y)
 
     def test_diagram_peaks_where_the_density_does(self):
@@ -335,14 +340,21 @@ class TestReversalCurves:
             r.replace(u=np.append(1.0, r.u), y=np.append(r.y[-1], r.y), weight=np.append(0.0, np.ones(r.u.size)))
             for r in family(truth("positive"), 12)
         ]
-        dot = Record(np.array([1.0, 0.95]), np.ones(2), weight=np.array([0.0, 1.0]))
+        dot = Record(
+            np.array([1.0, 0.95]), output(truth("positive"), np.array([1.0, 0.95])), weight=np.array([0.0, 1.0])
+        )
         found = recognize_family([dot, *curves])
         assert found is not None
         assert found.rising
         assert len(found.curves) == 12
         np.testing.assert_array_equal(found.curves[0].u, curves[0].u[1:])
-        plain = fit_forc(family(truth("positive"), 12), 6, smoothness=[1e-4])
-        np.testing.assert_allclose(fit_forc([dot, *curves], 6, smoothness=[1e-4]).model.w, plain.model.w, atol=1e-9)
+        plain, counted, more = (
+            hf.fit("preisach-forc:n=6", data, method=weights_alone(1e-4))
+            for data in (family(truth("positive"), 12), curves, [dot, *curves])
+        )
+        np.testing.assert_allclose(counted.model.w, plain.model.w, atol=1e-9)
+        assert more.usable
+        assert more.train.n == plain.train.n + 1
 
     def test_falling_curves_are_rising_ones_turned_over(self):
         rising = family(truth("positive"), 12)
@@ -350,10 +362,10 @@ class TestReversalCurves:
         found = recognize_family(falling)
         assert found is not None
         assert not found.rising
-        one, other = (fit_forc(f, 8, smoothness=[1e-4]) for f in (rising, falling))
+        one, other = (hf.fit("preisach-forc:n=8", f, method=weights_alone(1e-4)) for f in (rising, falling))
         assert other.model.initial == "negative"
         u = np.linspace(-0.5, 0.9, 50)
-        np.testing.assert_allclose(other.predict(-u), -one.predict(u), atol=5e-4 * np.ptp(rising[-1].y))
+        np.testing.assert_allclose(other.model.free_run(-u), -one.model.free_run(u), atol=5e-4 * np.ptp(rising[-1].y))
 
     def test_loops_are_no_family(self):
         curves = family(truth("positive"), 12)
@@ -374,13 +386,11 @@ class TestReversalCurves:
         )
 
     @pytest.mark.slow
-    def test_hystfit_fit_takes_a_family_as_fit_forc_does(self):
+    def test_a_family_is_recognized_and_has_one_constant(self):
         curves = family(truth("positive"), 14)
         result = hf.fit(Preisach.of(8, spacing="reversal-curves"), curves)
         assert result.usable
         assert "14 first-order reversal curves" in " ".join(map(str, result.notes))
-        direct = fit_forc(curves, 8, smoothness=SMOOTHNESS)
-        np.testing.assert_allclose(result.model.w, direct.model.w, atol=1e-9)
         assert [p.name for p in result.parameters if p.name.startswith("offset")] == ["offset"]
         blind = hf.fit(Preisach.of(8), curves)
         assert blind.status == "no-loop"
@@ -404,19 +414,19 @@ class TestReversalCurves:
     def test_bad_families_are_told(self):
         curves = family(truth("positive"), 6)
         with pytest.raises(DataError, match="two reversal curves or more"):
-            fit_forc(curves[:1], 4)
+            hf.fit("preisach-forc:n=4", curves[:1])
         turned = curves[0].replace(u=np.append(curves[0].u[:-1], curves[0].u[0]))
         with pytest.raises(DataError, match="reverses at sample"):
-            fit_forc([turned, *curves[1:]], 4)
+            hf.fit("preisach-forc:n=4", [turned, *curves[1:]])
         falling = curves[1].replace(u=curves[1].u[::-1], y=curves[1].y[::-1])
         with pytest.raises(DataError, match="rise and the others fall"):
-            fit_forc([curves[0], falling], 4)
+            hf.fit("preisach-forc:n=4", [curves[0], falling])
         back = np.append(curves[0].u, np.linspace(1.0, 0.95, 20)[1:])
         slowly = curves[0].replace(u=back, y=np.interp(back, curves[0].u, curves[0].y), weight=np.ones(back.size))
         with pytest.raises(DataError, match="reverses at sample 59"):
-            fit_forc([slowly, *curves[1:]], 4)
+            hf.fit("preisach-forc:n=4", [slowly, *curves[1:]])
         crossing = [r.replace(y=r.y + (40 if k == 3 else 0)) for k, r in enumerate(curves)]
-        notes = " ".join(fit_forc(crossing, 4, smoothness=[1e-3]).notes)
+        notes = " ".join(map(str, hf.fit("preisach-forc:n=4", crossing, method=weights_alone(1e-3)).notes))
         assert "cross" in notes
         assert "do not close" in notes
 
@@ -643,11 +653,11 @@ class TestProperties:
 
     def test_a_record_without_minor_loops_is_said_to_test_nothing(self):
         u = np.sin(np.linspace(0, 20, 400))
-        found = check_preisach(Record(u, outputs(self.table, 90 + 90 * u)), model=True)
+        found = check_preisach(Record(u, outputs(self.table, 90 + 90 * u)))
         assert not found.tested
         assert set(found.outcomes.values()) == {"untested"}
         assert "only the major loop closes" in found.notes[0]
-        rising = check_preisach(Record(np.linspace(0, 1, 50), np.linspace(0, 1, 50)), model=True)
+        rising = check_preisach(Record(np.linspace(0, 1, 50), np.linspace(0, 1, 50)))
         assert "no loop closes" in rising.notes[0]
         assert "more than one reversal" in rising.notes[2]
 
@@ -655,7 +665,7 @@ class TestProperties:
         tops = [v for top in np.linspace(9, 180, 20) for v in (top, 0)]
         u = through((0, *tops, *HIGHER_ORDER[1:], 100, 40, 150, 70, 130), 40)
         y = outputs(self.table, u)
-        found = check_preisach(Record(u, y), model=True)
+        found = check_preisach(Record(u, y))
         assert found.higher is not None
         assert found.higher.held_out
         assert found.outcomes["higher-order"] == "holds"
@@ -665,7 +675,7 @@ class TestProperties:
         for v, du in zip(u, np.diff(u, prepend=u[0]), strict=True):
             w += 0.03 * abs(du) * (v - w) + 0.5 * du
             local.append(w)
-        found = check_preisach(Record(u, np.array(local)), model=True)
+        found = check_preisach(Record(u, np.array(local)))
         assert found.higher is not None
         assert found.higher.held_out
         assert found.outcomes["higher-order"] == "fails"
@@ -716,22 +726,23 @@ class TestMeasured:
         scale = np.ptp(np.concatenate([loop.y for loop in loops]))
         for k, limit in ((0, 0.3), (1, 0.9)):
             others = loops[:k] + loops[k + 1 :]
-            fit = fit_preisach(others, 30, symmetric=True, spacing="uniform", offsets="each")
-            error = fit.predict(loops[k].u) - loops[k].y
+            fit = hf.fit("preisach-magnetic:n=30:spacing=uniform", others)
+            error = fit.model.free_run(loops[k].u) - loops[k].y
             assert 100 * np.sqrt(np.mean(error**2)) < limit * scale
 
     def test_ferrite_loops_in_sample(self, measured):
         loops = magnetic_loops(measured, "mag_bh_MnZn_HP_ferrite.csv")
         span = np.ptp(np.concatenate([loop.y for loop in loops]))
-        assert fit_preisach(loops, symmetric=True, offsets="none").nrmse_percent < 0.2
+        fitted = lambda records, n=24: hf.fit(Preisach.of(n, symmetric=True), records, fix={"offset": 0.0})
+        assert fitted(loops).train.nrmse_percent < 0.2
         # The second largest loop, left out: held out at 0.69 % of the material's full scale.
         order = np.argsort([np.ptp(r.u) for r in loops])
         held = loops[order[-2]]
-        fit = fit_preisach([r for r in loops if r is not held], symmetric=True, offsets="none")
-        assert 100 * np.sqrt(np.mean((fit.predict(held.u) - held.y) ** 2)) / span <= 1.0
+        fit = fitted([r for r in loops if r is not held])
+        assert 100 * np.sqrt(np.mean((fit.predict(held) - held.y) ** 2)) / span <= 1.0
         # The largest is extrapolation, and the model says so.
         largest = loops[order[-1]]
-        small = fit_preisach([r for r in loops if r is not largest], 12, symmetric=True, offsets="none")
+        small = fitted([r for r in loops if r is not largest], 12)
         assert "extrapolation" in small.model.advice(largest.u)[0]
 
     @pytest.mark.slow
@@ -742,15 +753,15 @@ class TestMeasured:
         span = np.ptp(np.concatenate([r.y for r in curves]))
         held = [r for k, r in enumerate(curves) if k % 4]
         options = (
-            (0.15, {"n": 40}),
-            (0.10, {"n": 40, "nonnegative": False}),
-            (0.60, {"elements": "relays"}),
+            (0.15, 2.0, "preisach-forc:n=40"),
+            (0.10, 2.0, "preisach-forc-signed:n=40"),
+            (0.60, 5.0, "preisach-forc:n=60:elements=relays"),
         )
-        for bar, settings_of in options:
-            fit = fit_forc(curves[::4], smoothness=[1e-5], **settings_of)
+        for bar, most, name in options:
+            fit = hf.fit(name, curves[::4], method=weights_alone(1e-5))
             error = np.concatenate([output(fit.model, r.u) - r.y for r in held])
             assert 100 * np.sqrt(np.mean(error**2)) / span <= bar
-            assert 100 * np.abs(error).max() / span <= (2.0 if "n" in settings_of else 5.0)
+            assert 100 * np.abs(error).max() / span <= most
 
 
 def test_groups_of_many_weights_are_left_out_side_by_side_with_the_same_error(monkeypatch):

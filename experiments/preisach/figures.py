@@ -15,7 +15,7 @@ from measured import Measured
 
 import hystfit as hf
 from hystfit.control import LoopResult
-from hystfit.results.preisach_plots import plot_curves, plot_density, plot_forc_diagram
+from hystfit.results.preisach_plots import plot_curves, plot_forc_diagram
 
 INK = {"FF": "C0", "table FF": "C4", "FB": "C1", "line+FB": "C3", "FF+FB": "C2", "table FF+FB": "C5"}
 
@@ -115,7 +115,7 @@ def measured(out: Path, found: Measured) -> None:
     figure, axes = plt.subplots(2, 3, figsize=(16, 9.5), layout="constrained")
     plot_curves(found.curves, found.predicted, axes[0, 0], every=8)
     axes[0, 0].set_title("held-out reversal curves")
-    plot_density(found.fit.model, axes[0, 1], reach=found.fit.reach)
+    found.fit.plot("density", axes[0, 1])
     axes[0, 1].set_title("density of the cells")
     plot_forc_diagram(found.diagram, axes[0, 2])
     axes[0, 2].set_title("FORC diagram")

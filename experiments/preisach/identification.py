@@ -7,10 +7,11 @@ from plant import legs, measure
 from scipy.optimize import least_squares
 
 import hystfit as hf
+from hystfit.fitting.solvers.smooth_weights import SmoothWeights
 from hystfit.models import AbstractHysteresis
-from hystfit.models.preisach.solve import fit_preisach
 
 TOP, CURVES = 180.0, 12
+SMOOTHNESS = 1e-6  # strength of the penalty on the cells
 
 
 def reversal_record(plant: AbstractHysteresis, frequency: float, rate: float, seed: int | None) -> hf.Record:
@@ -37,9 +38,14 @@ def blank() -> hf.Preisach:
     )
 
 
-def static_model(record: hf.Record) -> hf.Preisach:
+def cells(data: hf.Record | list[hf.Record]) -> hf.FitResult:
+    """The fit of non-negative cells."""
+    return hf.fit(blank(), data, method=SmoothWeights(smoothness=(SMOOTHNESS,)))
+
+
+def static_model(record: hf.Record) -> AbstractHysteresis:
     """Non-negative cells from reversal curves."""
-    return fit_preisach(record, blank(), smoothness=(1e-6,), offsets="shared").model
+    return cells(record).model
 
 
 def table_model(record: hf.Record) -> AbstractHysteresis:
@@ -51,14 +57,14 @@ def with_relaxation(records: list[hf.Record], tau: tuple[float, ...] = (0.1, 1.0
     """Preisach followed by relaxation: for given weights the relaxation is inverted in the output and the cells follow from a convex
     solve; an outer least squares finds the weights.
     """
-    inner: dict[str, hf.Preisach] = {}
+    inner: dict[str, AbstractHysteresis] = {}
 
     def left(a: np.ndarray) -> np.ndarray:
         slow = hf.Relaxation(a=a, tau=tau)
         still = [r.replace(y=hf.invert(slow, r.y, r.dt).u) for r in records]
-        found = fit_preisach(still, blank(), smoothness=(1e-6,), offsets="shared")
+        found = cells(still)
         inner["model"] = found.model
-        return np.concatenate([found.predict(r.u) - r.y for r in still])
+        return np.concatenate([found.predict(r) - r.y for r in still])
 
     best = least_squares(left, np.full(len(tau), 0.03), bounds=(0.0, 0.3), diff_step=0.02, max_nfev=6)
     left(best.x)

@@ -9,9 +9,8 @@ import numpy as np
 from common import Results, times
 
 import hystfit as hf
-from hystfit.models.preisach import fit_forc, forc_diagram
+from hystfit.models.preisach import forc_diagram
 from hystfit.models.preisach.forc_diagram import ForcDiagram
-from hystfit.models.preisach.solve import PreisachFit, fit_preisach
 
 CLOSE = 0.5  # s after which the piezo, at rest at 0 V before, follows the input
 
@@ -30,7 +29,7 @@ class Measured:
 
     curves: list[hf.Record]
     predicted: list[np.ndarray]
-    fit: PreisachFit
+    fit: hf.FitResult
     diagram: ForcDiagram
     loops: hf.Record
     runs: dict[str, np.ndarray]
@@ -52,7 +51,7 @@ def _counting(record: hf.Record) -> hf.Record:
     return record.replace(u=record.u[record.used], y=record.y[record.used], weight=record.weight[record.used])
 
 
-def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.Record], list[np.ndarray], PreisachFit]:
+def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.Record], list[np.ndarray], hf.FitResult]:
     """Every fourth of 152 reversal curves fitted, the others predicted, in percent of the range of all."""
     train, held = wires[::4], [r for k, r in enumerate(wires) if k % 4]
     span = float(np.ptp(np.concatenate([r.y for r in wires])))
@@ -64,22 +63,20 @@ def reversal_curves(results: Results, wires: list[hf.Record]) -> tuple[list[hf.R
         results.add(f"measured reversal curves: {name}, max %", 100 * float(np.abs(error).max()) / span)
         return found
 
-    fit = fit_forc(train)
-    predicted = judge("cells, weights >= 0", lambda r: fit.predict(r.u))
-    signed = fit_forc(train, nonnegative=False)
-    judge("cells, signed weights", lambda r: signed.predict(r.u))
-    relays = fit_forc(train, elements="relays")
-    judge("relays, thresholds from the data", lambda r: relays.predict(r.u))
-    other = fit_forc([r for k, r in enumerate(wires) if k % 4 == 2], elements="relays")
+    fit = hf.fit("preisach-forc:n=60", train)
+    predicted = judge("cells, weights >= 0", fit.predict)
+    judge("cells, signed weights", hf.fit("preisach-forc-signed:n=60", train).predict)
+    relays = "preisach-forc:n=60:elements=relays"
+    judge("relays, thresholds from the data", hf.fit(relays, train).predict)
+    other = hf.fit(relays, [r for k, r in enumerate(wires) if k % 4 == 2])
     rest = [r for k, r in enumerate(wires) if k % 4 != 2]
-    error = np.concatenate([other.predict(r.u) - r.y for r in rest])
+    error = np.concatenate([other.predict(r) - r.y for r in rest])
     percent = 100 * float(np.sqrt(np.mean(error**2))) / span
     results.add("measured reversal curves: the same on curves 3, 7, ... fitted, RMS %", percent)
-    coarse = fit_preisach(
-        train,
-        hf.Preisach.of(50, elements="relays", spacing="uniform", initial="positive"),
-    )
-    judge("relays, 50 uniform thresholds", lambda r: coarse.predict(r.u))
+    # Each curve returns to saturation, so that all of them are one record, with one constant.
+    u, y = (np.concatenate([getattr(r, name) for r in train]) for name in ("u", "y"))
+    coarse = hf.fit(hf.Preisach.of(50, elements="relays", spacing="uniform", initial="positive"), hf.Record(u, y))
+    judge("relays, 50 uniform thresholds", lambda r: coarse.model.free_run(r.u))
     judge("straight line between the curves fitted next to it", lambda r: _between(r, train))
     return held, predicted, fit
 
@@ -104,10 +101,10 @@ def minor_loops(results: Results, model: hf.Record, test: hf.Record) -> dict[str
     if lag is None or lag.seconds is None:
         raise RuntimeError("no lag was found in the major loop")
     passed = lambda r: r.replace(u=np.asarray(hf.simulate(hf.Lag(tau=lag.seconds), r.u, r.dt)[0]))
-    fit = fit_preisach(passed(model), hf.Preisach.of(24, initial="negative"))
+    fit = hf.fit(hf.Preisach.of(24, initial="negative"), passed(model))
     winner = hf.compare(model).winner
     results.add("measured minor loops: lag of the major loop, ms", 1e3 * lag.seconds)
-    runs = {"cells": fit.predict(passed(test).u), "compare's choice": winner.predict(test)}
+    runs = {"cells": fit.predict(passed(test)), "compare's choice": winner.predict(test)}
     size = _local_size(test)
     late = times(test) >= times(test)[0] + CLOSE
     parts = {"whole": np.ones(len(test), bool), f"after {CLOSE:g} s": late}

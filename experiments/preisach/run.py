@@ -52,7 +52,7 @@ def errors(model: hf.models.AbstractHysteresis, record: hf.Record) -> tuple[floa
     return 100 * float(np.abs(e).max() / span), 100 * float(np.sqrt(np.mean(e**2)) / span)
 
 
-def reversal_curves(results: Results) -> tuple[hf.Record, hf.Preisach, hf.models.AbstractHysteresis]:
+def reversal_curves(results: Results) -> tuple[hf.Record, hf.models.AbstractHysteresis, hf.models.AbstractHysteresis]:
     """S1: curves of 12 heights; rising branches coincide, and the table read off them is monotone."""
     record = reversal_record(actuator(), 0.01, 2.0, seed=1)
     cells, tabulated = static_model(record), table_model(record)

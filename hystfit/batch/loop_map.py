@@ -158,10 +158,10 @@ class LoopMap(ManyFits):
         return self._distribution(rows, ("median stderr", "outliers"))
 
     def __str__(self) -> str:
-        told = f"{int((~self.alone).sum())} were judged together, {int(self.alone.sum())} were fitted alone"
+        judged = f"{int((~self.alone).sum())} were judged together, {int(self.alone.sum())} were fitted alone"
         bad = [(place, text) for place, text in self.reasons.items() if not self.ok[place]][:5]
         bad = [f"  {place}: {self.statuses[place]}: {text}" for place, text in bad]
-        return self._lines([told], self.summary().lines("  "), bad)
+        return self._lines([judged], self.summary().lines("  "), bad)
 
     __repr__ = __str__
 

@@ -13,7 +13,7 @@ from hystfit.outcome import Column, Status, Table, WithStatus
 from hystfit.results.provenance import provenance
 
 ERRORS = ("rmse", "error_percent", "max_error_percent")
-_OUTER = (0.05, 0.5, 0.95)
+_OUTER = (0.05, 0.5, 0.95)  # quantiles over the loops that the table shows
 
 
 class ManyFits(WithStatus, abc.ABC):
@@ -54,11 +54,11 @@ class ManyFits(WithStatus, abc.ABC):
             cells.append([name, unit, int(values.size), middle, low, high, *more])
         return Table([Column("parameter"), Column("unit", left=True), *map(Column, heads)], cells)
 
-    def _lines(self, told: Sequence[str], usable: Sequence[str], bad: Sequence[str]) -> str:
-        """Counts, what is `told` of all loops, the lines on `usable` fits, and the first loops that are `bad`."""
+    def _lines(self, remarks: Sequence[str], usable: Sequence[str], bad: Sequence[str]) -> str:
+        """Counts, `remarks` on all loops, the lines on `usable` fits, and the first loops that are `bad`."""
         counts, every = self.counts, sum(self.counts.values())
         counted = ", ".join(f"{count} {status}" for status, count in counts.items())
-        lines = [f"{self.model} fitted to {every} loop{'s' if every != 1 else ''}: {counted}", *told]
+        lines = [f"{self.model} fitted to {every} loop{'s' if every != 1 else ''}: {counted}", *remarks]
         if counts.get(str(Status.OK), 0):
             lines += ["", "Usable fits", *usable]
         if bad:

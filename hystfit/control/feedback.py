@@ -192,7 +192,7 @@ class AbstractController(eqx.Module):
 
 
 class Controller(AbstractController):
-    """A linear controller at a rate, with anti-windup:  x' = A x + B e + L (given - asked),  asked = C x + D e.
+    """A linear controller at a rate, with anti-windup:  x' = A x + B e + L (applied - command),  command = C x + D e.
 
     Tustin's rule (a trapezoid for every integral). L = B / D gives the state that belongs to the applied
     input instead of the computed one (Hanus et al. 1987); it needs D, and stable zeros.

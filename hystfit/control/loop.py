@@ -67,13 +67,13 @@ def _run(loop: Loop, start: _Carry, samples: tuple[Array, Array, Array]) -> tupl
         if loop.inverse is not None:
             memory, answer = loop.inverse.step(carry.memory, reference, loop.dt)
             ahead = answer.u
-        asked = ahead
+        command = ahead
         error = carry.reference - carry.readings[-1]
         if loop.controller is not None:
-            asked = asked + loop.controller.ask(carry.controller, error)
-        u = jnp.clip(asked, loop.low, loop.high)
+            command = command + loop.controller.ask(carry.controller, error)
+        u = jnp.clip(command, loop.low, loop.high)
         if loop.controller is not None:
-            controller = loop.controller.step(carry.controller, error, u - asked)
+            controller = loop.controller.step(carry.controller, error, u - command)
         if loop.inverse is not None and loop.applied:
             memory = loop.inverse.moved(carry.memory, u, loop.dt)
         state, y = loop.move(carry.plant, carry.u, u)

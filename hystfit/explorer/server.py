@@ -51,7 +51,7 @@ class Server(ThreadingHTTPServer):
         number = self.server_address[1]
         self.hosts = (f"127.0.0.1:{number}", f"localhost:{number}")
         self.url = f"http://{self.hosts[0]}/{self.token}/"
-        self.asked: dict[str, Callable[[Mapping[str, Any]], Answer]] = {
+        self.answers: dict[str, Callable[[Mapping[str, Any]], Answer]] = {
             "model": session.choose,
             "measured": session.measured,
             "predict": session.predict,
@@ -106,10 +106,10 @@ class _Handler(BaseHTTPRequestHandler):
         name = self.path.rpartition("/")[2]
         if fault := self._fault(name) or self._foreign():
             return self._fail(fault)
-        if name not in self.server.asked:
+        if name not in self.server.answers:
             return self._fail(HTTPStatus.NOT_FOUND)
         try:
-            content = self.server.asked[name](json.loads(body, parse_int=float))
+            content = self.server.answers[name](json.loads(body, parse_int=float))
         except HystfitError as error:
             return self._send_json(HTTPStatus.UNPROCESSABLE_ENTITY, {"error": str(error)})
         except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, RecursionError):

@@ -17,8 +17,9 @@ import scipy  # loads its subpackages when they are first used, which optimize i
 from jaxtyping import Array
 
 from hystfit.inference.autocorrelation import autocorrelation_time
+from hystfit.inference.bounded_newton import BoundedNewton
 from hystfit.inference.density import Density
-from hystfit.inference.newton import Optimum, descend, maximize
+from hystfit.inference.newton import Optimum, maximize
 from hystfit.inference.noise.base import AbstractNoise, ResidualScales
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.white import White
@@ -28,6 +29,7 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
 _STARTS = (0.2, 1.0, 5.0)  # correlation times tried, relative to that of the residuals
+_NEGLIGIBLE = 1e-6  # decrease of half the whitened sum of squares at which its descent stops
 _INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or the width between two bounds
 
 
@@ -97,11 +99,13 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
         criterion = functools.partial(_restricted_slope, density, jnp.asarray(r), jnp.asarray(J), live)
         best, noise_settled = _fit_noise(criterion, starts)
         values = space.tree(best)
-        new, _, done = (np.asarray(v) for v in _fit_model(problem.whitened(values), jnp.asarray(x), live))
+        newton = BoundedNewton(problem, problem.whitened(values), x)
+        end = newton.descend(newton.coordinates(x), moving, tolerance=_NEGLIGIBLE)
+        new = np.where(moving, newton.physical(end.v), x)
         shift = float(np.max(np.abs(new - x) / scale))
         x, starts = new, best[None]
         r, J = problem.linearize(x)
-        settled = bool(done) and noise_settled
+        settled = end.settled and noise_settled
         if shift < 1e-3:
             break
     problem.noise = space.tree(starts[0])
@@ -152,13 +156,6 @@ def _fit_noise(criterion: Callable[[Array], tuple[Array, Array]], starts: np.nda
     solution = scipy.optimize.minimize(host, first, jac=True, method="BFGS", options={"gtol": 1e-3, "maxiter": 100})
     _, gradient = host(solution.x)
     return solution.x, bool(np.max(np.abs(gradient)) < 0.05)
-
-
-@compiled
-def _fit_model(whitened: Whitened, x: Array, moving: Array) -> tuple[Array, Array, Array]:
-    c = whitened.objective.coordinates
-    z, value, done = descend(whitened.cost_at, whitened.normal_at, c.unconstrained(x), moving)
-    return jnp.where(moving, c.physical(z), x), value, done
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
-from hystfit.quality.loops import reversals
+from hystfit.quality.loops import APART, SAME_LEVEL, reversals
 
 NIS_BAND = 0.2  # how far the mean normalized innovation squared of a consistent filter may lie from 1
 FOLLOWS = 0.01  # simulation error beyond the noise, RMS as a fraction of the output's range
@@ -57,9 +57,9 @@ def loop_count(data: Dataset) -> int:
     span = max(high - low, 1e-300)
     pairs: list[np.ndarray] = []
     for record in data:
-        turns = (record.u[reversals(record.u, 0.02 * span)] - low) / span
+        turns = (record.u[reversals(record.u, SAME_LEVEL * span)] - low) / span
         for pair in np.sort(np.stack([turns[:-1], turns[1:]], axis=1), axis=1):
-            if all(np.max(np.abs(pair - other)) > 0.05 for other in pairs):
+            if all(np.max(np.abs(pair - other)) > APART for other in pairs):
                 pairs.append(pair)
     return len(pairs)
 

@@ -36,6 +36,7 @@ class Point:
     value: float
     gradient: np.ndarray
     matrix: np.ndarray
+    settled: bool = False  # whether a further step gains nothing
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,14 +127,14 @@ class BoundedNewton:
             step = step * min(1.0, LONGEST / max(longest, 1e-300))
             gain = -(point.gradient @ step + 0.5 * step @ point.matrix @ step)
             if not gain > tolerance:
-                break
+                return dataclasses.replace(point, settled=True)
             new = self.at(np.clip(point.v + step, low, high))
             if new.value < point.value:
                 point, damping = new, max(0.1 * damping, _DAMPING[0])
             else:
                 damping = 10.0 * max(damping, 1e-5)
             if damping > _DAMPING[1]:
-                break
+                return dataclasses.replace(point, settled=True)
         return point
 
     def best(self, starts: Sequence[np.ndarray], moving: np.ndarray, held: int = -1, steps: int = _TRIAL) -> Point:

@@ -1,9 +1,9 @@
-"""Small dense optimizers for compiled code: damped Newton on any smooth function, Levenberg-Marquardt on normal equations."""
+"""A small dense optimizer for compiled code: damped Newton steps on any smooth function."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,6 @@ from hystfit.models.shared.shapes import Scalar
 FORWARD = 16  # coordinates up to which forward-mode second derivatives are the cheaper ones
 LONGEST = 2.0  # step in z, infinity norm
 _CLIMBING, _POLISHING, _DONE = 0, 1, 2
-_NEGLIGIBLE = 1e-9  # predicted gain, absolute and relative to the cost, at which Levenberg-Marquardt stops
 _FARTHEST = 0.2  # in z
 # Of a standard deviation: over differences of gradients this far apart, the kinks that a likelihood has where a sample changes branch
 # do not look like curvature.
@@ -147,42 +146,3 @@ def maximize(
     end = jax.lax.while_loop(unfinished, once, start)
     finite = jnp.isfinite(end.value) & jnp.all(jnp.isfinite(end.hessian))
     return Optimum(end.z, end.value, end.hessian, end.near & finite)
-
-
-def descend(
-    cost: Callable[[Array], Array],
-    normal: Callable[[Array], tuple[Array, Array, Array]],
-    z: Float[Array, " p"],
-    moving: Any,
-) -> tuple[Float[Array, " p"], Scalar, Array]:
-    """Levenberg-Marquardt on half a sum of squares: (z, cost, converged).
-
-    It works on normal equations, the `normal` of z (cost, gradient, Gauss-Newton matrix), and moves the coordinates `moving`, shape (p,),
-    bool. optimistix on the whitened rows reaches the same point in 6 times the time (Bouc-Wen, 3001 samples, slow noise: 15 against 2.4
-    ms).
-    """
-
-    def go_on(carry: tuple[Array, ...]) -> Array:
-        return ~carry[3] & (carry[4] < 30)  # steps at most
-
-    def once(carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        z, value, damping, _, k = carry
-        _, gradient, matrix = normal(z)
-        g = jnp.where(moving, gradient, 0.0)
-        both = moving[:, None] & moving[None, :]
-        diagonal = jnp.maximum(jnp.diag(matrix), 1e-12 * jnp.max(jnp.diag(matrix)) + 1e-300)
-        scale = 1 / jnp.sqrt(diagonal)
-        scaled = jnp.where(both, matrix, 0.0) * scale[:, None] * scale[None, :]
-        scaled = scaled + jnp.diag(jnp.where(moving, damping, 1.0))
-        step = -scale * jnp.linalg.solve(scaled, scale * g)
-        step = step * jnp.minimum(1.0, LONGEST / jnp.maximum(jnp.max(jnp.abs(step)), 1e-30))
-        new = cost(z + step)
-        better = new < value
-        gain = -jnp.sum(g * step)
-        done = gain < _NEGLIGIBLE * (1 + value)
-        damping = jnp.where(better, jnp.maximum(0.1 * damping, 1e-10), 10.0 * jnp.maximum(damping, 1e-6))
-        return jnp.where(better, z + step, z), jnp.where(better, new, value), damping, done | (damping > 1e9), k + 1
-
-    start = (z, cost(z), jnp.asarray(1e-6), jnp.zeros((), bool), jnp.asarray(0))
-    z, value, _, done, _ = jax.lax.while_loop(go_on, once, start)
-    return z, value, done

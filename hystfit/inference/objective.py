@@ -21,7 +21,7 @@ from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
-_STEEPEST = 1e100
+_STEEPEST = 1e100  # slope beyond which a derivative counts as infinite: its square is still a finite number
 BROKEN = 1e3  # value of residuals that are not finite, in half ranges of the output
 
 

@@ -29,7 +29,7 @@ _LARGEST = 3.0  # largest plausible standard deviation of noise, in that of the 
 _TURNS = 8  # reversals of the input needed to detect a repeating error
 _ENOUGH = 240  # samples needed for the same
 TAILS = 3.0  # excess kurtosis of the differences of residuals above which tails are heavy
-_DRAWS = 20_000
+_DRAWS = 20_000  # of what chance alone gives: a p-value of `CHANCE` then has a standard error of 0.001
 FEW = 60  # parameters up to which errors use the covariance of the noise; for more they grow by its correlation time
 
 Derivatives = Callable[[], np.ndarray]

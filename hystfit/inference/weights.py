@@ -14,7 +14,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.smooth_system import Layout, Offsets, SmoothSystem
+from hystfit.models.preisach.smooth_system import Layout, SmoothSystem
 from hystfit.models.shared.design import DesignMatrix
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut
@@ -40,15 +40,14 @@ class Split:
         x: np.ndarray,
         *,
         held: HeldOut | None = None,
-        offsets: Offsets = "each",
     ) -> Split:
         """Split at given values of the other parameters.
 
-        Values of x that are weights do not matter. `held` and `offsets` are those of `SmoothSystem.of`.
+        Values of x that are weights do not matter. `held` is that of `SmoothSystem.of`.
         """
         if space.ties:
             raise ParameterError("tied parameters need another method than 'preisach': choose method='lm'")
-        system = SmoothSystem.of(_designs(space, records, x), records, held=held, offsets=offsets)
+        system = SmoothSystem.of(_designs(space, records, x), records, held=held)
         return cls._split(space, system, len(records))
 
     @classmethod
@@ -83,7 +82,7 @@ class Split:
 
 
 def _designs(space: ParameterSpace, records: Sequence[Record], x: np.ndarray) -> Iterator[DesignMatrix]:
-    """Design matrices of the records, made when they are asked for: those of all records would take far more memory than the sums."""
+    """Design matrices of the records, made when they are wanted for: those of all records would take far more memory than the sums."""
     models = space.of_records(x, len(records), np.asarray)
     first = next(models)
     if isinstance(first, Preisach):  # whose records differ in weights alone
@@ -120,13 +119,13 @@ def weighted_columns(
         used, rest = record.used, design.rest.copy()
         index, root = design.index[used], np.sqrt(record.weight[used])
         solved = np.zeros((index.size, at.size))
-        for position, kept in enumerate(layout.kept):  # block after block: no copy of the whole matrix
-            block, start = design.blocks[kept].columns, layout.first(position, number)
-            rest += block @ values[start : start + block.shape[1]]
-            asked = np.flatnonzero((place[at] >= start) & (place[at] < start + block.shape[1]))
-            block = np.asarray(block) if asked.size else block
-            for k in asked:
-                solved[:, k] = block[index, place[at[k]] - start]
+        for position, block in enumerate(design.blocks):  # block after block: no copy of the whole matrix
+            part, start = block.columns, layout.first(position, number)
+            rest += part @ values[start : start + part.shape[1]]
+            wanted = np.flatnonzero((place[at] >= start) & (place[at] < start + part.shape[1]))
+            part = np.asarray(part) if wanted.size else part
+            for k in wanted:
+                solved[:, k] = part[index, place[at[k]] - start]
         rest = rest[index]
         columns.append(solved)
         if (root != 1).any():

@@ -26,16 +26,6 @@ class Whitened(eqx.Module):
         """Half the squared whitened residual, its gradient and the information matrix, from residuals and their derivatives."""
         return self._project(jnp.concatenate([r[..., None], J], axis=-1))
 
-    def cost_at(self, z: Float[Array, " p"]) -> Scalar:
-        """Half the squared whitened residual at unconstrained z."""
-        return self._project(self.objective.residual(self.objective.coordinates.physical(z))[..., None])[0]
-
-    def normal_at(self, z: Float[Array, " p"]) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
-        """`normal_of` at unconstrained z, with respect to z."""
-        slope = self.objective.coordinates.slope(z)
-        value, gradient, matrix = self.normal_of(*self.objective.linearize(self.objective.coordinates.physical(z)))
-        return value, gradient * slope, matrix * slope[:, None] * slope[None, :]
-
     def rows(self, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> Float[Array, "n q"]:
         """Whitened columns [shapes, J, r] above the prior rows of the shapes' weights: a QR of them solves everything."""
         e, shapes = self._filter(jnp.concatenate([J, r[..., None]], axis=-1), first=True)

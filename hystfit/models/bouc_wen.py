@@ -12,11 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.bouc_wen_steps import (
-    AbstractSecant,
     Scheme,
     bound,
     exact_step,
@@ -27,13 +25,19 @@ from hystfit.models.bouc_wen_steps import (
 )
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.c_code import CPart
-from hystfit.models.shared.sample_scan import first_samples, scan_samples
+from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.slopes import Slopes
-from hystfit.models.shared.starting import best_of_grid, input_range, offset_columns, thinned, used_samples
+from hystfit.models.shared.starting import (
+    best_of_grid,
+    grid_columns,
+    input_range,
+    offset_columns,
+    thinned,
+    used_samples,
+)
 from hystfit.models.shared.step_inverse import AbstractStepInverse
-from hystfit.params.host_arrays import compiled
 from hystfit.params.param import param
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
@@ -41,7 +45,45 @@ from hystfit.quality.needs import Needs
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
-class BoucWen(AbstractHysteresis, AbstractSecant):
+_STRAIGHT = 1e-3  # tau swing below which tanh(x) / x is 1 - x^2 / 3 to 1e-12
+
+
+class AbstractBoucWen(AbstractHysteresis):
+    """y = c v - h, where h takes the part mu of the slope at a reversal and saturates at the rate tau."""
+
+    rate_independent: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
+
+    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
+    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
+    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
+    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
+    scheme: Scheme = eqx.field(static=True, default="semi-implicit", kw_only=True)
+
+    def log_secant(self, swing: Scalar) -> Scalar:
+        """log of the slope between the tips of a symmetric loop of half range `swing` [u], over c: 1 - mu tanh(tau swing) / (tau swing)."""
+        x = self.tau * swing
+        small = x < _STRAIGHT
+        safe = jnp.where(small, 1.0, x)
+        return jnp.log1p(-self.mu * jnp.where(small, 1 - x**2 / 3, jnp.tanh(safe) / safe))
+
+    def step_ratio(self, largest: Any) -> Any:
+        """See the base class: 0 for the exact scheme."""
+        return np.asarray(self.tau) * (1 + np.abs(self.rho)) * (self.scheme != "exact") * largest / COARSE
+
+    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
+        """Where the sampling is too coarse for the default scheme."""
+        largest = COARSE * float(self.step_ratio(largest_step(u)))
+        if largest <= COARSE:
+            return ()
+        return (
+            f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
+            f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
+            "model's name)",
+        )
+
+
+class BoucWen(AbstractBoucWen):
     """Normalized Bouc-Wen:  dh/dv = mu c - (s tau sgn h + delta) |h|,  y = offset + c v - h,  s = sign(dv).
 
     Here delta = rho tau. With |rho| < 1 the loop is dissipative, and |h| <= mu c / (tau + delta). The classic form with A, beta, gamma
@@ -56,8 +98,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         ModelError: an unknown scheme.
     """
 
-    rate_independent: ClassVar[bool] = True
-    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="symmetric",
@@ -65,10 +105,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         too_few="mu, tau and rho are nearly redundant",
     )
 
-    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
-    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
-    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     h0: Scalar = param(
         0.0,
         bounds=(-1.0, 1.0),
@@ -77,7 +113,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
         doc="hysteretic state at the first sample, as a fraction of its bound",
     )
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
-    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     @property
     def delta(self) -> Scalar:
@@ -120,13 +155,6 @@ class BoucWen(AbstractHysteresis, AbstractSecant):
 
         last, h = scan_samples(once, state[0], (s, x, phi(up, x), phi(down, x)))
         return last[None], self.offset + self.c * u - h
-
-    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.step_ratio(largest_step(u)))
-
-    def step_ratio(self, largest: Any) -> Any:
-        return step_ratio(self.scheme, np.asarray(self.tau) * (1 + np.abs(self.rho)), largest)
 
     def start(self, records: Sequence[Record]) -> BoucWen:
         """A grid over (tau, rho), for each of which c, mu c and the offset follow by linear least squares."""
@@ -197,23 +225,6 @@ class BoucWenStep(AbstractStepInverse):
         return Root(u0 + s * x, slope > 0)
 
 
-def step_ratio(scheme: str, rate: Any, largest: Any) -> Any:
-    """`rate` times the largest step of an input over that for which the cheap scheme is trusted; 0 for the exact one."""
-    return np.asarray(rate) * (scheme != "exact") * largest / COARSE
-
-
-def coarse(ratio: Any) -> tuple[str, ...]:
-    """Advice where the ratio is above 1."""
-    if ratio <= 1:
-        return ()
-    largest = COARSE * float(ratio)
-    return (
-        f"in one sample the input moves by up to {largest:.2g} times the memory length of the hysteresis (1 / its rate), and the "
-        f"default scheme is accurate up to {COARSE} times: sample faster, or use scheme='exact' (at the shell :scheme=exact after the "
-        "model's name)",
-    )
-
-
 def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float], np.ndarray]:
     """c, mu, tau, rho and offset at the best (tau, rho) of a grid, and `degree` Legendre coefficients, from 2 on, of the backbone there.
 
@@ -221,8 +232,8 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     """
     place, records = input_range(records), thinned(records)
     tau, rho = (a.ravel() for a in np.meshgrid(np.geomspace(0.2, 30.0, 12) / place.half, [-0.6, 0.0, 0.6, 0.95]))
-    states = np.concatenate([unit_hysteresis(record.u, tau, rho)[record.used] for record in records])
     u, y = used_samples(records)
+    states = u[:, None] - grid_columns(BoucWen(c=1.0, mu=1.0), {"tau": tau, "rho": rho}, records)  # h for mu c = 1
     offsets = offset_columns(records)
     bend = np.polynomial.legendre.legvander((u - place.center) / place.half, degree + 1)[:, 2:]
     k, theta, _ = best_of_grid(states, np.column_stack([u, offsets, bend]), y)
@@ -231,20 +242,3 @@ def grid_start(records: Sequence[Record], degree: int) -> tuple[dict[str, float]
     mu = float(np.clip(-unit_factor / c, 0.02, 0.98))
     values = {"c": c, "mu": mu, "tau": float(tau[k]), "rho": float(rho[k]), "offset": offset}
     return values, theta[2 + len(records) :]
-
-
-def unit_hysteresis(u: np.ndarray, tau: np.ndarray, rho: np.ndarray) -> np.ndarray:
-    """h / (mu c) of `BoucWen` for several (tau, rho > -1) at once, semi-implicit: shape (T, len(tau))."""
-    return np.asarray(_unit_hysteresis(in_room(np.diff(u, prepend=u[0])), tau, rho, np.int64(u.size)))[: u.size]
-
-
-@compiled
-def _unit_hysteresis(steps: Array, tau: Array, rho: Array, count: Array) -> Array:
-    one, up, down = jnp.ones_like(tau), tau * (1 + rho), tau * (1 - rho)
-
-    def once(h: Array, dv: Array) -> tuple[Array, Array]:
-        h = trapezoid(h, dv, one, up, down)
-        return h, h
-
-    with first_samples(count):
-        return scan_samples(once, jnp.zeros_like(tau), steps)[1]

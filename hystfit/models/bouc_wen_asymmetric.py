@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, get_args
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.base import AbstractHysteresis
-from hystfit.models.bouc_wen import coarse, grid_start, step_ratio
+from hystfit.models.bouc_wen import AbstractBoucWen, grid_start
 from hystfit.models.bouc_wen_steps import (
-    AbstractSecant,
-    Scheme,
     bound,
     initial_hysteresis,
     power_of,
@@ -31,11 +27,10 @@ from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import equilibrium
 from hystfit.models.shared.starting import input_range
 from hystfit.params.param import param
-from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
 
 
-class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
+class AsymmetricBoucWen(AbstractBoucWen):
     """Generalized Bouc-Wen for asymmetric loops and any exponent n:
 
         dh/dv = mu c - (s tau sgn h + delta + a sgn h) |h| (|h| / H)^(n - 1),    H = mu c / (tau + delta),
@@ -50,8 +45,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         ModelError: an unknown scheme.
     """
 
-    rate_independent: ClassVar[bool] = True
-    words: ClassVar[Mapping[str, tuple[str, ...]]] = {"scheme": get_args(Scheme)}
     needs: ClassVar[Needs] = Needs(
         amplitudes=2,
         symmetry="asymmetric",
@@ -59,10 +52,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         too_few="the shape parameters are nearly redundant",
     )
 
-    c: Scalar = param(1.0, bounds=(0.0, np.inf), unit="y/u", doc="slope of the loop without hysteresis")
-    mu: Scalar = param(0.4, bounds=(0.0, 1.0), doc="fraction of the slope c that is lost at a reversal")
-    tau: Scalar = param(1.0, bounds=(0.0, np.inf), unit="1/u", doc="rate at which h saturates")
-    rho: Scalar = param(0.5, bounds=(-1.0, 1.0), doc="delta / tau, shape of the loop's tips")
     n: Scalar = param(1.0, bounds=(0.5, 12.0), doc="sharpness of the knee")
     skew: Scalar = param(0.0, bounds=(-0.95, 0.95), doc="asymmetry of the saturation")
     b: Float[Array, " k"] = param(
@@ -78,7 +67,6 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
     offset: Scalar = param(0.0, unit="y", per_record=True, doc="output at zero input without hysteresis", linear=True)
     center: Scalar = param(0.0, unit="u", fixed=True, doc="middle of the input range")
     half: Scalar = param(1.0, bounds=(0.0, np.inf), unit="u", fixed=True, doc="half of the input range")
-    scheme: Scheme = eqx.field(static=True, default="semi-implicit")
 
     def init(self, u0: Scalar) -> State:
         """State: h, shape (1,)."""
@@ -120,13 +108,9 @@ class AsymmetricBoucWen(AbstractHysteresis, AbstractSecant):
         passed = power(middle) * rate_integral(q, x, m, up, down)  # the power there keeps the second order
         return s * semi_implicit(q, x, m, passed, highest)
 
-    def advice(self, u: np.ndarray, dt: np.ndarray | None = None) -> tuple[str, ...]:
-        """Where the sampling is too coarse for the default scheme."""
-        return coarse(self.step_ratio(largest_step(u)))
-
     def step_ratio(self, largest: Any) -> Any:
-        rate = np.asarray(self.tau) * (1 + np.abs(self.rho)) * np.maximum(1.0, self.n)
-        return step_ratio(self.scheme, rate, largest)
+        """A sharper knee needs smaller steps."""
+        return super().step_ratio(largest) * np.maximum(1.0, self.n)
 
     def start(self, records: Sequence[Record]) -> AsymmetricBoucWen:
         """As `BoucWen`, with the backbone's polynomials among the linear unknowns."""

@@ -21,7 +21,7 @@ from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.loops import branches
 from hystfit.quality.needs import Needs
 
-_BRISTLES = 6
+_BRISTLES = 6  # by default
 _SHORTEST, _LONGEST = 0.01, 2.0  # presliding displacements over half the range of the input
 
 

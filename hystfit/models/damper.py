@@ -29,7 +29,7 @@ from hystfit.quality.recursions import recursion
 _STROKES = tuple(np.geomspace(0.002, 1.2, 16))
 _LAGS = tuple(np.geomspace(0.005, 0.9, 12))
 _BENDS = tuple(np.geomspace(0.01, 1.0, 8))
-_SPRING = (1, 2, 3, 5)
+_SPRING = (1, 2, 3, 5)  # powers of the displacement in the force of the spring
 # Strains of the stops of x at the start: free of force, or slipping, as after a movement in either direction.
 _STRAINS = (0.0, -1.0, 1.0)
 _READ, _MOVING = 1.0, 2.0  # stages of the start: the first sample is read, and its velocity is known

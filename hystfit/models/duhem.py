@@ -68,21 +68,20 @@ class Duhem(AbstractHysteresis):
     scheme: Scheme = eqx.field(static=True, default="midpoint")
 
     @classmethod
-    def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint", **fields: object) -> Duhem:
+    def of_order(cls, f: int = 3, g: int = 2, scheme: Scheme = "midpoint") -> Duhem:
         """A model with polynomials of given orders.
 
         Args:
             f: order of the anhysteretic curve.
             g: order of the slope at reversal.
             scheme: of integration.
-            **fields: values of other fields.
 
         Raises:
             ModelError: a negative order, or an unknown scheme.
         """
         if f < 0 or g < 0:
             raise ModelError(f"orders of polynomials are 0 or more, got {f} and {g}")
-        return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], scheme=scheme, **fields)
+        return cls(f=np.eye(f + 1)[min(f, 1)], g=0.5 * np.eye(g + 1)[0], scheme=scheme)
 
     def settings(self) -> dict[str, int | bool | str]:
         return {"f": self.f.shape[0] - 1, "g": self.g.shape[0] - 1, "scheme": self.scheme}

@@ -37,7 +37,7 @@ class Entry:
         return functools.partial(attribute(f"hystfit.models.{self.maker}"), **self.preset)
 
     def makes(self, kind: type) -> bool:
-        """Whether it makes models of this class, told without importing or making one."""
+        """Whether it makes models of this class; no model is imported or made for the answer."""
         module, _, constructor = self.maker.partition(":")
         return (kind.__module__, kind.__name__) == (f"hystfit.models.{module}", constructor.partition(".")[0])
 

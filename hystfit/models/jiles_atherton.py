@@ -214,10 +214,9 @@ class JilesAtherton(AbstractHysteresis):
         columns = grid_columns(plain, grid, short)
         u, y = used_samples(short)
         y = y - slope * u
-        best, theta, _ = best_of_grid(columns, offset_columns(short), y)
-        shape = {name: values[best] for name, values in grid.items()} | second
-        saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        return dataclasses.replace(self, Ms=saturation, **shape, slope=slope, offset=theta[1])  # type: ignore[arg-type]
+        best = best_of_grid(columns, offset_columns(short), y)
+        shape = {name: values[best.which] for name, values in grid.items()} | second
+        return dataclasses.replace(self, Ms=best.scale(y), **shape, slope=slope, offset=best.coefficients[1])  # type: ignore[arg-type]
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         return JilesAthertonStep(self)

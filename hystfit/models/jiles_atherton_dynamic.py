@@ -113,11 +113,10 @@ class JilesAthertonDynamic(JilesAtherton):
         plain = dataclasses.replace(law, Ms=1.0, slope=0.0, offset=0.0, e=_ROUNDED * fastest)
         runs = [np.asarray(_shifted(plain, grid, r.u, rate))[:, r.used] for r, rate in zip(short, rates, strict=True)]
         u, y = used_samples(short)
-        best, theta, _ = best_of_grid(np.concatenate(runs, axis=1).T, offset_columns(short), y - float(law.slope) * u)
-        eddy, excess = grid[best].tolist()
-        saturation = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
+        best = best_of_grid(np.concatenate(runs, axis=1).T, offset_columns(short), y - float(law.slope) * u)
+        eddy, excess = grid[best.which].tolist()
         dynamic = {"eddy": eddy, "excess": excess, "e": _ROUNDED * fastest}
-        return dataclasses.replace(law, Ms=saturation, offset=float(theta[1]), **dynamic)
+        return dataclasses.replace(law, Ms=best.scale(y), offset=float(best.coefficients[1]), **dynamic)
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         return JilesAthertonDynamicStep(self)

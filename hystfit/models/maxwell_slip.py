@@ -20,7 +20,7 @@ from hystfit.models.shared.starting import TYPICAL, input_range, output_range, s
 from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
-_ELEMENTS = 10
+_ELEMENTS = 10  # by default
 _SHORTEST, _LONGEST = 0.005, 1.5  # limits over half the range of the input
 _FIRST = (0.2, 0.2)  # excess of static friction, and Stribeck velocity over the typical one, from which a fit starts
 

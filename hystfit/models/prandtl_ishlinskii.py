@@ -24,6 +24,7 @@ from hystfit.models.shared.play_columns import (
     envelope,
     envelope_slope,
     fading,
+    play_thresholds,
     rising_columns,
 )
 from hystfit.models.shared.polynomial import legendre_series, rising_series, rising_slope
@@ -141,15 +142,15 @@ class PrandtlIshlinskii(AbstractHysteresis):
         Raises:
             ModelError: fewer than one play or degree one, another number of envelopes, a negative path.
         """
-        if plays < 1 or degree < 1:
-            raise ModelError(f"at least one play and degree one are needed, got {plays} plays and degree {degree}")
+        if degree < 1:
+            raise ModelError(f"the polynomial is of degree one at least, got {degree}")
         if hardening < 0:
             raise ModelError(f"hardening fades over a path of at least 0 input ranges, got {hardening}")
         if isinstance(envelopes, int):
             if envelopes not in (1, 3):
                 raise ModelError(f"there are 1 or 3 envelopes, got {envelopes}")
             envelopes = get_args(Envelope)[:envelopes]
-        r = 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
+        r = play_thresholds(plays)
         w = np.full((len(envelopes), plays), 0.01)
         fading = np.zeros(plays if hardening else 0)
         single = {"rise": np.full(degree, 2.0 / degree)} if operator == "play" else {"b": np.eye(degree)[0]}

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.shared.bracketed import Root
 from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.play_columns import play_thresholds
 from hystfit.models.shared.reported import PlayWeights
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import states_over
@@ -72,14 +72,12 @@ class RateDependentPlays(AbstractHysteresis):
 
     @classmethod
     def of(cls, plays: int = 20) -> RateDependentPlays:
-        """A model with this many plays, thresholds 0.5 (j / (plays + 1))^2 of the input range.
+        """A model with this many plays, see `play_thresholds`.
 
         Raises:
             ModelError: fewer than one play.
         """
-        if plays < 1:
-            raise ModelError(f"at least one play is needed, got {plays}")
-        return cls(w=np.full(plays, 0.01), r=0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2)
+        return cls(w=np.full(plays, 0.01), r=play_thresholds(plays))
 
     def plays(self) -> tuple[PlayWeights, ...]:
         """The weights over the thresholds at rest."""

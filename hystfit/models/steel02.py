@@ -156,9 +156,9 @@ class Steel02(AbstractHysteresis):
         deadband = max(float(self.deadband), _REVERSAL * strain_noise(records))
         columns = grid_columns(Steel02(deadband=deadband), grid, short)
         _, y = used_samples(short)
-        best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
-        fy = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        shape = {name: values[best] for name, values in grid.items()}
+        best = best_of_grid(columns, np.zeros((y.size, 0)), y)
+        fy = best.scale(y)
+        shape = {name: values[best.which] for name, values in grid.items()}
         return dataclasses.replace(self, fy=fy, **shape | {"E": fy * shape["E"]}, deadband=deadband)
 
 

@@ -158,8 +158,8 @@ class VoceChaboche(AbstractHysteresis):
         grid = {"E": 1.0 / (ey * half), "Q": Q + 1e-3, "g": g[:, None] / half * spread}
         columns = grid_columns(plain, grid, short)
         _, y = used_samples(short)
-        best, theta, _ = best_of_grid(columns, np.zeros((y.size, 0)), y)
-        sy0 = max(float(theta[0]), 1e-3 * float(np.ptp(y)))
-        unit = dataclasses.replace(plain, **{name: values[best] for name, values in grid.items()})
+        best = best_of_grid(columns, np.zeros((y.size, 0)), y)
+        sy0 = best.scale(y)
+        unit = dataclasses.replace(plain, **{name: values[best.which] for name, values in grid.items()})
         scaled = {name: sy0 * np.asarray(getattr(unit, name)) for name in ("E", "sy0", "Q", "D", "S")}
         return dataclasses.replace(self, **scaled, b=unit.b, a=unit.a, g=unit.g)

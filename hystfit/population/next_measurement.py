@@ -104,7 +104,6 @@ class Beliefs:
         return weights / weights.sum(axis=1, keepdims=True)
 
 
-SCHEMA = "hystfit.population-design/1"
 Goal = Literal["scatter", "mean"]
 AS_MEASURED = "as measured"
 COLUMNS = (
@@ -206,7 +205,7 @@ class PopulationDesign(WithStatus):
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.population-design/1",
             "model": self.population.model,
             "aim": list(self.aim),
             "goal": self.goal,

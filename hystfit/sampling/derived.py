@@ -10,7 +10,6 @@ import numpy as np
 from hystfit.errors import ParameterError
 from hystfit.models.preisach.forc_diagram import ForcDiagram
 from hystfit.models.preisach.model import Preisach
-from hystfit.models.preisach.solve import density_of
 from hystfit.results.measured.quantities import CREEP, QUANTITIES, applicable
 from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.sampling.posterior import Posterior
@@ -51,7 +50,7 @@ def sampled_density(posterior: Posterior, count: int = 200, seed: int = 0, *, ri
     model = posterior.result.model
     if not isinstance(model, Preisach) or model.elements != "cells":
         raise ParameterError(f"{posterior.result.name} has no density: sample a fit of preisach-forc")
-    diagrams = [density_of(one, rising=rising) for one in posterior.models(count, seed)]  # type: ignore[arg-type]
+    diagrams = [ForcDiagram.of_model(one, rising=rising) for one in posterior.models(count, seed)]  # type: ignore[arg-type]
     draws = np.stack([one.density for one in diagrams])
     first = diagrams[0]
     return ForcDiagram(

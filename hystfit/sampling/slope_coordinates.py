@@ -3,7 +3,7 @@
 Data determine the slope of a loop to many digits, and often not which part of it the hysteresis takes, nor how soon that saturates:
 where the loop is thin, c (1 - mu) is known if tau is small, and c if it is large. Over log c, logit mu and log tau such a posterior is
 a narrow, curved ridge, which no whitening straightens. In the coordinates here it is straight. Their determinant is 1, because the
-logarithm of `AbstractSecant.log_secant` shifts that of c by a function of the other parameters.
+logarithm of `AbstractBoucWen.log_secant` shifts that of c by a function of the other parameters.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from hystfit.inference.density import Density
-from hystfit.models.bouc_wen_steps import AbstractSecant
+from hystfit.models.bouc_wen import AbstractBoucWen
 from hystfit.params.coordinates import BOTH, LOWER, Coordinates
 from hystfit.params.host_arrays import to_device
 
@@ -69,7 +69,7 @@ class SlopeCoordinates(eqx.Module):
 
 def _secants(tree: Any) -> list[tuple[Any, Any]]:
     """Paths and parts of a model that have a secant."""
-    found = lambda node: isinstance(node, AbstractSecant)
+    found = lambda node: isinstance(node, AbstractBoucWen)
     return [row for row in jax.tree_util.tree_flatten_with_path(tree, is_leaf=found)[0] if found(row[1])]
 
 

@@ -33,7 +33,6 @@ from hystfit.results.saving.folders import alone
 from hystfit.sampling.ensemble import MOST
 from hystfit.uncertainty.replicates import CHUNK, RANKS, REASONS, Spaces, Study, collect, typical_noise
 
-SCHEMA = "hystfit.calibrate/1"
 _FEWEST = 20  # replicates below which no conclusion is possible
 _IDEAL = 40_000  # simulated sets of uniform ranks, with which those of a study are compared
 
@@ -137,7 +136,7 @@ class Calibration(WithStatus):
         rows = {row.pop("name"): row for row in self.table().to_list()}
         fields = {k: getattr(self, k) for k in ("model", "truth", "assumed", "method", "of")}
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.calibrate/1",
             **fields,
             "status": str(self.status),
             "advice": self.advice,

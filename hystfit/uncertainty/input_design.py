@@ -30,7 +30,6 @@ from hystfit.results.estimates import differences, grouped
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.predicted_errors import Plan, covariance_with
 
-SCHEMA = "hystfit.design/1"
 _TURNS = 14  # turning levels of the optimized input
 _LOOSE = 0.5  # relative error above which a combination counts as undetermined
 _UNKNOWN = 0.5  # fraction of that prior above which a standard error comes from the prior, not from the data
@@ -133,7 +132,7 @@ class Design(WithStatus):
         """The contents of `result.json`."""
         rows = [{"name": c.name, "score": c.score, "stderr": c.stderr} for c in self.candidates]
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.design/1",
             "model": self.result.name,
             "status": str(self.status),
             "aim": list(self.aim),

@@ -34,8 +34,6 @@ from hystfit.results.labels import use_available_fonts
 from hystfit.results.result import FitResult
 from hystfit.uncertainty.profile_paths import LowerOptimum, Path, Walk
 
-SCHEMA = "hystfit.profile/1"
-
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
@@ -131,7 +129,7 @@ class Profiles(WithStatus):
             rows[name] = {k: getattr(p, k) for k in ("value", "unit", "lower", "upper", "open_lower", "open_upper")}
             rows[name] |= {"x": p.x.tolist(), "statistic": p.statistic.tolist()}
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.profile/1",
             "model": self.result.name,
             "status": str(self.status),
             "notes": [note.to_dict() for note in self.notes],

@@ -22,8 +22,6 @@ from hystfit.sampling.base import Progress
 from hystfit.sampling.sample import sample, suited_sampler
 from hystfit.uncertainty.block_covariance import covariance
 
-SCHEMA = "hystfit.errors/1"
-
 
 @dataclasses.dataclass(frozen=True)
 class StandardErrors:
@@ -112,7 +110,7 @@ class StandardErrors:
                 "factor": by_rule(self.factors, k),
             }
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.errors/1",
             "model": self.result.name,
             "status": str(self.result.status),
             "notes": [note.to_dict() for note in self.notes],

@@ -12,19 +12,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import hystfit as hf
-from hystfit.models.preisach import fit_forc
-from hystfit.results.preisach_plots import plot_curves, plot_density
+from hystfit.results.preisach_plots import plot_curves
 
 hf.enable_x64()
 curves = list(hf.datasets.load("mag_forc_pyforc/FeCo"))
-fit, others = fit_forc(curves[::8], 40), curves[4::8]
+fit, others = hf.fit("preisach-forc:n=40", curves[::8]), curves[4::8]
 
 figure, axes = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained")
-plot_curves(others, [fit.predict(curve.u) for curve in others], axes[0])
+plot_curves(others, [fit.predict(curve) for curve in others], axes[0])
 axes[0].set_title("curves that were not fitted")
-plot_density(fit.model, axes[1], reach=fit.reach)
+fit.plot("density", axes[1])
 
 # %%
 span = max(np.ptp(curve.y[curve.used]) for curve in curves)
-errors = np.concatenate([(fit.predict(curve.u) - curve.y)[curve.used] for curve in others])
+errors = np.concatenate([(fit.predict(curve) - curve.y)[curve.used] for curve in others])
 print(f"{len(others)} held-out curves: rms error {100 * np.sqrt(np.mean(errors**2)) / span:.2f} %")

@@ -13,7 +13,6 @@ from hystfit.quality.held_out import AT_ONE_PACE, Scheme
 from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
 
-SCHEMA = "hystfit.compare/1"
 # How many times the error of the best decides without further evidence: a first look at a model with elements that errs more ends it, and a
 # model without an inverse, a flexible one that describes a lag or a drift of this loop by weights that no other loop would have, must err
 # less by it.
@@ -230,7 +229,7 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
         return {
-            "schema": SCHEMA,
+            "schema": "hystfit.compare/1",
             "status": self.winner.status,
             "winner": self.rows[0].name,
             "left_out": self.scheme,

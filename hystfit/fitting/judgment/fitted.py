@@ -59,9 +59,13 @@ class Fitted:
 
     @functools.cached_property
     def parts(self) -> tuple[Record, ...]:
-        """Each record from its first to its last sample that counts: the verdict does not depend on what lies outside a window."""
+        """Each record from its first to its last sample that counts: the verdict does not depend on what lies outside a window.
+
+        A record of which a single sample counts, such as the first of many reversal curves, has none.
+        """
         counted = [(record, np.flatnonzero(record.used)) for record in self.data]
         return tuple(
             record if at[-1] - at[0] + 1 == len(record) else record.segment(int(at[0]), int(at[-1]) + 1)
             for record, at in counted
+            if at.size > 1
         )

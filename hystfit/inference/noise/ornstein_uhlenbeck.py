@@ -15,7 +15,7 @@ from hystfit.params.param import param
 class OrnsteinUhlenbeck(AbstractSlow):
     """An Ornstein-Uhlenbeck process with independent noise on top: sensor noise, and drift or model error that changes slowly.
 
-    Its correlation time is at least one sample: faster noise cannot be told from the independent part, and its size could be any.
+    Its correlation time is at least one sample: faster noise cannot be distinguished from the independent part, and its size could be any.
     """
 
     name: ClassVar[str] = "ou"

@@ -11,6 +11,8 @@ import scipy  # loads its subpackages when they are first used
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.errors import DataError
+from hystfit.models.preisach.everett import cells
+from hystfit.models.preisach.model import Preisach
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -38,6 +40,16 @@ class ForcDiagram:
     resolution: float = 0.0
     stderr: np.ndarray | None = None
     repeats: np.ndarray | None = None
+
+    @classmethod
+    def of_model(cls, model: Preisach, *, rising: bool = True) -> ForcDiagram:
+        """The density of a fitted model over the middles of its cells; `rising` as for curves that begin at positive saturation."""
+        levels, (i, j) = np.asarray(model.levels), cells(model.n)
+        width, middle = np.diff(levels), 0.5 * (levels[1:] + levels[:-1])
+        area = width[:, None] * width[None, :] * np.where(np.eye(model.n, dtype=bool), 0.5, 1.0)
+        density, at = np.full(area.shape, np.nan), (j, i) if rising else (i, j)
+        density[at] = np.asarray(model.masses()) / area[at]
+        return cls(middle, middle, density, area)
 
     @property
     def coercivity(self) -> np.ndarray:

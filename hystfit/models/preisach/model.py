@@ -31,6 +31,7 @@ from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.starting import input_range, output_range
 from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_weights, leaves_of, param
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.needs import Needs
 from hystfit.quality.reversal_curves import reversal_curves
 
@@ -280,7 +281,8 @@ class Preisach(AbstractPlane):
         groups: list[list[dict[str, Any]]] = [[{}], sizes]
         if not self.from_saturation:
             levels = [{"spacing": spacing} for spacing in spacings if spacing != self.spacing]
-            rests = () if self.symmetric or _start_at_an_end(records) else get_args(Rest)
+            inside = any(rest_before(record) == "demagnetized" for record in records)
+            rests = get_args(Rest) if inside and not self.symmetric else ()
             before = [{"initial": rest} for rest in rests if rest != self.initial]
             # A straight line of either sign beside the rising parts.
             groups = [[{}, *levels], before, [{"degree": 1 - self.b.size}] if self.b.size < 2 else [], sizes]
@@ -344,9 +346,10 @@ class Preisach(AbstractPlane):
         return CPart.of(self, "preisach", states, rest=solver.memory.rest, initial=initial, **tables)
 
 
-def _start_at_an_end(records: Sequence[Record]) -> bool:
-    """Whether every record starts at its lowest or highest input, where the state before it hardly matters."""
-    return all(min(r.u[0] - r.u.min(), r.u.max() - r.u[0]) <= 0.01 * np.ptp(r.u) for r in records)
+def rest_before(record: Record) -> Rest:
+    """Saturation before a record that starts at its lowest or highest input, where the state before it hardly matters."""
+    place = (record.u[0] - record.u.min()) / (float(np.ptp(record.u)) or 1.0)
+    return "negative" if place <= SAME_LEVEL else "positive" if place >= 1 - SAME_LEVEL else "demagnetized"
 
 
 @functools.lru_cache(maxsize=16)

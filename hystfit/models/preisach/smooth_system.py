@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used
@@ -19,7 +19,6 @@ from hystfit.params.param import ParamInfo
 from hystfit.quality.held_out import HeldOut, Scheme, held_out
 from hystfit.runs.threads import Workers
 
-Offsets = Literal["each", "shared", "none"]
 # Part of the entries of rows that are not zero, above which their dense product takes less time: measured at 1176 and 1891 columns.
 _SPARSE = 0.08
 
@@ -28,20 +27,18 @@ _SPARSE = 0.08
 class Layout:
     """Where the columns of design matrices stand in one matrix for all records, block after block."""
 
-    blocks: tuple[Block, ...]  # of the design matrix of the first record, those that are used
-    kept: tuple[int, ...]  # their numbers among all its blocks
+    blocks: tuple[Block, ...]  # of the design matrix of the first record
     # whether each record has weights of its own for a block; those of all records then stand in turn
     own: tuple[bool, ...]
     starts: tuple[int, ...]  # position of each block's first weight, and the number of all weights
 
     @classmethod
-    def of(cls, design: DesignMatrix, records: int, offsets: Offsets = "each") -> Layout:
+    def of(cls, design: DesignMatrix, records: int) -> Layout:
         """The layout for records whose design matrices have the same blocks."""
-        kept = tuple(k for k, block in enumerate(design.blocks) if offsets != "none" or not _is_offset(block))
-        blocks = tuple(design.blocks[k] for k in kept)
-        own = tuple(block.info.per_record and offsets == "each" for block in blocks)
+        blocks = design.blocks
+        own = tuple(block.info.per_record for block in blocks)
         widths = [block.columns.shape[1] * (records if each else 1) for block, each in zip(blocks, own, strict=True)]
-        return cls(blocks, kept, own, tuple(np.cumsum([0, *widths]).tolist()))
+        return cls(blocks, own, tuple(np.cumsum([0, *widths]).tolist()))
 
     @property
     def levels(self) -> np.ndarray:
@@ -49,7 +46,9 @@ class Layout:
         out = np.zeros(self.starts[-1])
         for block, start, end in zip(self.blocks, self.starts, self.starts[1:], strict=False):
             out[start:end] = (
-                _is_offset(block) and np.isneginf(block.info.bounds[0]) and bool(np.all(block.columns == 1.0))
+                (block.info.per_record or block.info.common)
+                and np.isneginf(block.info.bounds[0])
+                and bool(np.all(block.columns == 1.0))
             )
         return out
 
@@ -60,8 +59,8 @@ class Layout:
     def columns(self, design: DesignMatrix, record: int, but: slice = slice(0, 0)) -> np.ndarray:
         """Columns of all weights on the distinct states of a record, shape (S, p); `but` those of a block are left out."""
         joint = np.zeros((design.rest.size, self.starts[-1] - (but.stop - but.start)))
-        for position, number in enumerate(self.kept):
-            columns, first = design.blocks[number].columns, self.first(position, record)
+        for position, block in enumerate(design.blocks):
+            columns, first = block.columns, self.first(position, record)
             if first < but.start or first >= but.stop:
                 first -= (but.stop - but.start) * (first >= but.stop)
                 joint[:, first : first + columns.shape[1]] = columns
@@ -93,7 +92,7 @@ class SmoothSystem:
     visited: Mapping[int, Sequence[Columns]]
     size: float  # of the output, by which it was divided
     scattered: bool = False  # whether the groups are samples scattered over the records
-    # solutions of these equations, by the bytes of the weights that were fixed, for whoever solves them again
+    # solutions of these equations, by the bytes of the weights that were fixed
     solved: dict[bytes, Any] = dataclasses.field(default_factory=dict, init=False, compare=False, repr=False)
 
     @classmethod
@@ -103,8 +102,6 @@ class SmoothSystem:
         records: Sequence[Record],
         *,
         held: HeldOut | None = None,
-        nonnegative: bool = True,
-        offsets: Offsets = "each",
     ) -> SmoothSystem:
         """Collect the equations of records.
 
@@ -112,13 +109,11 @@ class SmoothSystem:
             designs: one for each record, with the same blocks; each is needed once, in turn, so that they may be made on the way.
             records: measured; a sample counts with its weight.
             held: groups of samples that choose the smoothness; those that suit the records by default.
-            nonnegative: bound weights from below as their parameters are bounded.
-            offsets: weights declared for each record have a value for each, one for all, or none.
         """
         held = held_out(records) if held is None else held
         size = float(np.ptp(np.concatenate([r.y[r.used] for r in records]))) or 1.0
         later = iter(designs)
-        layout = Layout.of(design := next(later), len(records), offsets)
+        layout = Layout.of(design := next(later), len(records))
         blocks, starts, p = layout.blocks, layout.starts, layout.starts[-1]
         number_of, product = held.count + 1, layout.factored
         basis, inside = None, slice(0, 0)
@@ -136,7 +131,7 @@ class SmoothSystem:
         every = itertools.chain([design], later)
         for number, (record, design, folds) in enumerate(zip(records, every, held.folds, strict=True)):
             A = layout.columns(design, number, inside)
-            few = None if product is None else design.blocks[layout.kept[product]].columns.rows  # type: ignore[attr-defined]
+            few = None if product is None else design.blocks[product].columns.rows  # type: ignore[attr-defined]
             for fold in range(-1, number_of - 1):
                 if (mask := record.used & (folds == fold)).any():
                     index = design.index[mask]
@@ -144,14 +139,14 @@ class SmoothSystem:
                     sums[fold].add(few, A, index, y, record.weight[mask])
                     counts[fold] += record.weight[mask].sum()
             for k in with_cells:
-                columns = design.blocks[layout.kept[k]].columns
+                columns = design.blocks[k].columns
                 visited[k].append(columns[_turning(columns, design.index, record.used)])
         Workers(None if grams[0].size > NUMBERS else 1).run([part.finish for part in sums])
         roughness = np.zeros((p, p))
         bounded, shifts = np.zeros(p, dtype=bool), np.zeros(p, dtype=bool)
         for block, own, start, end in zip(blocks, layout.own, starts, starts[1:], strict=False):
             at = slice(start, end)
-            bounded[at] = nonnegative and block.info.bounds[0] == 0.0
+            bounded[at] = block.info.bounds[0] == 0.0
             shifts[at] = own and np.isneginf(block.info.bounds[0])
             if block.penalty is not None:
                 roughness[at, at] = block.penalty.matrix
@@ -232,14 +227,10 @@ def _turning(columns: Columns, index: np.ndarray, used: np.ndarray) -> np.ndarra
     return np.unique(index[ends])
 
 
-def _is_offset(block: Block) -> bool:
-    return block.info.per_record or block.info.common
-
-
 class _Gram:
     """A'A of rows that come in parts, of which few are in memory; some columns of A may be a product of sparse rows and a `basis`.
 
-    `inside` tells which columns are that product, `others` which stand for themselves, the output last; the sum is made in `whole`, shape
+    `inside` tells which columns are that product, `others` the plain columns, the output last; the sum is made in `whole`, shape
     (p + 1, p + 1), zeros at first.
     """
 
@@ -250,7 +241,7 @@ class _Gram:
         self._waiting = list[tuple[Any, np.ndarray]]()
 
     def add(self, few: Any, A: np.ndarray, index: np.ndarray, y: np.ndarray, weight: np.ndarray) -> None:
-        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are columns that stand for themselves there."""
+        """Add samples: `few` are sparse rows of the product on distinct states, or None; A are the plain columns there."""
         states, place = np.unique(index, return_inverse=True)
         mass = np.bincount(place, weight)
         mean = np.bincount(place, weight * y) / mass

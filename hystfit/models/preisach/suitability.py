@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.preisach.design_matrix import features
-from hystfit.models.preisach.model import Preisach
+from hystfit.models.preisach.model import Preisach, rest_before
 from hystfit.models.preisach.properties import (
     Closures,
     Congruency,
@@ -19,8 +19,8 @@ from hystfit.models.preisach.properties import (
     orders,
     wiping_out,
 )
-from hystfit.models.preisach.solve import fit_preisach
-from hystfit.models.preisach.staircase import Rest
+from hystfit.models.preisach.smooth import fit_smooth
+from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.outcome.status import Status
 from hystfit.outcome.wrapping import NAMED, listed
 from hystfit.quality.loops import SAME_LEVEL
@@ -31,6 +31,7 @@ _LIMIT = 2.0  # percent of the output's range up to which a property holds
 _MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
 _CELLS = 20  # along an axis, of the model whose errors are split by order
+_SMOOTHNESS = 1e-6  # strength of the penalty on the weights of this model
 _FIRST = 1  # reversals that the memory holds on a first-order curve
 
 
@@ -63,32 +64,32 @@ def higher_order(record: Record) -> HigherOrder | None:
     """
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
-    model = Preisach.of(_CELLS, initial=_rest(record))
-    order = orders(model.start([record]), record, SAME_LEVEL)
+    model = Preisach.of(_CELLS, initial=rest_before(record)).start([record])
+    order = orders(model, record, SAME_LEVEL)
     if not (record.used & (order > _FIRST)).any():
         return None
     first = record.used & (order <= _FIRST)
-    known = _determined(model.start([record]), record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
+    known = _determined(model, record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
     part = record.replace(weight=np.where(first, record.weight, 0.0)) if known >= _KNOWN else record
-    fit = fit_preisach(part, model, smoothness=(1e-6,))
-    return HigherOrder(part is not record, known, error_by_order(fit.model, record, SAME_LEVEL))
+    return HigherOrder(part is not record, known, error_by_order(_fitted(model, part), record, SAME_LEVEL))
+
+
+def _fitted(model: Preisach, record: Record) -> Preisach:
+    """The model with the weights that fit the record."""
+    weights = fit_smooth(SmoothSystem.of([model.design_matrix(record.u)], [record]), (_SMOOTHNESS,)).weights
+    cells, slopes = np.split(weights[:-1], [model.w.size])
+    return dataclasses.replace(model, w=cells, slopes=slopes, offset=weights[-1])
 
 
 def _determined(model: Preisach, u: np.ndarray, first: np.ndarray, others: np.ndarray) -> float:
     """Part of the others' states (rms of what sets them apart from each other) that follows from those of the first samples."""
     A, index = features(model, u)
     A = np.column_stack([A, np.ones(len(A))])
-    seen, asked = A[np.unique(index[first])], A[np.unique(index[others])]
-    _, size, rows = np.linalg.svd(seen, full_matrices=False)
+    known, wanted = A[np.unique(index[first])], A[np.unique(index[others])]
+    _, size, rows = np.linalg.svd(known, full_matrices=False)
     rows = rows[size > 1e-6 * size[0]]
-    beyond = asked - (asked @ rows.T) @ rows
-    return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(asked - asked.mean(axis=0)) or 1.0))
-
-
-def _rest(record: Record) -> Rest:
-    """A record that starts at an end of its input's range came from saturation, or from empty."""
-    place = (record.u[0] - record.u.min()) / (float(np.ptp(record.u)) or 1.0)
-    return "negative" if place < 0.02 else "positive" if place > 0.98 else "demagnetized"
+    beyond = wanted - (wanted @ rows.T) @ rows
+    return 1.0 - float(np.linalg.norm(beyond) / (np.linalg.norm(wanted - wanted.mean(axis=0)) or 1.0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,8 +99,7 @@ class PreisachCheck:
     record: str  # its name
     closures: Closures  # of its loops
     loops: tuple[Congruency, ...]  # congruency of its minor loops
-    # errors by order of reversal; None where it was not requested, or there are none above the first
-    higher: HigherOrder | None
+    higher: HigherOrder | None  # errors by order of reversal; None where there are none above the first
     outcomes: dict[str, Outcome]  # of "wiping-out", "congruency" and "higher-order"
     notes: tuple[str, ...]  # what they mean, one sentence each, in the same order
 
@@ -141,22 +141,19 @@ class PreisachCheck:
         }
 
 
-def check_preisach(record: Record, *, model: bool = False) -> PreisachCheck:
-    """Test the two properties that characterize a Preisach model (Mayergoyz): wiping-out and congruency.
+def check_preisach(record: Record) -> PreisachCheck:
+    """Test the two properties that characterize a Preisach model (Mayergoyz), wiping-out and congruency, and a model of the record.
 
     Args:
-        record: measured.
-        model: also identify a Preisach model and see how its errors grow with the order of reversal.
+        record: measured; the errors of a Preisach model identified on it should not grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))
     minor = closures.width < _MAJOR * float(np.ptp(record.u))
     inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
-    found = [_wiping_words(closures, minor), _congruency_words(inner)]
-    higher = higher_order(record) if model else None
-    if model:
-        found.append(_order_words(higher))
+    higher = higher_order(record)
+    found = [_wiping_words(closures, minor), _congruency_words(inner), _order_words(higher)]
     names = ("wiping-out", "congruency", "higher-order")
-    outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=False))
+    outcomes = dict(zip(names, (outcome for outcome, _ in found), strict=True))
     return PreisachCheck(record.name, closures, loops, higher, outcomes, tuple(note for _, note in found))
 
 
@@ -207,7 +204,7 @@ def check_family(data: Record | Dataset) -> PreisachChecks:
         DataError: `data` holds no records.
     """
     dataset = Dataset.of(data)
-    return PreisachChecks(tuple(check_preisach(record, model=True) for record in dataset), recognize_family(dataset))
+    return PreisachChecks(tuple(check_preisach(record) for record in dataset), recognize_family(dataset))
 
 
 def _outcome(value: float) -> Outcome:

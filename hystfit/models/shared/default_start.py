@@ -15,7 +15,7 @@ from hystfit.models.shared.starting import scales_of, thinned
 from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace
 
-_POINTS = 128
+_POINTS = 128  # of the spread design over the parameters that move
 _SPREAD = 2.0  # in z: a factor of 7 either way of the natural size for a positive parameter
 _TESTED = 40  # points tested for the influence of every parameter
 _NUDGE, _LEAST = 0.3, 1e-3  # change of z in that test, and the least change of the output as a part of its range

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
+from hystfit.errors import ModelError
 from hystfit.quality.plays import play_positions
 
 Envelope = Literal["identity", "square", "mirror"]
@@ -29,6 +30,17 @@ def envelope_slope(kind: Envelope, x: np.ndarray) -> np.ndarray:
     if kind == "identity":
         return np.ones_like(x)
     return 2.0 * np.abs(x if kind == "square" else 1.0 - x)
+
+
+def play_thresholds(plays: int) -> Float[np.ndarray, " plays"]:
+    """Thresholds 0.5 (j / (plays + 1))^2 [input ranges], j from 1: dense where loops are small.
+
+    Raises:
+        ModelError: fewer than one play.
+    """
+    if plays < 1:
+        raise ModelError(f"at least one play is needed, got {plays}")
+    return 0.5 * (np.arange(1, plays + 1) / (plays + 1)) ** 2
 
 
 def play_columns(
