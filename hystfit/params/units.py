@@ -317,15 +317,29 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     powers = dict(first.powers)
     for base, power in second.powers:
         powers[base] = powers.get(base, 0.0) + power
+    turned = "rad" in powers  # a torque times an angle is an energy, and a force times an angle none per length
     vacuum = {"kg": 1.0, "m": 1.0, "s": -2.0, "A": -2.0}
     for extra, factor in (({}, 1.0), (vacuum, MU0)):
         total = {base: powers.get(base, 0.0) + extra.get(base, 0.0) for base in {*powers, *extra} - {"rad"}}
         key = tuple(sorted((base, power) for base, power in total.items() if power))
         for unit in _ENERGIES:
             known = parse_unit(unit)
-            if known is not None and known.powers == key:
+            if known is not None and known.powers == key and not (turned and unit == "J/m"):
                 return unit, factor * first.factor * second.factor
     return plain, 1.0
+
+
+def is_energy(unit: str) -> bool:
+    """Whether the unit of an area by `loop_energy` is that of an energy or energy density."""
+    return unit in _ENERGIES
+
+
+def stiffness_unit(force: str, path: str) -> tuple[str, float]:
+    """Unit of a force over a path, and the factor to it: that of a stress over a strain is the stress's; empty where one is missing."""
+    known = parse_unit(path)
+    if known is not None and not known.powers and force:
+        return force, 1.0 / known.factor
+    return (f"{force}/({path})" if "/" in path else f"{force}/{path}") if force and path else "", 1.0
 
 
 def integral_unit(unit: str) -> str:

@@ -13,6 +13,7 @@ from hystfit.models.shared.slopes import POINTS
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
+from hystfit.quality.shape import area_between, has_lobes
 
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
@@ -99,6 +100,14 @@ def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) 
     return found
 
 
+def from_ends(one: Branch, other: Branch) -> Pair:
+    """The branches between both ends of a cycle that begins and ends in the middle; where it closes, those of a loop."""
+    u, y = np.append(one.u, other.u), np.append(one.y, other.y)
+    first, last = sorted((int(np.argmin(u)), int(np.argmax(u))))
+    joined = Branch(np.append(u[last:], u[1 : first + 1]), np.append(y[last:], y[1 : first + 1]))
+    return Branch(u[first : last + 1], y[first : last + 1]), joined
+
+
 def _rising(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(u)
     return u[order], y[order]
@@ -154,6 +163,14 @@ def is_open(pairs: Sequence[Pair], sigma: float) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
     error = np.nan_to_num(area_error(pairs[0], sigma))
     return bool(abs(np.median([area(*pair) for pair in pairs])) > CLEAR * error / np.sqrt(len(pairs)))
+
+
+def crosses(pairs: Sequence[Pair], sigma: float) -> bool:
+    """Whether the branches cross (a butterfly), so that the areas of the lobes cancel."""
+    joined = [(np.append(one.u, other.u), np.append(one.y, other.y)) for one, other in pairs]
+    each = [(area(*pair), area_between(u, y), np.ptp(u), np.ptp(y)) for pair, (u, y) in zip(pairs, joined, strict=True)]
+    size, between, width, height = np.median(each, axis=0)
+    return bool(has_lobes(size, between, width * height, np.nan_to_num(sigma) * width))
 
 
 def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:

@@ -14,24 +14,30 @@ from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
 # Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
 # start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
 _START, _OFF_CENTER = 0.02, 0.1
+# Largest over smallest output, from which a positive one is read on a logarithmic scale: resistances at the transition of a metal to an
+# insulator change by 1e2 to 1e5, and those of shape memory alloys by a tenth.
+_LOGARITHMIC = 100.0
 
 
 class Origin(NamedTuple):
     """Input and output at which the height and the width of a loop are read; None for the middle of the range.
 
     Coercivity and remanence are defined at zero output and zero field. Other loops have no zero of their own: that of a displacement or
-    a voltage is set by the instrument.
+    a voltage is set by the instrument. The middle of an output over decades is that of its logarithm.
     """
 
     u: float | None = None
     y: float | None = None
+    reach: float = ENDS  # of half the range of the output, within which the level `y` counts
 
     @classmethod
     def of(cls, data: Dataset) -> Origin:
         """That of records, by their kind and the first of them."""
         kind = LoopKind.of(data)
         if kind not in REMANENT:
-            return cls()
+            outputs = [record.y[record.used] for record in data]
+            low, high = min(float(y.min()) for y in outputs), max(float(y.max()) for y in outputs)
+            return cls(None, middle_of(low, high), 1.0) if _is_logarithmic(low, high) else cls()
         relative = kind is LoopKind.FERROELECTRIC and middle_of_relative(data[0]) is not None
         return cls(0.0, None if relative else 0.0)
 
@@ -39,10 +45,19 @@ class Origin(NamedTuple):
 MIDDLE = Origin()
 
 
-def inside(at: float | None, low: Any, high: Any) -> Any:
+def _is_logarithmic(low: float, high: float) -> bool:
+    return 0 < _LOGARITHMIC * low <= high
+
+
+def middle_of(low: float, high: float) -> float:
+    """Middle of the range of an output, on a logarithmic scale where it is positive and spans decades."""
+    return (low * high) ** 0.5 if _is_logarithmic(low, high) else 0.5 * (low + high)
+
+
+def inside(at: float | None, low: Any, high: Any, reach: float = ENDS) -> Any:
     """Where ranges are read: at a place inside them, and in their middle where it is None, beyond a range or at its ends."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    return middle if at is None else np.where(np.abs(at - middle) < ENDS * half, at, middle)
+    return middle if at is None else np.where(np.abs(at - middle) < reach * half, at, middle)
 
 
 def middle_of_relative(record: Record) -> float | None:

@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import loop_energy, quantity
+from hystfit.params.units import is_energy, loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
@@ -27,7 +27,9 @@ from hystfit.results.measured.loop_branches import (
     Pair,
     closes,
     combined,
+    crosses,
     crossing,
+    from_ends,
     is_open,
     large_branches,
     large_cycles,
@@ -35,11 +37,14 @@ from hystfit.results.measured.loop_branches import (
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
+from hystfit.results.measured.loop_origin import middle_of
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.polarization_values import centered, offset_of, polarization_values
+from hystfit.results.measured.quantities import AREA
+from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
@@ -149,6 +154,10 @@ _NO_CYCLE = Note(
 _NO_AREA = Note(
     Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
 )
+_LOBED = Note(
+    Code.CROSSING,
+    "the branches cross, and the lobes run in opposite directions (a butterfly): the loop has no loss, width or height",
+)
 _LIMITED = Note(
     Code.CLIPPED,
     "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds",
@@ -179,11 +188,17 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
     branches = large_branches(u, y, turns)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    cycles = large_cycles(u, y, pairs) if pairs or (branches and kind in STRUCTURAL) else []
+    cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
+    if not pairs and kind not in STRUCTURAL:
+        branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs or cycles, np.nan if is_bound else sigma):
+    known = np.nan if is_bound else sigma
+    lobed = bool(pairs) and kind not in REMANENT and crosses(pairs, known)
+    if lobed:
+        return tuple(_of_butterfly(branches, sigma, record)), (), (_LOBED,)
+    if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
@@ -191,7 +206,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if kind is LoopKind.MAGNETIC:
         found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
-    closed = any(closes(*pair, y) for pair in pairs)
+    closed = any(closes(*pair, y) for pair in pairs or cycles)
     rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
     if limited:
         rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
@@ -265,22 +280,48 @@ def _levels(
     if kind not in STRUCTURAL:
         ends = [(b.u.max(), b.u.min()) for b in branches]
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
-        middle = 0.0 if named else 0.5 * (top + bottom)
-        # A branch that begins inside the loop crosses the middle elsewhere.
-        whole = lambda b: named or np.ptp(b.y) >= LARGEST * (top - bottom)
+        middle = 0.0 if named else middle_of(bottom, top)
+        # A branch that begins inside the loop crosses the middle elsewhere; one that ends inside it does not.
+        least = (1 - LARGEST) * (top - bottom)
+        whole = lambda b: named or np.ptp(b.y) >= top - bottom - least or min(top - b.y[0], b.y[0] - bottom) <= least
         of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}
-        words = ("coercivity", "remanence") if named else ("half width", "half height")
-        yield from _both(width, "coercive_input", words[0], units[0], sides=named)
-        yield from _both(height, "remanence", words[1], units[1], sides=named)
+        words = ("coercivity (half width)", "remanence") if named else ("half width", "half height")
+        # Thresholds and temperatures of a transition, of a loop that has no name for them.
+        at_middle = "input at the middle of the output" if kind is LoopKind.OTHER else ""
+        yield from _both(width, "coercive_input", words[0], units[0], "coercivity" if named else at_middle)
+        yield from _both(height, "remanence", words[1], units[1], "remanence" if named else "")
     one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
     y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
     yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
     if named:
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
-        yield from _stiffness(branches, cycles, sigma, units)
+        yield from stiffness_values(branches, cycles, sigma, record)
+
+
+def _of_butterfly(branches: list[Branch], sigma: float, record: Record) -> Iterator[LoopValue]:
+    """Range of the output of branches that cross, and the inputs at which an even output turns: the coercive fields of a strain."""
+    y = np.concatenate([b.y for b in branches])
+    size = float(np.ptp(y))
+    yield LoopValue("stroke", "range of the output", size, _range_error(y, sigma), record.y_unit)
+    for rises, side in ((True, "rising"), (False, "falling")):
+        for sign, word in ((1.0, "smallest"), (-1.0, "largest")):
+            inner = [
+                b
+                for b in branches
+                if b.rises == rises and (sign * b.y[[0, -1]]).min() >= (sign * b.y).min() + 0.5 * size
+            ]
+            at = [int(np.argmin(sign * b.y)) for b in inner]
+            found = [
+                (float(b.u[k]), abs(float(b.u[k + 1] - b.u[k - 1])) / np.sqrt(12))
+                for b, k in zip(inner, at, strict=True)
+            ]
+            if found:
+                value, error, count = combined(found)
+                label = f"input at the {word} output, {side} branch"
+                yield LoopValue(f"turning_input_{side}", label, value, error, record.u_unit, count)
 
 
 def _range_error(y: np.ndarray, sigma: float) -> float:
@@ -299,43 +340,26 @@ def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue
     yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
 
 
-def _stiffness(
-    branches: list[Branch], cycles: Sequence[Pair], sigma: float, units: tuple[str, str]
-) -> Iterator[LoopValue]:
-    """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
-    width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    each = sigma * float(np.sqrt(2)) / width
-    longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
-    of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
-    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
-    unit = f"{units[1]}/({units[0]})" if "/" in units[0] else f"{units[1]}/{units[0]}".strip("/")
-    yield LoopValue("secant_stiffness", "secant stiffness", stiffness, error, unit, count)
-    if cycles and stiffness > 0:
-        size, uncertain, count = loss(cycles, sigma)
-        ratio = 100 * 2 * size / (np.pi * stiffness * width**2)
-        damping = ratio * float(np.hypot(uncertain / size, error / stiffness)) if size > 0 else None
-        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
-
-
 def _both(
-    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, *, sides: bool
+    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, of_side: str
 ) -> Iterator[LoopValue]:
-    """Half the distance of what was read on the rising and the falling branch, and each of them where `sides`."""
+    """Half the distance of what was read on the rising and the falling branch, and each of them where it has a label, `of_side`."""
     (rising, *_), (falling, *_) = both = found[True], found[False]
     if np.isfinite(rising - falling):
         error = 0.5 * float(np.hypot(*(one[1] for one in both)))
-        text = f"{label} (half width)" if name == "coercive_input" and sides else label
-        yield LoopValue(name, text, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
+        yield LoopValue(name, label, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
     for which, one in zip(("rising", "falling"), both, strict=True):
-        if sides and np.isfinite(one[0]):
-            yield LoopValue(f"{name}_{which}", f"{label}, {which} branch", one[0], one[1], unit, one[2])
+        if of_side and np.isfinite(one[0]):
+            yield LoopValue(f"{name}_{which}", f"{of_side}, {which} branch", one[0], one[1], unit, one[2])
 
 
 def _loss(closed: Sequence[Pair], sigma: float, record: Record) -> Iterator[LoopValue]:
     """Loss per cycle, in energy where the units tell it."""
     value, error, count = loss(closed, sigma)
     unit, factor = loop_energy(record.u_unit, record.y_unit)
-    yield LoopValue("loop_area", "loss per cycle", factor * value, factor * error, unit, count)
+    yield LoopValue(
+        "loop_area", "loss per cycle" if is_energy(unit) else AREA, factor * value, factor * error, unit, count
+    )
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> tuple[LoopValue, ...]:

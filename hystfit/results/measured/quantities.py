@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
-from hystfit.params.units import loop_energy
+from hystfit.params.units import is_energy, loop_energy, stiffness_unit
 from hystfit.quality.coverage import is_switched
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
 from hystfit.results.measured.steady_loops import SteadyLoops
@@ -26,7 +26,7 @@ class Quantity:
 
     label: str  # its name in a report
     doc: str  # what it is
-    # with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop
+    # with {u}, {y}, {stiffness} and {energy} for the units of input, output, force over displacement and area of a loop
     unit: str
     # its value for each loop; None for the creep, which follows from a step
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
@@ -38,22 +38,26 @@ class Quantity:
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
         kinds, own = self.named
+        if self.unit == "{energy}" and not is_energy(self.units(data)):
+            return AREA
         return own if LoopKind.of(data) in kinds else self.label
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
         u, y = data.units["u"], data.units["y"]
         force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
-        text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
+        stiffness = stiffness_unit(force, path)[0]
+        text = self.unit.format(u=u, y=y, stiffness=stiffness, energy=loop_energy(u, y)[0]).strip()
         return text if (u and y) or "/" not in self.unit else ""
 
 
+AREA = "area of the loop"  # of units whose product is no energy
 CREEP = "creep_percent_per_decade"
 _AT = "at the middle of the {0}; of magnetic and ferroelectric loops at zero {0}, where the loop passes it"
 QUANTITIES: dict[str, Quantity] = {
     "loop_area": Quantity(
         "loss per cycle", "area of the steady loop over the fitted input range", "{energy}", lambda loops: loops.loss,
-        leads=REMANENT | STRUCTURAL,
+        leads=REMANENT | STRUCTURAL | {LoopKind.OTHER},
     ),
     "coercive_input": Quantity(
         "half width", f"half the width of the loop, in input, {_AT.format('output')}", "{u}",
@@ -62,7 +66,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "remanence": Quantity(
         "half height", f"half the height of the loop, in output, {_AT.format('input')}", "{y}",
-        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"),
+        lambda loops: loops.remanence, leads=REMANENT | {LoopKind.OTHER}, named=(REMANENT, "remanence (half height)"),
     ),
     "hysteresis_percent": Quantity(
         "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",
@@ -74,12 +78,12 @@ QUANTITIES: dict[str, Quantity] = {
         leads=frozenset({LoopKind.ACTUATOR}), named=(frozenset({LoopKind.ACTUATOR}), "stroke"),
     ),
     "secant_stiffness": Quantity(
-        "secant stiffness", "force over displacement between the ends of the steady loop", "{force}/{path}",
+        "secant stiffness", "force over displacement between the ends of the steady loop", "{stiffness}",
         lambda loops: loops.secant_stiffness, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     "equivalent_damping_percent": Quantity(
         "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
-        lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
+        lambda loops: loops.damping_percent, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
         "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first 1 s", "%",
@@ -106,6 +110,7 @@ class Unknown(enum.StrEnum):
     NOT_FINITE = "not-finite"
     NO_CROSSING = "no-crossing"
     LOBES = "lobes"
+    OVERDAMPED = "overdamped"
     NOT_DETERMINED = "not-determined"
     NO_ERRORS = "no-errors"
 
@@ -119,6 +124,7 @@ _REASONS = {
     Unknown.NOT_FINITE: "the model cannot be simulated on this loop",
     Unknown.NO_CROSSING: "no branch passes from one side of the output at which widths are read to the other",
     Unknown.LOBES: "the branches cross: the lobes run in opposite directions",
+    Unknown.OVERDAMPED: "the damping is above the critical one: the force follows the velocity, as that of a damper",
     Unknown.NOT_DETERMINED: "the data do not determine it",
     Unknown.NO_ERRORS: "the fit has no standard errors",
 }

@@ -15,6 +15,7 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import NAMED
+from hystfit.params.units import is_energy
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
@@ -27,6 +28,8 @@ from hystfit.results.saving.user_code import checksums
 
 # Of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation.
 _HALF = 0.5
+# Measured quantities that a model has not, which come first for dampers and for the strain of a piezoelectric or magnetostrictive device.
+_OF_NO_MODEL = ("damping_coefficient", "turning_input_rising", "turning_input_falling")
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
@@ -121,9 +124,10 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
+        if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES, Unknown.OVERDAMPED):
             continue
-        if q.name == "loop_area" and turns_light(result.data[0]):
+        no_energy = kind is LoopKind.OTHER or turns_light(result.data[0])
+        if q.name == "loop_area" and no_energy and not is_energy(q.unit):
             continue
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text
@@ -139,7 +143,8 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             if differs or q.vaguer_than(read.stderr):
                 text = f"{seen} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
-    return rows
+    alone = (one for one in measured.values() if one.name in _OF_NO_MODEL)
+    return [*rows, *((_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in alone)]
 
 
 def _never_returns(record: Record) -> bool:
