@@ -417,6 +417,19 @@ def test_loops_that_grow_from_zero_in_one_record_have_the_values_of_the_largest(
     assert found["loop_area"].value == pytest.approx(1e3 * 2 * (2 * 5 - 2), rel=1e-3)  # 1 kV/cm uC/cm2 is 1e3 J/m3
 
 
+def test_loops_of_a_smaller_amplitude_do_not_count() -> None:
+    """A play of half width 1 at amplitudes of 4.6, many times, and of 5: the area of the largest is 4 (5 - 1)."""
+    rise = np.linspace(0, 1, 101)
+    cycle = np.concatenate([rise[1:], 1 - rise[1:], -rise[1:], rise[1:] - 1])
+    u = np.concatenate([[0.0], *(amplitude * cycle for amplitude in (4.6, 4.6, 4.6, 4.6, 4.6, 5.0, 5.0, 4.6, 4.6))])
+    y, p = [], 0.0
+    for value in u:
+        p = max(value - 1, min(value + 1, p))
+        y.append(p)
+    found = values_of(hf.Record(u, np.array(y), u_unit="V", y_unit="um", u_name="V", y_name="position"))
+    assert found["loop_area"].value == pytest.approx(4 * (5 - 1), rel=1e-3)
+
+
 def test_a_branch_that_ends_inside_the_loop_gives_its_width() -> None:
     """A desorption is not measured down to the first pressure of the adsorption."""
     adsorbed = lambda p, at: 0.5 * p / (0.02 + p) + 0.5 * (1 + np.tanh((p - at) / 0.03))
@@ -454,6 +467,8 @@ def test_an_area_that_is_no_energy_is_no_loss() -> None:
     assert hinge["loop_area"].unit == "J"
     assert hinge["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4) * np.pi / 180, rel=1e-4)
     assert hinge["loop_area"].label != tire["loop_area"].label
+    unknown = values_of(ellipse(u_unit="", y_unit="", u_name="displacement", y_name="force"))
+    assert unknown["loop_area"].label == hinge["loop_area"].label  # an energy in whatever units
 
 
 def test_a_stress_over_a_strain_has_the_unit_of_the_stress() -> None:

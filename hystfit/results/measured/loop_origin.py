@@ -8,14 +8,15 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.loop_branches import ENDS, GAP
 from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
 
 # Output of the first sample, and half sum of the outermost ones beside it, over the range of the output: a charge that is counted from the
 # start of a record has zero and 0.2 to 0.5, as the loop of a poled capacitor begins at one of its remanences.
 _START, _OFF_CENTER = 0.02, 0.1
-# Largest over smallest output, from which a positive one is read on a logarithmic scale: resistances at the transition of a metal to an
-# insulator change by 1e2 to 1e5, and those of shape memory alloys by a tenth.
+# Largest over smallest resistance, from which it is read on a logarithmic scale: that at the transition of a metal to an insulator changes
+# by 1e2 to 1e5, that of a shape memory alloy by a tenth. The water or the gas in pores is read on a linear scale over any range.
 _LOGARITHMIC = 100.0
 
 
@@ -23,7 +24,7 @@ class Origin(NamedTuple):
     """Input and output at which the height and the width of a loop are read; None for the middle of the range.
 
     Coercivity and remanence are defined at zero output and zero field. Other loops have no zero of their own: that of a displacement or
-    a voltage is set by the instrument. The middle of an output over decades is that of its logarithm.
+    a voltage is set by the instrument. The middle of a resistance over decades is that of its logarithm.
     """
 
     u: float | None = None
@@ -35,23 +36,15 @@ class Origin(NamedTuple):
         """That of records, by their kind and the first of them."""
         kind = LoopKind.of(data)
         if kind not in REMANENT:
-            outputs = [record.y[record.used] for record in data]
-            low, high = min(float(y.min()) for y in outputs), max(float(y.max()) for y in outputs)
-            return cls(None, middle_of(low, high), 1.0) if _is_logarithmic(low, high) else cls()
+            outputs = np.concatenate([record.y[record.used] for record in data])
+            low, high = float(outputs.min()), float(outputs.max())
+            resists = column_quantity(data[0].y_name, data[0].y_unit) == "resistance"
+            return cls(None, (low * high) ** 0.5, 1.0) if resists and 0 < _LOGARITHMIC * low <= high else cls()
         relative = kind is LoopKind.FERROELECTRIC and middle_of_relative(data[0]) is not None
         return cls(0.0, None if relative else 0.0)
 
 
 MIDDLE = Origin()
-
-
-def _is_logarithmic(low: float, high: float) -> bool:
-    return 0 < _LOGARITHMIC * low <= high
-
-
-def middle_of(low: float, high: float) -> float:
-    """Middle of the range of an output, on a logarithmic scale where it is positive and spans decades."""
-    return (low * high) ** 0.5 if _is_logarithmic(low, high) else 0.5 * (low + high)
 
 
 def inside(at: float | None, low: Any, high: Any, reach: float = ENDS) -> Any:

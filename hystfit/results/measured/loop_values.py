@@ -15,7 +15,7 @@ from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
-from hystfit.params.units import is_energy, loop_energy, quantity
+from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
@@ -37,13 +37,13 @@ from hystfit.results.measured.loop_branches import (
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
-from hystfit.results.measured.loop_origin import middle_of
+from hystfit.results.measured.loop_origin import Origin
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.polarization_values import centered, offset_of, polarization_values
-from hystfit.results.measured.quantities import AREA
+from hystfit.results.measured.quantities import area_label
 from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
@@ -186,7 +186,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
-    branches = large_branches(u, y, turns)
+    branches = _largest(large_branches(u, y, turns))
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
     cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
     if not pairs and kind not in STRUCTURAL:
@@ -200,7 +200,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return tuple(_of_butterfly(branches, sigma, record)), (), (_LOBED,)
     if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
-    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
+    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
     if kind is LoopKind.MAGNETIC:
@@ -211,6 +211,13 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if limited:
         rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
     return rows, corrections, (*of_zero, *notes)
+
+
+def _largest(branches: list[Branch]) -> list[Branch]:
+    """The branches of the largest amplitude, where there are some in both directions; smaller loops are narrower."""
+    longest = max((float(np.ptp(b.u)) for b in branches), default=0.0)
+    largest = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
+    return largest if len({b.rises for b in largest}) == 2 else branches
 
 
 def _with_limited(record: Record) -> tuple[Record, bool]:
@@ -280,7 +287,8 @@ def _levels(
     if kind not in STRUCTURAL:
         ends = [(b.u.max(), b.u.min()) for b in branches]
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
-        middle = 0.0 if named else middle_of(bottom, top)
+        level = Origin.of(Dataset((record,))).y
+        middle = 0.0 if named else 0.5 * (top + bottom) if level is None else level
         # A branch that begins inside the loop crosses the middle elsewhere; one that ends inside it does not.
         least = (1 - LARGEST) * (top - bottom)
         whole = lambda b: named or np.ptp(b.y) >= top - bottom - least or min(top - b.y[0], b.y[0] - bottom) <= least
@@ -353,13 +361,11 @@ def _both(
             yield LoopValue(f"{name}_{which}", f"{of_side}, {which} branch", one[0], one[1], unit, one[2])
 
 
-def _loss(closed: Sequence[Pair], sigma: float, record: Record) -> Iterator[LoopValue]:
+def _loss(closed: Sequence[Pair], sigma: float, kind: LoopKind, record: Record) -> Iterator[LoopValue]:
     """Loss per cycle, in energy where the units tell it."""
     value, error, count = loss(closed, sigma)
     unit, factor = loop_energy(record.u_unit, record.y_unit)
-    yield LoopValue(
-        "loop_area", "loss per cycle" if is_energy(unit) else AREA, factor * value, factor * error, unit, count
-    )
+    yield LoopValue("loop_area", area_label(kind, unit), factor * value, factor * error, unit, count)
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> tuple[LoopValue, ...]:

@@ -38,9 +38,10 @@ class Quantity:
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
         kinds, own = self.named
-        if self.unit == "{energy}" and not is_energy(self.units(data)):
-            return AREA
-        return own if LoopKind.of(data) in kinds else self.label
+        kind = LoopKind.of(data)
+        if self.unit == "{energy}":
+            return area_label(kind, self.units(data))
+        return own if kind in kinds else self.label
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
@@ -51,7 +52,6 @@ class Quantity:
         return text if (u and y) or "/" not in self.unit else ""
 
 
-AREA = "area of the loop"  # of units whose product is no energy
 CREEP = "creep_percent_per_decade"
 _AT = "at the middle of the {0}; of magnetic and ferroelectric loops at zero {0}, where the loop passes it"
 QUANTITIES: dict[str, Quantity] = {
@@ -91,6 +91,12 @@ QUANTITIES: dict[str, Quantity] = {
         leads=frozenset(LoopKind),
     ),
 }  # fmt: skip
+
+
+def area_label(kind: LoopKind, unit: str) -> str:
+    """What the area of a loop is called: a loss where its unit is that of an energy, or unknown for columns whose product is one."""
+    is_loss = is_energy(unit) if unit else kind in STRUCTURAL | REMANENT
+    return "loss per cycle" if is_loss else "area of the loop"
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:

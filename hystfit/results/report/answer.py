@@ -127,6 +127,8 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES, Unknown.OVERDAMPED):
             continue
         no_energy = kind is LoopKind.OTHER or turns_light(result.data[0])
+        if q.name == "equivalent_damping_percent" and "damping_coefficient" in measured:
+            continue
         if q.name == "loop_area" and no_energy and not is_energy(q.unit):
             continue
         read = measured.get(q.name)
