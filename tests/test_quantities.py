@@ -461,6 +461,13 @@ def test_a_pinched_loop_has_no_width_where_its_branches_cross():
     assert np.isnan([loops.coercive_input[0], loops.remanence[0], loops.loss[0]]).all()
 
 
+def test_the_answer_of_a_curve_gives_the_measured_loop_first():
+    """A model without a loop has the half width 0, which is not that of the device."""
+    phase = np.linspace(0, 4 * np.pi, 321)
+    result = hf.fit("curve:knots=4", hf.Record(np.cos(phase), np.cos(phase - 0.1), u_unit="V", y_unit="V"))
+    assert float(dict(result.answer)["Half width"].split()[0]) == pytest.approx(np.sin(0.1), rel=0.02)
+
+
 def test_no_damping_ratio_is_above_the_critical_damping():
     """Of a spring k and a damper of loss factor h it is h / 2."""
     phase = np.linspace(-np.pi / 2, np.pi / 2, 401)

@@ -22,7 +22,8 @@ from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
 from hystfit.results.measured.loop_kinds import REMANENT, LoopKind, turns_light
-from hystfit.results.measured.quantities import QUANTITIES, Unknown
+from hystfit.results.measured.measured_value import LoopValue
+from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
@@ -124,12 +125,9 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES, Unknown.OVERDAMPED):
-            continue
-        no_energy = kind is LoopKind.OTHER or turns_light(result.data[0])
-        if q.name == "equivalent_damping_percent" and "damping_coefficient" in measured:
-            continue
-        if q.name == "loop_area" and no_energy and not is_energy(q.unit):
+        if kind not in one.leads or not _tells(
+            q, measured, no_energy=kind is LoopKind.OTHER or turns_light(result.data[0])
+        ):
             continue
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text
@@ -142,11 +140,21 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         elif q.value is not None and read is not None and read.unit == q.unit:
             seen = with_error(read.value, read.stderr, q.unit)
             differs = kind in REMANENT and q.beside(read.value, read.stderr).differs  # both at zero
-            if differs or q.vaguer_than(read.stderr):
+            without = q.value == 0 and read.value != 0  # a curve, which has no loop
+            if differs or without or q.vaguer_than(read.stderr):
                 text = f"{seen} in the measured loops; {text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     alone = (one for one in measured.values() if one.name in _OF_NO_MODEL)
     return [*rows, *((_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in alone)]
+
+
+def _tells(q: QuantityEstimate, measured: Mapping[str, LoopValue], *, no_energy: bool) -> bool:
+    """Whether a quantity means something on this loop: no ratio beside the coefficient of a damper, no area that is no energy."""
+    if q.reason in (Unknown.NO_CROSSING, Unknown.LOBES, Unknown.OVERDAMPED):
+        return False
+    if q.name == "loop_area":
+        return not no_energy or is_energy(q.unit)
+    return q.name != "equivalent_damping_percent" or "damping_coefficient" not in measured
 
 
 def _never_returns(record: Record) -> bool:
