@@ -487,3 +487,37 @@ def test_the_temperatures_of_a_transition_over_decades_are_those_of_the_logarith
     assert found["coercive_input_rising"].value == pytest.approx(68, abs=0.1)
     assert found["coercive_input_falling"].value == pytest.approx(60, abs=0.1)
     assert measured_quantities(hf.Dataset((record,)))["coercive_input"] == pytest.approx(4, abs=0.1)
+
+
+def test_a_unipolar_loop_of_a_capacitor_has_its_recoverable_energy_and_no_coercivity() -> None:
+    """P = 2 E up to 10 kV/mm, and back by a parabola to the start: it returns the integral of E dP along the latter."""
+    up, down = np.linspace(0, 10, 401), np.linspace(10, 0, 401)[1:]
+    y = np.concatenate([2 * up, 20 * (1 - (1 - down / 10) ** 2)])
+    labels = {"u_unit": "kV/mm", "y_unit": "uC/cm2", "u_name": "E", "y_name": "P"}
+    found = values_of(hf.Record(np.append(up, down), y, **labels))
+    returned = 1e6 * 1e-2 * 20 * 2 / 10 * (10**2 / 2 - 10**2 / 3)  # V/m times C/m2; dP = 20 * 2 (1 - E/10) dE / 10
+    assert found["recoverable_energy"].value == pytest.approx(returned, rel=1e-3)
+    put_in = 1e6 * 1e-2 * 10 * 20 / 2
+    assert found["efficiency_percent"].value == pytest.approx(100 * returned / put_in, rel=1e-3)
+    assert not {"coercive_input", "coercive_input_rising", "offset_input", "saturation"} & set(found)
+
+
+def test_the_curve_of_first_loading_belongs_to_no_loop() -> None:
+    """Two cycles from the demagnetized state: the piece before the first tip is not the end of the last branch."""
+    u = 200 * np.sin(np.linspace(0, 4 * np.pi, 1601))
+    y, p = [], 0.0
+    for value in u:
+        p = max(value - 40, min(value + 40, p))
+        y.append(np.tanh(p / 60))
+    found = values_of(hf.Record(u, np.array(y), u_unit="A/m", y_unit="T", u_name="H", y_name="J"))
+    assert found["coercive_input_rising"].value == pytest.approx(40, abs=0.1)
+    assert found["coercive_input"].stderr < 0.5
+
+
+def test_charge_and_small_strains_in_their_units_give_energies() -> None:
+    cell = values_of(ellipse(u_unit="mAh", y_unit="V", u_name="capacity", y_name="voltage"))
+    assert cell["loop_area"].unit == "J"
+    assert cell["loop_area"].value == pytest.approx(3.6 * 6 * np.pi * np.sin(0.4), rel=1e-4)
+    steel = values_of(ellipse(u_unit="\u00b5\u03b5", y_unit="MPa", u_name="strain", y_name="stress", delay=-0.4))
+    assert steel["loop_area"].unit == "J/m3"
+    assert steel["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4), rel=1e-4)

@@ -125,7 +125,7 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
     "daN": (10.0, "N", False), "psf": (47.8802589803358, "Pa", False), "ksf": (47880.2589803358, "Pa", False),
     "mil": (2.54e-5, "m", False), "L": (1e-3, "m^3", True), "l": (1e-3, "m^3", False), "ppm": (1e-6, "1", False),
-    "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "Ah": (3600.0, "A*s", True), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
     "Vs": (1.0, "V*s", True), "arcmin": (math.pi / 10800, "rad", False), "arcsec": (math.pi / 648000, "rad", False),
 }  # fmt: skip
 _SPELLINGS = {
@@ -171,13 +171,14 @@ _BY_SYMBOL = {
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
     r"[mun]?(g|mol)/[lL]|[mun]?g/m\^?3|[uF]?N[FT]U": "concentration",
-    r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
+    r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in": "strain",
 }
 # Units that are one character of Chinese and Japanese text, such as ℃ and ㎜, in the letters of others.
 ONE_CHARACTER = {code: unicodedata.normalize("NFKC", chr(code)) for code in (0x2103, 0x2109, *range(0x3380, 0x33DE))}
-_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
-    map(ord, "\u2126\u03a9"), "Ohm"
-)
+_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | {
+    **dict.fromkeys(map(ord, "\u2126\u03a9"), "Ohm"),
+    ord("\u03b5"): "strain",
+}
 _LONGEST = 100  # characters of a unit
 _HIGHEST = 12  # power of a symbol in any unit, beyond which a text is none
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.

@@ -38,7 +38,10 @@ NOT_FOUND: Found = (np.nan, np.nan)
 
 
 def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
-    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one branch."""
+    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one, where it has no other.
+
+    The first piece of several loops is the curve of first loading.
+    """
     edges = [0, *turns.tolist(), u.size - 1]
     parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
     span = float(np.ptp(u))
@@ -47,9 +50,8 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     if (
         len(parts) > 2
         and first.rises == last.rises
+        and not any(part.rises == first.rises for part in large)
         and abs(u[-1] - u[0]) <= GAP * span
-        and first not in large
-        and last not in large
     ):
         joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
         if np.ptp(joined.u) >= LARGEST * span:

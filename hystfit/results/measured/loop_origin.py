@@ -53,9 +53,16 @@ def inside(at: float | None, low: Any, high: Any, reach: float = ENDS) -> Any:
     return middle if at is None else np.where(np.abs(at - middle) < reach * half, at, middle)
 
 
+def is_unipolar(u: np.ndarray) -> bool:
+    """Whether an input stays on one side of zero, but for a small part of its range."""
+    return bool(min(-u.min(), u.max()) < GAP * np.ptp(u))
+
+
 def middle_of_relative(record: Record) -> float | None:
-    """Middle of the range of a charge that is counted from the start of the record [y]; None of others."""
+    """Middle of the range of a charge that is counted from the start of the record [y]; None of others, and of inputs of one sign."""
     u, y = record.u[record.used], record.y[record.used]
+    if is_unipolar(u):
+        return None
     middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
     if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
         return None

@@ -20,6 +20,7 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
     ENDS,
@@ -37,7 +38,7 @@ from hystfit.results.measured.loop_branches import (
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
-from hystfit.results.measured.loop_origin import Origin
+from hystfit.results.measured.loop_origin import Origin, is_unipolar
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
@@ -296,14 +297,15 @@ def _levels(
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}
         words = ("coercivity (half width)", "remanence") if named else ("half width", "half height")
-        # Thresholds and temperatures of a transition, of a loop that has no name for them.
-        at_middle = "input at the middle of the output" if kind is LoopKind.OTHER else ""
+        # Thresholds and temperatures of a transition have no name that all loops share.
+        switches = kind is LoopKind.OTHER or column_quantity(record.u_name, record.u_unit) == "temperature"
+        at_middle = "input at the middle of the output" if switches else ""
         yield from _both(width, "coercive_input", words[0], units[0], "coercivity" if named else at_middle)
         yield from _both(height, "remanence", words[1], units[1], "remanence" if named else "")
     one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
     y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
     yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
-    if named:
+    if named and not is_unipolar(record.u):
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from stiffness_values(branches, cycles, sigma, record)

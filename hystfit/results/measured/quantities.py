@@ -14,6 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.params.units import is_energy, loop_energy, stiffness_unit
 from hystfit.quality.coverage import is_switched
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.steady_loops import SteadyLoops
 
 # Standard errors of both, and part of the measured value, by which a model's quantity must differ from it to be reported.
@@ -41,7 +42,9 @@ class Quantity:
         kind = LoopKind.of(data)
         if self.unit == "{energy}":
             return area_label(kind, self.units(data))
-        return own if kind in kinds else self.label
+        # Coercivity and remanence are those of loops about zero.
+        one_sided = kind in REMANENT and is_unipolar(np.concatenate([record.u for record in data]))
+        return own if kind in kinds and not one_sided else self.label
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
