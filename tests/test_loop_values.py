@@ -13,6 +13,7 @@ from hystfit.quality.loops import closed_loops, cycles
 from hystfit.quality.shape import loop_shape
 from hystfit.results.measured.loop_branches import crossing
 from hystfit.results.measured.loop_values import quantities
+from hystfit.results.measured.quantities import QUANTITIES
 from hystfit.results.quantity_estimates import measured_quantities
 
 PHASE = np.linspace(0, 2 * np.pi, 2001)
@@ -500,6 +501,10 @@ def test_a_unipolar_loop_of_a_capacitor_has_its_recoverable_energy_and_no_coerci
     put_in = 1e6 * 1e-2 * 10 * 20 / 2
     assert found["efficiency_percent"].value == pytest.approx(100 * returned / put_in, rel=1e-3)
     assert not {"coercive_input", "coercive_input_rising", "offset_input", "saturation"} & set(found)
+    width = QUANTITIES["coercive_input"]
+    bipolar = hf.Record(up - 5, up, **labels)
+    one_sided, about_zero = (width.label_on(hf.Dataset((one,))) for one in (hf.Record(up, up, **labels), bipolar))
+    assert one_sided == width.label != about_zero
 
 
 def test_the_curve_of_first_loading_belongs_to_no_loop() -> None:

@@ -42,8 +42,8 @@ class Quantity:
         kind = LoopKind.of(data)
         if self.unit == "{energy}":
             return area_label(kind, self.units(data))
-        # Coercivity and remanence are those of loops about zero.
-        one_sided = kind in REMANENT and is_unipolar(np.concatenate([record.u for record in data]))
+        # Capacitors are often driven on one side of zero, where no coercivity is.
+        one_sided = kind is LoopKind.FERROELECTRIC and is_unipolar(np.concatenate([record.u for record in data]))
         return own if kind in kinds and not one_sided else self.label
 
     def units(self, data: Dataset) -> str:
