@@ -21,7 +21,7 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
-from hystfit.results.measured.loop_kinds import REMANENT, LoopKind, turns_light
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown
 from hystfit.results.result import FitResult
@@ -210,6 +210,8 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
         commands.append(f"hystfit export {fit} --c code")
     if not result.problem.space.stepwise_names:
         commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
+    if LoopKind.of(result.data) in STRUCTURAL:  # each of its cycles, and the backbone
+        commands.append(f"hystfit quantities {loop}")
     keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]
     return [*improve, *keep, *commands]
 
