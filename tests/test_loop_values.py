@@ -526,3 +526,15 @@ def test_charge_and_small_strains_in_their_units_give_energies() -> None:
     steel = values_of(ellipse(u_unit="\u00b5\u03b5", y_unit="MPa", u_name="strain", y_name="stress", delay=-0.4))
     assert steel["loop_area"].unit == "J/m3"
     assert steel["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4), rel=1e-4)
+
+
+def test_the_range_of_a_force_is_that_of_all_cycles() -> None:
+    """A joint that has lost half of its strength when it reaches its largest displacement."""
+    cycle = np.sin(np.linspace(0, 2 * np.pi, 201))[1:]
+    u, force, f = np.concatenate([[0.0], 5 * cycle, 10 * cycle, 10 * cycle]), [0.0], 0.0
+    for k in range(1, u.size):
+        limit = 8.0 if k <= 200 else 4.0
+        f = max(-limit, min(limit, f + 10 * (u[k] - u[k - 1])))
+        force.append(f)
+    found = values_of(hf.Record(u, np.array(force), u_unit="mm", y_unit="kN", u_name="Displacement", y_name="Force"))
+    assert found["stroke"].value == pytest.approx(16.0)

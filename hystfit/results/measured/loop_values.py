@@ -302,8 +302,8 @@ def _levels(
         at_middle = "input at the middle of the output" if switches else ""
         yield from _both(width, "coercive_input", words[0], units[0], "coercivity" if named else at_middle)
         yield from _both(height, "remanence", words[1], units[1], "remanence" if named else "")
-    one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
-    y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
+    # A structure has its largest force before its largest displacement, and an actuator its largest output where it creeps.
+    y = record.y[record.used] if kind in STRUCTURAL else np.concatenate([b.y for b in branches])
     yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
     if named and not is_unipolar(record.u):
         yield from _ends(branches, sigma, units[1])

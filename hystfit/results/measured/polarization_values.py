@@ -69,9 +69,11 @@ def _recovered(record: Record, rows: list[LoopValue], noise: float) -> Iterator[
     part = slice(tip, last + 1)
     size = -factor * float(np.trapezoid(u[part], y[part]))
     error = factor * noise * float(np.sqrt(np.sum(np.diff(u[part]) ** 2)))
+    if size <= 0:  # what still switches behind the tip exceeds it
+        return
     yield LoopValue("recoverable_energy", "recoverable energy, from the largest voltage to zero", size, error, unit)
     lost = next((row.value for row in rows if row.name == "loop_area"), None)
-    if lost is not None and is_unipolar(u) and size > 0:
+    if lost is not None and is_unipolar(u):
         label = "efficiency (recoverable energy over that put in)"
         yield LoopValue("efficiency_percent", label, 100 * size / (size + lost), None, "%")
 
