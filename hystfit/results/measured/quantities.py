@@ -85,7 +85,7 @@ QUANTITIES: dict[str, Quantity] = {
         lambda loops: loops.secant_stiffness, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     "equivalent_damping_percent": Quantity(
-        "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
+        "equivalent damping", "damping ratio, up to 100 %: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
         lambda loops: loops.damping_percent, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
