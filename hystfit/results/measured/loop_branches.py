@@ -17,6 +17,7 @@ from hystfit.quality.shape import area_between, has_lobes
 
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
+_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -243,6 +244,12 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     stated = np.sqrt(np.mean(errors**2) / values.size)
     scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
+
+
+def range_error(y: np.ndarray, sigma: float) -> float:
+    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
+    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
+    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
 def asymmetry(branches: list[Branch]) -> tuple[float, float]:

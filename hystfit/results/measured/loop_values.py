@@ -21,6 +21,7 @@ from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.reading.names.column_names import column_quantity
+from hystfit.results.measured.butterfly_values import butterfly_values
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
     ENDS,
@@ -35,6 +36,7 @@ from hystfit.results.measured.loop_branches import (
     large_branches,
     large_cycles,
     loss,
+    range_error,
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
@@ -49,7 +51,6 @@ from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
-_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,18 +188,13 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
-    branches = _largest(large_branches(u, y, turns))
-    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
-    if not pairs and kind not in STRUCTURAL:
-        branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
+    branches, pairs, cycles = _loops_of(u, y, turns, kind)
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
     known = np.nan if is_bound else sigma
-    lobed = bool(pairs) and kind not in REMANENT and crosses(pairs, known)
-    if lobed:
-        return tuple(_of_butterfly(branches, sigma, record)), (), (_LOBED,)
+    if pairs and kind not in REMANENT and crosses(pairs, known):
+        return tuple(butterfly_values(branches, sigma, record)), (), (_LOBED,)
     if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
@@ -212,6 +208,18 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if limited:
         rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
     return rows, corrections, (*of_zero, *notes)
+
+
+def _loops_of(
+    u: np.ndarray, y: np.ndarray, turns: np.ndarray, kind: LoopKind
+) -> tuple[list[Branch], list[Pair], list[Pair]]:
+    """The branches of the largest amplitude, the pairs of them that follow each other, and the cycles whose areas are losses."""
+    branches = _largest(large_branches(u, y, turns))
+    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
+    cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
+    if not pairs and kind not in STRUCTURAL:  # loops that grow from the middle, each of which begins and ends there
+        branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
+    return branches, pairs, cycles
 
 
 def _largest(branches: list[Branch]) -> list[Branch]:
@@ -304,40 +312,11 @@ def _levels(
         yield from _both(height, "remanence", words[1], units[1], "remanence" if named else "")
     # A structure has its largest force before its largest displacement, and an actuator its largest output where it creeps.
     y = record.y[record.used] if kind in STRUCTURAL else np.concatenate([b.y for b in branches])
-    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
+    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), range_error(y, sigma), units[1])
     if named and not is_unipolar(record.u):
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from stiffness_values(branches, cycles, sigma, record)
-
-
-def _of_butterfly(branches: list[Branch], sigma: float, record: Record) -> Iterator[LoopValue]:
-    """Range of the output of branches that cross, and the inputs at which an even output turns: the coercive fields of a strain."""
-    y = np.concatenate([b.y for b in branches])
-    size = float(np.ptp(y))
-    yield LoopValue("stroke", "range of the output", size, _range_error(y, sigma), record.y_unit)
-    for rises, side in ((True, "rising"), (False, "falling")):
-        for sign, word in ((1.0, "smallest"), (-1.0, "largest")):
-            inner = [
-                b
-                for b in branches
-                if b.rises == rises and (sign * b.y[[0, -1]]).min() >= (sign * b.y).min() + 0.5 * size
-            ]
-            at = [int(np.argmin(sign * b.y)) for b in inner]
-            found = [
-                (float(b.u[k]), abs(float(b.u[k + 1] - b.u[k - 1])) / np.sqrt(12))
-                for b, k in zip(inner, at, strict=True)
-            ]
-            if found:
-                value, error, count = combined(found)
-                label = f"input at the {word} output, {side} branch"
-                yield LoopValue(f"turning_input_{side}", label, value, error, record.u_unit, count)
-
-
-def _range_error(y: np.ndarray, sigma: float) -> float:
-    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
-    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
-    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
 def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:
