@@ -258,6 +258,12 @@ def test_predict_writes_what_the_model_says(folder, loop, fitted, capsys):
     content = strict((out / "result.json").read_text())
     assert content["schema"] == "hystfit.predict/1"
     assert content["metrics"]["test"]["n"] == 240
+    same = lambda written: [note for note in written["notes"] if note["code"] == "same-file"]
+    assert same(content)
+    other = folder / "other.csv"
+    other.write_text(loop.read_text() + "\n")
+    assert run(["predict", str(fitted), str(other), "--out", str(out)]) == 0
+    assert not same(strict((out / "result.json").read_text()))
 
 
 def test_predict_from_an_input_alone_warns_beyond_the_fitted_range(folder, fitted, capsys):

@@ -13,6 +13,8 @@ from hystfit.quality.loops import closed_loops, cycles
 from hystfit.quality.shape import loop_shape
 from hystfit.results.measured.loop_branches import crossing
 from hystfit.results.measured.loop_values import quantities
+from hystfit.results.measured.quantities import QUANTITIES
+from hystfit.results.quantity_estimates import measured_quantities
 
 PHASE = np.linspace(0, 2 * np.pi, 2001)
 MAGNETIC = {"u_unit": "A/m", "y_unit": "T", "u_name": "H", "y_name": "B"}
@@ -382,3 +384,157 @@ def test_signs_before_the_results_of_a_tester_tell_its_branches(tmp_path):
         "remanence_falling": 23.2,
         "remanence_rising": -24.1,
     }
+
+
+def test_the_strain_of_a_ferroelectric_has_coercive_fields_and_no_loss() -> None:
+    """A butterfly, y = (2 cos(x - 0.4))^2, is zero where the polarization is, and its lobes cancel."""
+    phase = np.linspace(0, 4 * np.pi, 801)
+    noise = np.random.default_rng(1).normal(0, 1e-4, phase.size)
+    labels = {"u_unit": "kV/cm", "y_unit": "um", "u_name": "E", "y_name": "displacement"}
+    measured = quantities(hf.Record(3 * np.cos(phase), 4 * np.cos(phase - 0.4) ** 2 + noise, **labels))
+    found = {one.name: one for one in next(iter(measured.rows.values()))}
+    for side, true in (("rising", 3 * np.sin(0.4)), ("falling", -3 * np.sin(0.4))):
+        one = found[f"turning_input_{side}"]
+        assert abs(one.value - true) < 3 * one.stderr < 0.1
+    assert found["stroke"].value == pytest.approx(4.0, rel=1e-3)
+    assert not {"loop_area", "coercive_input", "remanence"} & set(found)
+    assert [note.code for note in next(iter(measured.notes.values()))] == [hf.outcome.Code.CROSSING]
+
+
+def test_loops_that_grow_from_zero_in_one_record_have_the_values_of_the_largest() -> None:
+    """A play of half width 1 in a field of amplitudes 3 and 5, each from zero on: its zero crossings and the area are known."""
+    rise = np.linspace(0, 1, 126)
+    cycle = np.concatenate([rise, 1 - rise[1:], -rise[1:], rise[1:] - 1])
+    u = np.concatenate([3 * cycle, 5 * cycle[1:]])
+    y, p = [], 0.0
+    for value in u:
+        p = max(value - 1, min(value + 1, p))
+        y.append(p)
+    labels = {"u_unit": "kV/cm", "y_unit": "uC/cm2", "u_name": "E", "y_name": "P"}
+    found = values_of(hf.Record(u, np.array(y), **labels))
+    assert found["coercive_input_rising"].value == pytest.approx(1.0, abs=1e-6)
+    assert found["coercive_input_falling"].value == pytest.approx(-1.0, abs=1e-6)
+    assert found["remanence"].value == pytest.approx(1.0, abs=1e-6)
+    assert found["loop_area"].value == pytest.approx(1e3 * 2 * (2 * 5 - 2), rel=1e-3)  # 1 kV/cm uC/cm2 is 1e3 J/m3
+
+
+def test_loops_of_a_smaller_amplitude_do_not_count() -> None:
+    """A play of half width 1 at amplitudes of 4.6, many times, and of 5: the area of the largest is 4 (5 - 1)."""
+    rise = np.linspace(0, 1, 101)
+    cycle = np.concatenate([rise[1:], 1 - rise[1:], -rise[1:], rise[1:] - 1])
+    u = np.concatenate([[0.0], *(amplitude * cycle for amplitude in (4.6, 4.6, 4.6, 4.6, 4.6, 5.0, 5.0, 4.6, 4.6))])
+    y, p = [], 0.0
+    for value in u:
+        p = max(value - 1, min(value + 1, p))
+        y.append(p)
+    found = values_of(hf.Record(u, np.array(y), u_unit="V", y_unit="um", u_name="V", y_name="position"))
+    assert found["loop_area"].value == pytest.approx(4 * (5 - 1), rel=1e-3)
+
+
+def test_a_branch_that_ends_inside_the_loop_gives_its_width() -> None:
+    """A desorption is not measured down to the first pressure of the adsorption."""
+    adsorbed = lambda p, at: 0.5 * p / (0.02 + p) + 0.5 * (1 + np.tanh((p - at) / 0.03))
+    up, down = np.linspace(0.01, 0.99, 99), np.linspace(0.98, 0.08, 91)
+    y = np.concatenate([adsorbed(up, 0.8), adsorbed(down, 0.6)])
+    found = values_of(
+        hf.Record(np.append(up, down), y, u_unit="p/p0", y_unit="cm3/g", u_name="pressure", y_name="adsorbed")
+    )
+    assert found["coercive_input"].value == pytest.approx(0.1, rel=0.02)
+
+
+def test_a_viscous_damper_has_its_coefficient_and_no_damping_ratio() -> None:
+    """F = 2 v + 3 x at 1.25 Hz: 2 kN s/mm, and a ratio of 2 omega / (2 times 3) = 262 % that no oscillation has."""
+    t = np.arange(0, 4, 0.002)
+    omega = 2 * np.pi * 1.25
+    labels = {"u_unit": "mm", "y_unit": "kN", "u_name": "x", "y_name": "F"}
+    made = lambda viscous, t=t: hf.Record(
+        5 * np.sin(omega * t), viscous * 5 * omega * np.cos(omega * t) + 15 * np.sin(omega * t), t, **labels
+    )
+    found = values_of(made(2.0))
+    assert found["damping_coefficient"].value == pytest.approx(2.0, rel=2e-3)
+    assert found["damping_coefficient"].unit == "kN s/mm"
+    assert "equivalent_damping_percent" not in found
+    assert found["secant_stiffness"].value == pytest.approx(3.0, rel=1e-2)
+    weak = values_of(made(0.2))
+    assert weak["equivalent_damping_percent"].value == pytest.approx(100 * 0.2 * omega / 6, rel=1e-2)
+    assert "damping_coefficient" not in weak
+
+
+def test_an_area_that_is_no_energy_is_no_loss() -> None:
+    tire = values_of(ellipse(u_unit="deg", y_unit="N", u_name="slip angle", y_name="lateral force"))
+    assert tire["loop_area"].unit == "N deg"  # per length: a force times an angle is none
+    assert tire["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4), rel=1e-4)
+    hinge = values_of(ellipse(u_unit="deg", y_unit="N*m", u_name="angle", y_name="torque"))
+    assert hinge["loop_area"].unit == "J"
+    assert hinge["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4) * np.pi / 180, rel=1e-4)
+    assert hinge["loop_area"].label != tire["loop_area"].label
+    unknown = values_of(ellipse(u_unit="", y_unit="", u_name="displacement", y_name="force"))
+    assert unknown["loop_area"].label == hinge["loop_area"].label  # an energy in whatever units
+
+
+def test_a_stress_over_a_strain_has_the_unit_of_the_stress() -> None:
+    soil = values_of(ellipse(u_unit="%", y_unit="kPa", u_name="shear strain", y_name="shear stress", delay=-0.4))
+    assert soil["secant_stiffness"].unit == "kPa"
+    assert soil["secant_stiffness"].value == pytest.approx(100 * 4 * np.cos(0.4) / 6, rel=1e-3)
+
+
+def test_the_temperatures_of_a_transition_over_decades_are_those_of_the_logarithm_of_the_resistance() -> None:
+    """A resistance that falls by 10^3 about 68 degC on heating and about 60 degC on cooling."""
+    heat, cool = np.linspace(30, 98, 201), np.linspace(98, 30, 201)[1:]
+    log_r = lambda T, at: 4 - 1.5 * (1 + np.tanh((T - at) / 3))
+    y = 10 ** np.concatenate([log_r(heat, 68), log_r(cool, 60)])
+    record = hf.Record(np.append(heat, cool), y, u_unit="degC", y_unit="Ohm", u_name="T", y_name="R")
+    found = values_of(record)
+    assert found["coercive_input_rising"].value == pytest.approx(68, abs=0.1)
+    assert found["coercive_input_falling"].value == pytest.approx(60, abs=0.1)
+    assert measured_quantities(hf.Dataset((record,)))["coercive_input"] == pytest.approx(4, abs=0.1)
+
+
+def test_a_unipolar_loop_of_a_capacitor_has_its_recoverable_energy_and_no_coercivity() -> None:
+    """P = 2 E up to 10 kV/mm, and back by a parabola to the start: it returns the integral of E dP along the latter."""
+    up, down = np.linspace(0, 10, 401), np.linspace(10, 0, 401)[1:]
+    y = np.concatenate([2 * up, 20 * (1 - (1 - down / 10) ** 2)])
+    labels = {"u_unit": "kV/mm", "y_unit": "uC/cm2", "u_name": "E", "y_name": "P"}
+    found = values_of(hf.Record(np.append(up, down), y, **labels))
+    returned = 1e6 * 1e-2 * 20 * 2 / 10 * (10**2 / 2 - 10**2 / 3)  # V/m times C/m2; dP = 20 * 2 (1 - E/10) dE / 10
+    assert found["recoverable_energy"].value == pytest.approx(returned, rel=1e-3)
+    put_in = 1e6 * 1e-2 * 10 * 20 / 2
+    assert found["efficiency_percent"].value == pytest.approx(100 * returned / put_in, rel=1e-3)
+    assert not {"coercive_input", "coercive_input_rising", "offset_input", "saturation"} & set(found)
+    width = QUANTITIES["coercive_input"]
+    bipolar = hf.Record(up - 5, up, **labels)
+    one_sided, about_zero = (width.label_on(hf.Dataset((one,))) for one in (hf.Record(up, up, **labels), bipolar))
+    assert one_sided == width.label != about_zero
+
+
+def test_the_curve_of_first_loading_belongs_to_no_loop() -> None:
+    """Two cycles from the demagnetized state: the piece before the first tip is not the end of the last branch."""
+    u = 200 * np.sin(np.linspace(0, 4 * np.pi, 1601))
+    y, p = [], 0.0
+    for value in u:
+        p = max(value - 40, min(value + 40, p))
+        y.append(np.tanh(p / 60))
+    found = values_of(hf.Record(u, np.array(y), u_unit="A/m", y_unit="T", u_name="H", y_name="J"))
+    assert found["coercive_input_rising"].value == pytest.approx(40, abs=0.1)
+    assert found["coercive_input"].stderr < 0.5
+
+
+def test_charge_and_small_strains_in_their_units_give_energies() -> None:
+    cell = values_of(ellipse(u_unit="mAh", y_unit="V", u_name="capacity", y_name="voltage"))
+    assert cell["loop_area"].unit == "J"
+    assert cell["loop_area"].value == pytest.approx(3.6 * 6 * np.pi * np.sin(0.4), rel=1e-4)
+    steel = values_of(ellipse(u_unit="\u00b5\u03b5", y_unit="MPa", u_name="strain", y_name="stress", delay=-0.4))
+    assert steel["loop_area"].unit == "J/m3"
+    assert steel["loop_area"].value == pytest.approx(6 * np.pi * np.sin(0.4), rel=1e-4)
+
+
+def test_the_range_of_a_force_is_that_of_all_cycles() -> None:
+    """A joint that has lost half of its strength when it reaches its largest displacement."""
+    cycle = np.sin(np.linspace(0, 2 * np.pi, 201))[1:]
+    u, force, f = np.concatenate([[0.0], 5 * cycle, 10 * cycle, 10 * cycle]), [0.0], 0.0
+    for k in range(1, u.size):
+        limit = 8.0 if k <= 200 else 4.0
+        f = max(-limit, min(limit, f + 10 * (u[k] - u[k - 1])))
+        force.append(f)
+    found = values_of(hf.Record(u, np.array(force), u_unit="mm", y_unit="kN", u_name="Displacement", y_name="Force"))
+    assert found["stroke"].value == pytest.approx(16.0)

@@ -453,6 +453,31 @@ def test_the_width_of_a_film_on_a_diamagnetic_substrate_is_that_of_its_step():
     )  # 0.117 with the slope, and 0.06 between the outer crossings
 
 
+def test_a_pinched_loop_has_no_width_where_its_branches_cross():
+    """A memristor: both branches pass zero, between lobes that run in opposite directions."""
+    u = np.linspace(-1, 1, 401)
+    loops = SteadyLoops(u, (u + 0.3 * np.sin(np.pi * u))[None], (u - 0.3 * np.sin(np.pi * u))[None])
+    assert loops.lobed.all()
+    assert np.isnan([loops.coercive_input[0], loops.remanence[0], loops.loss[0]]).all()
+
+
+def test_the_answer_of_a_curve_gives_the_measured_loop_first():
+    """A model without a loop has the half width 0, which is not that of the device."""
+    phase = np.linspace(0, 4 * np.pi, 321)
+    result = hf.fit("curve:knots=4", hf.Record(np.cos(phase), np.cos(phase - 0.1), u_unit="V", y_unit="V"))
+    assert float(dict(result.answer)["Half width"].split()[0]) == pytest.approx(np.sin(0.1), rel=0.02)
+
+
+def test_no_damping_ratio_is_above_the_critical_damping():
+    """Of a spring k and a damper of loss factor h it is h / 2."""
+    phase = np.linspace(-np.pi / 2, np.pi / 2, 401)
+    u = np.sin(phase)
+    made = lambda h: SteadyLoops(u, (u + h * np.cos(phase))[None], (u - h * np.cos(phase))[None], stiffness=1000.0)
+    assert made(1.8).damping_percent == pytest.approx([90.0], rel=1e-4)
+    assert np.isnan(made(2.2).damping_percent).all()
+    assert made(2.2).secant_stiffness == pytest.approx([1000.0])
+
+
 def test_the_slope_of_a_substrate_is_named():
     h = np.concatenate([np.linspace(20, -20, 801), np.linspace(-20, 20, 801)[1:]])
     side = np.repeat([1.0, -1.0], [801, 800])

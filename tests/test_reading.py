@@ -1073,6 +1073,18 @@ def test_closed_loops_of_different_strokes_without_time_are_records_of_their_own
     assert len(data) == 3
 
 
+def test_a_column_of_the_amplitude_of_the_input_tells_loops_apart_and_is_no_input(tmp_path: Path) -> None:
+    phase = np.linspace(0, 2 * np.pi, 81)
+    rows = [f"{a},{a * np.sin(p):.5f},{a * np.sin(p - 0.3):.5f}" for a in (10, 20, 30) for p in phase]
+    data = read(_write(tmp_path, "Amplitude (kV/cm),E (kV/cm),P (uC/cm2)\n" + "\n".join(rows) + "\n"))
+    assert isinstance(data, Dataset)
+    assert [float(np.ptp(record.u)) for record in data] == pytest.approx([20, 40, 60])
+    # The amplitudes of a structural test are those of one specimen, which damage accumulates in.
+    test = read(_write(tmp_path, "Amplitude (mm),Drift (mm),Load (kN)\n" + "\n".join(rows) + "\n"))
+    assert isinstance(test, Record)
+    assert not [note for note in test.notes if note.severity is Severity.WARNING]
+
+
 def test_a_column_set_to_levels_is_named(tmp_path: Path) -> None:
     t = np.arange(400) / 100
     rows = [f"{a:.2f},{1.5 * (a // 2):g},{np.sin(9 * a):.5f},{np.cos(9 * a) * (1 + a // 2):.5f}" for a in t]

@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def quantities() -> str:
     """Every engineering quantity with its definition and unit."""
-    units = {"u": "[u]", "y": "[y]", "force": "[force]", "path": "[displacement]", "energy": "energy, or [u] [y]"}
+    units = {"u": "[u]", "y": "[y]", "stiffness": "[force]/[displacement]", "energy": "energy, or [u] [y]"}
     rows = [(f"`{name}`", one.label, plain(one.doc), one.unit.format(**units)) for name, one in QUANTITIES.items()]
     return table(["name", "in a report", "definition", "unit"], rows)
 

@@ -166,6 +166,11 @@ def _compared(
         notes.append(Note(Code.NOT_FINITE, text, Severity.ERROR))
     if not result.usable:
         notes.append(warn(Code.FIT_STATUS, f"the fit itself is not usable: its status is {result.status}"))
+    fitted_files = {record.sha256 for record in result.data} - {None}
+    if trial is not None and any(record.sha256 in fitted_files for record in data):
+        notes.append(
+            Note(Code.SAME_FILE, "the fit used this file: on the samples that it fitted, the error is no test")
+        )
     if refit_offset:
         notes.append(Note(Code.OFFSET_REFITTED, "the offset of each record was refitted to its mean"))
     status = Status.OK if trial is None else trial.status

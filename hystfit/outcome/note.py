@@ -53,6 +53,7 @@ class Code(enum.StrEnum):
     RECORD_PARAMETERS = "record-parameters"
     CHANGED_FILES = "changed-files"
     OFFSET_REFITTED = "offset-refitted"
+    SAME_FILE = "same-file"
     # identifiers
     SEQUENTIAL = "sequential"
     NOISE_BIAS = "noise-bias"

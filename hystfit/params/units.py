@@ -125,7 +125,7 @@ _SYMBOLS: dict[str, tuple[float, str, bool]] = {
     "oz": (0.278013850953781, "N", False), "klbf": (4448.2216152605, "N", False), "tonf": (9806.65, "N", False),
     "daN": (10.0, "N", False), "psf": (47.8802589803358, "Pa", False), "ksf": (47880.2589803358, "Pa", False),
     "mil": (2.54e-5, "m", False), "L": (1e-3, "m^3", True), "l": (1e-3, "m^3", False), "ppm": (1e-6, "1", False),
-    "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
+    "Ah": (3600.0, "A*s", True), "Nm": (1.0, "N*m", True), "Ncm": (1e-2, "N*m", True), "Nmm": (1e-3, "N*m", True),
     "Vs": (1.0, "V*s", True), "arcmin": (math.pi / 10800, "rad", False), "arcsec": (math.pi / 648000, "rad", False),
 }  # fmt: skip
 _SPELLINGS = {
@@ -171,13 +171,14 @@ _BY_SYMBOL = {
     r"m?Ah(/.*)?": "state of charge",
     r"m?bar|psi|[tT]orr|hPa|(cm|mm|in) ?H2O": "pressure",
     r"[mun]?(g|mol)/[lL]|[mun]?g/m\^?3|[uF]?N[FT]U": "concentration",
-    r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in|[mu]?\u03b5": "strain",
+    r"(?:[mun]|micro|milli|nano)?[ _-]?strains?|([mun]?m)/m?m|in/in": "strain",
 }
 # Units that are one character of Chinese and Japanese text, such as ℃ and ㎜, in the letters of others.
 ONE_CHARACTER = {code: unicodedata.normalize("NFKC", chr(code)) for code in (0x2103, 0x2109, *range(0x3380, 0x33DE))}
-_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | dict.fromkeys(
-    map(ord, "\u2126\u03a9"), "Ohm"
-)
+_MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**231-") | {
+    **dict.fromkeys(map(ord, "\u2126\u03a9"), "Ohm"),
+    ord("\u03b5"): "strain",
+}
 _LONGEST = 100  # characters of a unit
 _HIGHEST = 12  # power of a symbol in any unit, beyond which a text is none
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
@@ -317,15 +318,29 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     powers = dict(first.powers)
     for base, power in second.powers:
         powers[base] = powers.get(base, 0.0) + power
+    turned = "rad" in powers  # a torque times an angle is an energy, and a force times an angle none per length
     vacuum = {"kg": 1.0, "m": 1.0, "s": -2.0, "A": -2.0}
     for extra, factor in (({}, 1.0), (vacuum, MU0)):
         total = {base: powers.get(base, 0.0) + extra.get(base, 0.0) for base in {*powers, *extra} - {"rad"}}
         key = tuple(sorted((base, power) for base, power in total.items() if power))
         for unit in _ENERGIES:
             known = parse_unit(unit)
-            if known is not None and known.powers == key:
+            if known is not None and known.powers == key and not (turned and unit == "J/m"):
                 return unit, factor * first.factor * second.factor
     return plain, 1.0
+
+
+def is_energy(unit: str) -> bool:
+    """Whether the unit of an area by `loop_energy` is that of an energy or energy density."""
+    return unit in _ENERGIES
+
+
+def stiffness_unit(force: str, path: str) -> tuple[str, float]:
+    """Unit of a force over a path, and the factor to it: that of a stress over a strain is the stress's; empty where one is missing."""
+    known = parse_unit(path)
+    if known is not None and not known.powers and force:
+        return force, 1.0 / known.factor
+    return (f"{force}/({path})" if "/" in path else f"{force}/{path}") if force and path else "", 1.0
 
 
 def integral_unit(unit: str) -> str:

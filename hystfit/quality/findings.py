@@ -242,6 +242,8 @@ def _loss(record: RecordQuality) -> str:
         left = percent(record.unloading_left)
         return f"stiffness (damage): after late reversals, {left} of the initial unloading stiffness remains"
     left = percent(record.stiffness_left)
+    if quantity(record.units["y"]) not in ("force", "stress", ""):
+        return f"output (fatigue): late loops have {left} of the initial slope at the same stroke"
     return f"stiffness (damage or backlash): late loops have {left} of the initial stiffness at the same stroke"
 
 

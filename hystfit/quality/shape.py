@@ -87,8 +87,8 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
         return None
     fullness = 100 * abs(area) / (stroke * largest)
     chance = noise * np.sqrt(np.mean([np.sum(np.diff(u[a : b + 1]) ** 2) for a, b in chosen]) / len(chosen))
-    between = float(np.median([_area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
-    crossing = bool(has_lobes(area, between, stroke * largest) and between > _LOBES * noise * largest)
+    between = float(np.median([area_between(u[a : b + 1], y[a : b + 1]) for a, b in chosen]))
+    crossing = bool(has_lobes(area, between, stroke * largest, noise * largest))
     floor = NARROWEST**2 * stroke
     resolved = abs(area) > floor * largest and noise > 0 and _is_resolved(u, y, chosen, float(area))
     least = floor if resolved else NARROWEST * max(bent, NARROWEST * stroke)
@@ -162,16 +162,17 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
     return float(np.median([_Measures.of(u[a : b + 1], y[a : b + 1]).pinching for a, b in late]))
 
 
-def has_lobes(area: Any, between: Any, box: Any) -> Any:
+def has_lobes(area: Any, between: Any, box: Any, noise: Any = 0.0) -> Any:
     """Whether branches cross, so that lobes of a loop (a butterfly) run in opposite directions.
 
     Args:
         between: of the branches, whichever is above.
+        noise: of the output times the range of the input.
     """
-    return (abs(area) < _CROSSING * between) & (between > _LEAST_LOBES * box)
+    return (abs(area) < _CROSSING * between) & (between > np.maximum(_LEAST_LOBES * box, _LOBES * noise))
 
 
-def _area_between(u: np.ndarray, y: np.ndarray) -> float:
+def area_between(u: np.ndarray, y: np.ndarray) -> float:
     """Area between the branches of one loop, whichever is above [unit of u times unit of y]."""
     outer = outline(u)
     centers, rising, falling = loop_branches(u[outer], y[outer])

@@ -25,15 +25,16 @@ from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
-from hystfit.results.measured.steady_loops import Excitation, SteadyLoops, creeps
+from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.results.result import FitResult
 
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _JUMP = 5e-3  # the same of an input at which the output jumps, of the range: five samples of the loop, half of one of which it may be off
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
 _MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
+# Why a loop whose branches do not cross has no value.
+_WITHOUT = {"coercive_input": Unknown.NO_CROSSING, "equivalent_damping_percent": Unknown.OVERDAMPED}
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
-_MISSING = {"coercive_input": Unknown.NO_CROSSING, "remanence": Unknown.LOBES, "loop_area": Unknown.LOBES}
 
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -71,8 +72,9 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
             change = y[1 : 1 + x.size] - y[1 + x.size :]  # none of a quantity that the model has not
             change = change / (2 * step / size)[: change.size]  # with each parameter by its own size
         one = _estimate(result, name, float(y[0]), change, size, natural, known)
-        if one.reason is Unknown.NOT_FINITE and name in _MISSING and np.isfinite(values["stroke"][0]):
-            one = dataclasses.replace(one, reason=_MISSING[name])
+        if one.reason is Unknown.NOT_FINITE and np.isfinite(values["stroke"][0]):
+            why = _WITHOUT.get(name, Unknown.NOT_FINITE) if np.isfinite(values["loop_area"][0]) else Unknown.LOBES
+            one = dataclasses.replace(one, reason=why)
         if one.stderr is not None and (more := [of[name] for of in between if name in of]):
             one = dataclasses.replace(one, stderr=float(np.linalg.norm([one.stderr, *more])))
         value = measured.get(name)
@@ -283,7 +285,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
     if not branches[True]:
         return {}
     found = map(np.array, branches.values())
-    loops = SteadyLoops(inputs, *found, excitation.force_driven, excitation.energy, excitation.origin)
+    loops = excitation.of_branches(inputs, *found)
     values = {name: float(np.median(q.of_loops(loops))) for name, q in QUANTITIES.items() if q.of_loops is not None}
     return {name: value for name, value in values.items() if np.isfinite(value)}
 

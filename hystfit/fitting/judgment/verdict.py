@@ -35,6 +35,7 @@ from hystfit.results.accuracy import (
     is_noise,
     is_single_valued_error,
 )
+from hystfit.results.measured.loop_kinds import may_be_force
 from hystfit.results.measured.loop_values import quantities
 
 _LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
@@ -293,6 +294,8 @@ def _damage(fitted: Fitted) -> str:
     """What a degrading device loses, in words."""
     if any(quality.softens_with_stroke for quality in fitted.qualities):
         return "the loop softens with the largest stroke so far (Mullins effect)"
+    if not may_be_force(fitted.data):
+        return "the loop shrinks from cycle to cycle (fatigue)"
     return "the loop loses stiffness or strength from cycle to cycle (damage)"
 
 

@@ -60,7 +60,11 @@ class Structure:
         envelopes = (
             "one envelope for symmetric loops" if self.envelopes == 1 else "three envelopes for asymmetric loops"
         )
-        hardening = f"hardening over {self.hardening} input ranges" if self.hardening else "leaving out the hardening"
+        hardening = (
+            f"hardening over {self.hardening} input range{'s'[: self.hardening > 1]}"
+            if self.hardening
+            else "leaving out the hardening"
+        )
         rates = ("leaving out forces of the rate", "a viscous force", "a viscous and a saturating force")
         words = {
             "operator": f"{self.operator}s instead of {other.operator}s",

@@ -12,7 +12,7 @@ from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.unseparated_curves import numbers_cycles
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn
+from hystfit.reading.table.signal_evidence import explained, held_levels, levels_in_turn, states_strokes
 
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise
@@ -33,6 +33,8 @@ def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iter
         if _is_direction(values, drive) or (kinds[position] == "" and numbers_cycles(table, position, drive)):
             continue
         if levels := levels_in_turn(values):
+            if states_strokes(values, drive):
+                continue
             option = f"where='{name}={levels[-1]:g}' reads the samples of one level"
             yield _note(name, "set to", levels, option)
         elif kinds[position] not in ("velocity", "") and (held := _held_apart(table, choice, position)):

@@ -14,6 +14,7 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import has, warn
 from hystfit.outcome.wrapping import listed
 from hystfit.reading.choice.chosen_columns import Choice
+from hystfit.reading.choice.quantity_points import LOADS
 from hystfit.reading.curves.blocks_of_loops import conditions_of, loops_of
 from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_curves
 from hystfit.reading.curves.other_inputs import other_inputs
@@ -22,7 +23,7 @@ from hystfit.reading.curves.unseparated_curves import curves_at_conditions
 from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, NEAR
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on, jumps
+from hystfit.reading.table.signal_evidence import clock_goes_on, jumps, states_strokes
 
 
 def text_of(value: object) -> str:
@@ -226,18 +227,19 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
 
     At half of its changes or more, the time runs back, or the input or the output makes a step that is large beside those around it; or
     the curves are closed loops of different strokes without time. A column that numbers the cycles of one experiment changes while the
-    samples go on.
+    samples go on, as the amplitudes of a force do: damage goes on from one to the next.
     """
     chosen = (choice.time, choice.input, choice.output)
+    forces = any(table.quantity(k) in LOADS for k in chosen[1:])
     u, y = table.columns[choice.input], table.columns[choice.output]
     for position, name in enumerate(table.names):
         numbers = table.columns[position]
         if position in chosen or position in table.labels or not np.isfinite(numbers).all():
             continue
-        named = _plain(name) in CURVE_NAMES
         changes = np.flatnonzero(np.diff(numbers))
         if not changes.size or np.unique(numbers).size <= changes.size or table.rows < FEWEST * (changes.size + 1):
             continue
+        named = _plain(name) in CURVE_NAMES or (not forces and states_strokes(numbers, u))
         apart = jumps(u, changes) | (jumps(y, changes) & ~_reverses(u, changes))
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0

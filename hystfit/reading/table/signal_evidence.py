@@ -84,6 +84,16 @@ def levels_in_turn(values: np.ndarray) -> list[float]:
     return levels.tolist() if few and runs <= 2 * levels.size and values.size >= _ROWS_OF_LEVEL * runs else []
 
 
+def states_strokes(numbers: np.ndarray, u: np.ndarray) -> bool:
+    """Whether a column states the amplitude or the stroke of the input in each of its blocks, at one scale, and is no input of its own."""
+    begins = np.flatnonzero(np.diff(numbers)) + 1
+    stated, blocks = np.abs(numbers[np.append(0, begins)]), np.split(u, begins)
+    if not begins.size or not np.isfinite(u).all() or not (stated > 0).all():
+        return False
+    sizes = np.array([(np.abs(block).max(), np.ptp(block)) for block in blocks]) / stated[:, None]
+    return bool((np.ptp(sizes, axis=0) <= NEAR * sizes.min(axis=0)).any())
+
+
 def held_levels(values: np.ndarray) -> list[tuple[float, int, int]]:
     """Levels at which a measured column is held, one after the other or again: each with the first row of its longest stretch and the next.
 

@@ -13,9 +13,11 @@ from hystfit.models.shared.slopes import POINTS
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
+from hystfit.quality.shape import area_between, has_lobes
 
 ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
+_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,7 +39,10 @@ NOT_FOUND: Found = (np.nan, np.nan)
 
 
 def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
-    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one branch."""
+    """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one, where it has no other.
+
+    The first piece of several loops is the curve of first loading.
+    """
     edges = [0, *turns.tolist(), u.size - 1]
     parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
     span = float(np.ptp(u))
@@ -46,9 +51,8 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
     if (
         len(parts) > 2
         and first.rises == last.rises
+        and not any(part.rises == first.rises for part in large)
         and abs(u[-1] - u[0]) <= GAP * span
-        and first not in large
-        and last not in large
     ):
         joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
         if np.ptp(joined.u) >= LARGEST * span:
@@ -97,6 +101,14 @@ def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) 
                 half = int(np.argmax(np.abs(inputs - middle)))
                 found.append((Branch(inputs[:half], outputs[:half]), Branch(inputs[half:], outputs[half:])))
     return found
+
+
+def from_ends(one: Branch, other: Branch) -> Pair:
+    """The branches between both ends of a cycle that begins and ends in the middle; where it closes, those of a loop."""
+    u, y = np.append(one.u, other.u), np.append(one.y, other.y)
+    first, last = sorted((int(np.argmin(u)), int(np.argmax(u))))
+    joined = Branch(np.append(u[last:], u[1 : first + 1]), np.append(y[last:], y[1 : first + 1]))
+    return Branch(u[first : last + 1], y[first : last + 1]), joined
 
 
 def _rising(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,6 +166,14 @@ def is_open(pairs: Sequence[Pair], sigma: float) -> bool:
     """Whether areas differ from zero by more than the noise makes them."""
     error = np.nan_to_num(area_error(pairs[0], sigma))
     return bool(abs(np.median([area(*pair) for pair in pairs])) > CLEAR * error / np.sqrt(len(pairs)))
+
+
+def crosses(pairs: Sequence[Pair], sigma: float) -> bool:
+    """Whether the branches cross (a butterfly), so that the areas of the lobes cancel."""
+    joined = [(np.append(one.u, other.u), np.append(one.y, other.y)) for one, other in pairs]
+    each = [(area(*pair), area_between(u, y), np.ptp(u), np.ptp(y)) for pair, (u, y) in zip(pairs, joined, strict=True)]
+    size, between, width, height = np.median(each, axis=0)
+    return bool(has_lobes(size, between, width * height, np.nan_to_num(sigma) * width))
 
 
 def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
@@ -224,6 +244,12 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     stated = np.sqrt(np.mean(errors**2) / values.size)
     scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
+
+
+def range_error(y: np.ndarray, sigma: float) -> float:
+    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
+    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
+    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
 
 
 def asymmetry(branches: list[Branch]) -> tuple[float, float]:

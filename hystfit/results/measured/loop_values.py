@@ -20,6 +20,8 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.reading.names.column_names import column_quantity
+from hystfit.results.measured.butterfly_values import butterfly_values
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
     ENDS,
@@ -27,23 +29,28 @@ from hystfit.results.measured.loop_branches import (
     Pair,
     closes,
     combined,
+    crosses,
     crossing,
+    from_ends,
     is_open,
     large_branches,
     large_cycles,
     loss,
+    range_error,
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
+from hystfit.results.measured.loop_origin import Origin, is_unipolar
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.polarization_values import centered, offset_of, polarization_values
+from hystfit.results.measured.quantities import area_label
+from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
-_NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 
 
 @dataclasses.dataclass(frozen=True)
@@ -149,6 +156,10 @@ _NO_CYCLE = Note(
 _NO_AREA = Note(
     Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
 )
+_LOBED = Note(
+    Code.CROSSING,
+    "the branches cross, and the lobes run in opposite directions (a butterfly): the loop has no loss, width or height",
+)
 _LIMITED = Note(
     Code.CLIPPED,
     "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds",
@@ -177,25 +188,45 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
-    branches = large_branches(u, y, turns)
-    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    cycles = large_cycles(u, y, pairs) if pairs or (branches and kind in STRUCTURAL) else []
+    branches, pairs, cycles = _loops_of(u, y, turns, kind)
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
-    if not is_open(pairs or cycles, np.nan if is_bound else sigma):
+    known = np.nan if is_bound else sigma
+    if pairs and kind not in REMANENT and crosses(pairs, known):
+        return tuple(butterfly_values(branches, sigma, record)), (), (_LOBED,)
+    if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
-    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, record) if cycles else ())]
+    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma))
     if kind is LoopKind.MAGNETIC:
         found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
-    closed = any(closes(*pair, y) for pair in pairs)
+    closed = any(closes(*pair, y) for pair in pairs or cycles)
     rows, corrections, notes = _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=closed)
     if limited:
         rows, notes = tuple(_at_least(rows)), (*notes, _LIMITED)
     return rows, corrections, (*of_zero, *notes)
+
+
+def _loops_of(
+    u: np.ndarray, y: np.ndarray, turns: np.ndarray, kind: LoopKind
+) -> tuple[list[Branch], list[Pair], list[Pair]]:
+    """The branches of the largest amplitude, the pairs of them that follow each other, and the cycles whose areas are losses."""
+    branches = _largest(large_branches(u, y, turns))
+    pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
+    cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
+    if not pairs and kind not in STRUCTURAL:  # loops that grow from the middle, each of which begins and ends there
+        branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
+    return branches, pairs, cycles
+
+
+def _largest(branches: list[Branch]) -> list[Branch]:
+    """The branches of the largest amplitude, where there are some in both directions; smaller loops are narrower."""
+    longest = max((float(np.ptp(b.u)) for b in branches), default=0.0)
+    largest = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
+    return largest if len({b.rises for b in largest}) == 2 else branches
 
 
 def _with_limited(record: Record) -> tuple[Record, bool]:
@@ -265,28 +296,27 @@ def _levels(
     if kind not in STRUCTURAL:
         ends = [(b.u.max(), b.u.min()) for b in branches]
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
-        middle = 0.0 if named else 0.5 * (top + bottom)
-        # A branch that begins inside the loop crosses the middle elsewhere.
-        whole = lambda b: named or np.ptp(b.y) >= LARGEST * (top - bottom)
+        level = Origin.of(Dataset((record,))).y
+        middle = 0.0 if named else 0.5 * (top + bottom) if level is None else level
+        # A branch that begins inside the loop crosses the middle elsewhere; one that ends inside it does not.
+        least = (1 - LARGEST) * (top - bottom)
+        whole = lambda b: named or np.ptp(b.y) >= top - bottom - least or min(top - b.y[0], b.y[0] - bottom) <= least
         of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}
-        words = ("coercivity", "remanence") if named else ("half width", "half height")
-        yield from _both(width, "coercive_input", words[0], units[0], sides=named)
-        yield from _both(height, "remanence", words[1], units[1], sides=named)
-    one_way = len({b.rises for b in branches}) == 1  # which may begin inside the range
-    y = np.concatenate([b.y for b in itertools.chain(branches, *(cycles if one_way else ()))])
-    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), _range_error(y, sigma), units[1])
-    if named:
+        words = ("coercivity (half width)", "remanence") if named else ("half width", "half height")
+        # Thresholds and temperatures of a transition have no name that all loops share.
+        switches = kind is LoopKind.OTHER or column_quantity(record.u_name, record.u_unit) == "temperature"
+        at_middle = "input at the middle of the output" if switches else ""
+        yield from _both(width, "coercive_input", words[0], units[0], "coercivity" if named else at_middle)
+        yield from _both(height, "remanence", words[1], units[1], "remanence" if named else "")
+    # A structure has its largest force before its largest displacement, and an actuator its largest output where it creeps.
+    y = record.y[record.used] if kind in STRUCTURAL else np.concatenate([b.y for b in branches])
+    yield LoopValue("stroke", "range of the output", float(np.ptp(y)), range_error(y, sigma), units[1])
+    if named and not is_unipolar(record.u):
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
-        yield from _stiffness(branches, cycles, sigma, units)
-
-
-def _range_error(y: np.ndarray, sigma: float) -> float:
-    """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
-    many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
-    return sigma * float(np.hypot(np.sqrt(2), np.sqrt(2 * np.log(many)).sum()))
+        yield from stiffness_values(branches, cycles, sigma, record)
 
 
 def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:
@@ -299,43 +329,24 @@ def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue
     yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
 
 
-def _stiffness(
-    branches: list[Branch], cycles: Sequence[Pair], sigma: float, units: tuple[str, str]
-) -> Iterator[LoopValue]:
-    """Secant stiffness between the ends of the loop, and the equivalent viscous damping ratio."""
-    width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    each = sigma * float(np.sqrt(2)) / width
-    longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
-    of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
-    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
-    unit = f"{units[1]}/({units[0]})" if "/" in units[0] else f"{units[1]}/{units[0]}".strip("/")
-    yield LoopValue("secant_stiffness", "secant stiffness", stiffness, error, unit, count)
-    if cycles and stiffness > 0:
-        size, uncertain, count = loss(cycles, sigma)
-        ratio = 100 * 2 * size / (np.pi * stiffness * width**2)
-        damping = ratio * float(np.hypot(uncertain / size, error / stiffness)) if size > 0 else None
-        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
-
-
 def _both(
-    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, *, sides: bool
+    found: dict[bool, tuple[float, float, int]], name: str, label: str, unit: str, of_side: str
 ) -> Iterator[LoopValue]:
-    """Half the distance of what was read on the rising and the falling branch, and each of them where `sides`."""
+    """Half the distance of what was read on the rising and the falling branch, and each of them where it has a label, `of_side`."""
     (rising, *_), (falling, *_) = both = found[True], found[False]
     if np.isfinite(rising - falling):
         error = 0.5 * float(np.hypot(*(one[1] for one in both)))
-        text = f"{label} (half width)" if name == "coercive_input" and sides else label
-        yield LoopValue(name, text, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
+        yield LoopValue(name, label, 0.5 * abs(rising - falling), error, unit, min(one[2] for one in both))
     for which, one in zip(("rising", "falling"), both, strict=True):
-        if sides and np.isfinite(one[0]):
-            yield LoopValue(f"{name}_{which}", f"{label}, {which} branch", one[0], one[1], unit, one[2])
+        if of_side and np.isfinite(one[0]):
+            yield LoopValue(f"{name}_{which}", f"{of_side}, {which} branch", one[0], one[1], unit, one[2])
 
 
-def _loss(closed: Sequence[Pair], sigma: float, record: Record) -> Iterator[LoopValue]:
+def _loss(closed: Sequence[Pair], sigma: float, kind: LoopKind, record: Record) -> Iterator[LoopValue]:
     """Loss per cycle, in energy where the units tell it."""
     value, error, count = loss(closed, sigma)
     unit, factor = loop_energy(record.u_unit, record.y_unit)
-    yield LoopValue("loop_area", "loss per cycle", factor * value, factor * error, unit, count)
+    yield LoopValue("loop_area", area_label(kind, unit), factor * value, factor * error, unit, count)
 
 
 def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> tuple[LoopValue, ...]:

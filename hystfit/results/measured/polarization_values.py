@@ -8,9 +8,10 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note
-from hystfit.params.units import size_in
+from hystfit.params.units import is_energy, loop_energy, size_in
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import GAP
-from hystfit.results.measured.loop_origin import middle_of_relative
+from hystfit.results.measured.loop_origin import is_unipolar, middle_of_relative
 from hystfit.results.measured.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
@@ -54,7 +55,27 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> 
         label = "switched polarization, from the start to the farther tip"
         yield LoopValue("switched_polarization", label, switched, noise * float(np.sqrt(2)), record.y_unit)
         yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
+    yield from _recovered(record, rows, noise)
     yield from _leakage(record)
+
+
+def _recovered(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
+    """Energy that a capacitor returns on the way from the largest input to zero, and of a unipolar cycle its part of the energy put in."""
+    u, y = record.u[record.used], record.y[record.used]
+    tip, (unit, factor) = int(u.argmax()), loop_energy(record.u_unit, record.y_unit)
+    last = tip + int(np.argmax(u[tip:] <= max(0.0, u[tip:].min())))
+    if u[last] > SAME_LEVEL * u[tip] or not is_energy(unit) or last - tip < _FEWEST:
+        return
+    part = slice(tip, last + 1)
+    size = -factor * float(np.trapezoid(u[part], y[part]))
+    error = factor * noise * float(np.sqrt(np.sum(np.diff(u[part]) ** 2)))
+    if size <= 0:  # what still switches behind the tip exceeds it
+        return
+    yield LoopValue("recoverable_energy", "recoverable energy, from the largest voltage to zero", size, error, unit)
+    lost = next((row.value for row in rows if row.name == "loop_area"), None)
+    if lost is not None and is_unipolar(u):
+        label = "efficiency (recoverable energy over that put in)"
+        yield LoopValue("efficiency_percent", label, 100 * size / (size + lost), None, "%")
 
 
 def _leakage(record: Record) -> Iterator[LoopValue]:

@@ -11,9 +11,10 @@ import numpy as np
 
 from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
-from hystfit.params.units import loop_energy
+from hystfit.params.units import is_energy, loop_energy, stiffness_unit
 from hystfit.quality.coverage import is_switched
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind
+from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.steady_loops import SteadyLoops
 
 # Standard errors of both, and part of the measured value, by which a model's quantity must differ from it to be reported.
@@ -26,7 +27,7 @@ class Quantity:
 
     label: str  # its name in a report
     doc: str  # what it is
-    # with {u}, {y}, {force}, {path} and {energy} for the units of input, output, force, displacement and area of a loop
+    # with {u}, {y}, {stiffness} and {energy} for the units of input, output, force over displacement and area of a loop
     unit: str
     # its value for each loop; None for the creep, which follows from a step
     of_loops: Callable[[SteadyLoops], np.ndarray] | None
@@ -38,13 +39,19 @@ class Quantity:
     def label_on(self, data: Dataset) -> str:
         """Its name on these records, in the words of their field."""
         kinds, own = self.named
-        return own if LoopKind.of(data) in kinds else self.label
+        kind = LoopKind.of(data)
+        if self.unit == "{energy}":
+            return area_label(kind, self.units(data))
+        # Capacitors are often driven on one side of zero, where no coercivity is.
+        one_sided = kind is LoopKind.FERROELECTRIC and is_unipolar(np.concatenate([record.u for record in data]))
+        return own if kind in kinds and not one_sided else self.label
 
     def units(self, data: Dataset) -> str:
         """Its unit on these records; empty where they have none."""
         u, y = data.units["u"], data.units["y"]
         force, path = (u, y) if LoopKind.of(data) is LoopKind.FORCE_DRIVEN else (y, u)
-        text = self.unit.format(u=u, y=y, force=force, path=path, energy=loop_energy(u, y)[0]).strip()
+        stiffness = stiffness_unit(force, path)[0]
+        text = self.unit.format(u=u, y=y, stiffness=stiffness, energy=loop_energy(u, y)[0]).strip()
         return text if (u and y) or "/" not in self.unit else ""
 
 
@@ -53,7 +60,7 @@ _AT = "at the middle of the {0}; of magnetic and ferroelectric loops at zero {0}
 QUANTITIES: dict[str, Quantity] = {
     "loop_area": Quantity(
         "loss per cycle", "area of the steady loop over the fitted input range", "{energy}", lambda loops: loops.loss,
-        leads=REMANENT | STRUCTURAL,
+        leads=REMANENT | STRUCTURAL | {LoopKind.OTHER},
     ),
     "coercive_input": Quantity(
         "half width", f"half the width of the loop, in input, {_AT.format('output')}", "{u}",
@@ -62,7 +69,7 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "remanence": Quantity(
         "half height", f"half the height of the loop, in output, {_AT.format('input')}", "{y}",
-        lambda loops: loops.remanence, leads=REMANENT, named=(REMANENT, "remanence (half height)"),
+        lambda loops: loops.remanence, leads=REMANENT | {LoopKind.OTHER}, named=(REMANENT, "remanence (half height)"),
     ),
     "hysteresis_percent": Quantity(
         "hysteresis (of the range)", "largest height of the loop in percent of the range of the output", "%",
@@ -74,12 +81,12 @@ QUANTITIES: dict[str, Quantity] = {
         leads=frozenset({LoopKind.ACTUATOR}), named=(frozenset({LoopKind.ACTUATOR}), "stroke"),
     ),
     "secant_stiffness": Quantity(
-        "secant stiffness", "force over displacement between the ends of the steady loop", "{force}/{path}",
+        "secant stiffness", "force over displacement between the ends of the steady loop", "{stiffness}",
         lambda loops: loops.secant_stiffness, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     "equivalent_damping_percent": Quantity(
-        "equivalent damping", "damping ratio: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
-        lambda loops: 100 * 2 * loops.area / (np.pi * loops.width * loops.travel), kinds=STRUCTURAL, leads=STRUCTURAL,
+        "equivalent damping", "damping ratio, up to 100 %: loss per cycle over 4 pi times the elastic energy at the secant stiffness", "%",
+        lambda loops: loops.damping_percent, kinds=STRUCTURAL, leads=STRUCTURAL,
     ),
     CREEP: Quantity(
         "creep per decade", "change of the output from 1 s to 10 s after a step over the range, in percent of that in the first 1 s", "%",
@@ -87,6 +94,12 @@ QUANTITIES: dict[str, Quantity] = {
         leads=frozenset(LoopKind),
     ),
 }  # fmt: skip
+
+
+def area_label(kind: LoopKind, unit: str) -> str:
+    """What the area of a loop is called: a loss where its unit is that of an energy, or unknown for columns whose product is one."""
+    is_loss = is_energy(unit) if unit else kind in STRUCTURAL | REMANENT
+    return "loss per cycle" if is_loss else "area of the loop"
 
 
 def applicable(data: Dataset, *, timed: bool) -> tuple[str, ...]:
@@ -106,6 +119,7 @@ class Unknown(enum.StrEnum):
     NOT_FINITE = "not-finite"
     NO_CROSSING = "no-crossing"
     LOBES = "lobes"
+    OVERDAMPED = "overdamped"
     NOT_DETERMINED = "not-determined"
     NO_ERRORS = "no-errors"
 
@@ -119,6 +133,7 @@ _REASONS = {
     Unknown.NOT_FINITE: "the model cannot be simulated on this loop",
     Unknown.NO_CROSSING: "no branch passes from one side of the output at which widths are read to the other",
     Unknown.LOBES: "the branches cross: the lobes run in opposite directions",
+    Unknown.OVERDAMPED: "the damping is above the critical one: the force follows the velocity, as that of a damper",
     Unknown.NOT_DETERMINED: "the data do not determine it",
     Unknown.NO_ERRORS: "the fit has no standard errors",
 }

@@ -23,7 +23,7 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shared.slopes import CYCLES, POINTS
 from hystfit.params.relative_size import ROUNDED
-from hystfit.params.units import loop_energy
+from hystfit.params.units import loop_energy, stiffness_unit
 from hystfit.quality.loops import APART, LARGEST, branches, cycles
 from hystfit.quality.shape import has_lobes
 from hystfit.results.measured.loop_kinds import LoopKind
@@ -31,6 +31,7 @@ from hystfit.results.measured.loop_origin import MIDDLE, Origin, inside
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _OF_CYCLE = 64  # samples of a cycle from which its rms follows to 0.1 %
+CRITICAL = 100.0  # % of the critical damping, above which a ratio tells of no vibration: the force is that of a damper
 _SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
 _RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
@@ -47,6 +48,7 @@ class SteadyLoops:
     force_driven: bool = False  # whether the input is the force
     energy: float = 1.0  # that of a unit of area, in the unit of `loop_energy`
     origin: Origin = MIDDLE  # where the height and the width are read
+    stiffness: float = 1.0  # that of a unit of force over a unit of path, in the unit of `stiffness_unit`
 
     @functools.cached_property
     def gap(self) -> Float[np.ndarray, "count P"]:
@@ -86,15 +88,16 @@ class SteadyLoops:
 
     @property
     def coercive_input(self) -> Float[np.ndarray, " count"]:
-        """Half the distance of the branches at the `level`; NaN where they do not pass from one side of it to the other."""
+        """Half the distance of the branches at the `level`; NaN of a butterfly, and where they do not pass it."""
         crossing = lambda branch: _crossings(branch - self.level[:, None], self.inputs)
-        return 0.5 * np.abs(crossing(self.rising) - crossing(self.falling))
+        return np.where(self.lobed, np.nan, 0.5 * np.abs(crossing(self.rising) - crossing(self.falling)))
 
     @functools.cached_property
     def level(self) -> Float[np.ndarray, " count"]:
         """The output at which the width is read."""
         highest = np.maximum(self.rising.max(1), self.falling.max(1))
-        return inside(self.origin.y, np.minimum(self.rising.min(1), self.falling.min(1)), highest)
+        lowest = np.minimum(self.rising.min(1), self.falling.min(1))
+        return inside(self.origin.y, lowest, highest, self.origin.reach)
 
     @property
     def remanence(self) -> Float[np.ndarray, " count"]:
@@ -108,8 +111,14 @@ class SteadyLoops:
 
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
-        """Force over displacement between the ends of the loop."""
-        return self.width / self.travel if self.force_driven else self.travel / self.width
+        """Force over displacement between the ends of the loop, in the unit of `stiffness_unit`."""
+        return self.stiffness * (self.width / self.travel if self.force_driven else self.travel / self.width)
+
+    @property
+    def damping_percent(self) -> Float[np.ndarray, " count"]:
+        """Equivalent damping ratio; NaN above the critical damping."""
+        ratio = 100 * 2 * self.area / (np.pi * self.width * self.travel)
+        return np.where(ratio > CRITICAL, np.nan, ratio)
 
 
 def _crossings(
@@ -141,6 +150,7 @@ class Excitation:
     lead: int = 0
     energy: float = 1.0  # that of a unit of area of a loop
     origin: Origin = MIDDLE  # where its height and its width are read
+    stiffness: float = 1.0  # that of a unit of force over a unit of path
 
     @classmethod
     def of(cls, data: Dataset, model: AbstractHysteresis | None = None) -> Excitation:
@@ -156,10 +166,11 @@ class Excitation:
         if jumps:
             interval, points = interval * points / _MOST, _MOST
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
-        energy = loop_energy(data.units["u"], data.units["y"])[1]
+        u, y = data.units["u"], data.units["y"]
         lead = 0 if hardens else points - points // 4
         driven = LoopKind.of(data) is LoopKind.FORCE_DRIVEN
-        return cls(low, high, interval, driven, sine, points, count, lead, energy, Origin.of(data))
+        energy, stiffness = loop_energy(u, y)[1], stiffness_unit(*((u, y) if driven else (y, u)))[1]
+        return cls(low, high, interval, driven, sine, points, count, lead, energy, Origin.of(data), stiffness)
 
     @functools.cached_property
     def inputs(self) -> np.ndarray:
@@ -191,7 +202,11 @@ class Excitation:
             y = y - moved * np.arange(self.points) / self.points
         y = y[:, -self.points :]
         falling = np.concatenate([y[:, half:], y[:, :1]], axis=1)[:, ::-1]
-        return SteadyLoops(self.inputs, y[:, : half + 1], falling, self.force_driven, self.energy, self.origin)
+        return self.of_branches(self.inputs, y[:, : half + 1], falling)
+
+    def of_branches(self, inputs: np.ndarray, rising: np.ndarray, falling: np.ndarray) -> SteadyLoops:
+        """Loops with these branches; arguments as for `SteadyLoops`."""
+        return SteadyLoops(inputs, rising, falling, self.force_driven, self.energy, self.origin, self.stiffness)
 
     @staticmethod
     def creep(y: np.ndarray) -> Float[np.ndarray, " count"]:

@@ -15,18 +15,22 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import NAMED
+from hystfit.params.units import is_energy
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
-from hystfit.results.measured.loop_kinds import REMANENT, LoopKind, turns_light
-from hystfit.results.measured.quantities import QUANTITIES, Unknown
+from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
+from hystfit.results.measured.measured_value import LoopValue
+from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
 # Of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation.
 _HALF = 0.5
+# Measured quantities that a model has not, which come first for dampers and for the strain of a piezoelectric or magnetostrictive device.
+_OF_NO_MODEL = ("damping_coefficient", "turning_input_rising", "turning_input_falling")
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
@@ -121,9 +125,9 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
     for q in result.quantities:
         one = QUANTITIES[q.name]
-        if kind not in one.leads or q.reason in (Unknown.NO_CROSSING, Unknown.LOBES):
-            continue
-        if q.name == "loop_area" and turns_light(result.data[0]):
+        if kind not in one.leads or not _tells(
+            q, measured, no_energy=kind is LoopKind.OTHER or turns_light(result.data[0])
+        ):
             continue
         read = measured.get(q.name)
         text = "unknown" if q.reason is None else q.reason.text
@@ -136,10 +140,23 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
         elif q.value is not None and read is not None and read.unit == q.unit:
             seen = with_error(read.value, read.stderr, q.unit)
             differs = kind in REMANENT and q.beside(read.value, read.stderr).differs  # both at zero
-            if differs or q.vaguer_than(read.stderr):
+            without = q.value == 0 and read.value != 0  # a curve, which has no loop
+            if differs or without or q.vaguer_than(read.stderr):
                 text = f"{seen} in the measured loops; {text} by the model"
+        elif q.value == 0:
+            text = f"{text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
-    return rows
+    alone = (one for one in measured.values() if one.name in _OF_NO_MODEL)
+    return [*rows, *((_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in alone)]
+
+
+def _tells(q: QuantityEstimate, measured: Mapping[str, LoopValue], *, no_energy: bool) -> bool:
+    """Whether a quantity means something on this loop: no ratio beside the coefficient of a damper, no area that is no energy."""
+    if q.reason in (Unknown.NO_CROSSING, Unknown.LOBES, Unknown.OVERDAMPED):
+        return False
+    if q.name == "loop_area":
+        return not no_energy or is_energy(q.unit)
+    return q.name != "equivalent_damping_percent" or "damping_coefficient" not in measured
 
 
 def _never_returns(record: Record) -> bool:
@@ -193,6 +210,8 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
         commands.append(f"hystfit export {fit} --c code")
     if not result.problem.space.stepwise_names:
         commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
+    if LoopKind.of(result.data) in STRUCTURAL:  # each of its cycles, and the backbone
+        commands.append(f"hystfit quantities {loop}")
     keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]
     return [*improve, *keep, *commands]
 
