@@ -143,7 +143,7 @@ class Runner:
         size = min(effective_size(chains[:, :, k]) for k in range(chains.shape[2]))
         each = size / len(self.draws)
         return {
-            "ess": size,
+            "ess": float(size),
             "ess_per_s": each / statistics.median(self.wall),
             "ess_per_processor_s": each / statistics.median(self.busy),
             "us_per_draw": 1e6 * statistics.median(self.wall) / (chains.shape[0] * len(self.draws[0])),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
 from scipy.special import ndtri
 from scipy.stats import rankdata
 
+from hystfit.inference.blocks import parts
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 
@@ -17,65 +19,70 @@ _MARGIN = 1.1  # effective sizes of longer chains scatter about those that short
 _APART = 1.1  # R-hat above which chains are not merely short
 
 
-def split(draws: np.ndarray) -> np.ndarray:
-    """Chains cut in halves: (chains, draws) to (2 chains, draws // 2)."""
-    half = draws.shape[1] // 2
-    return np.concatenate([draws[:, :half], draws[:, -half:]])
+def split(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N m2 n2"]:
+    """Chains cut in halves: (..., chains, draws) to (..., 2 chains, draws // 2)."""
+    half = draws.shape[-1] // 2
+    return np.concatenate([draws[..., :half], draws[..., -half:]], axis=-2)
 
 
-def normal_scores(draws: np.ndarray) -> np.ndarray:
+def normal_scores(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N m n"]:
     """Ranks over all chains as normal scores."""
-    ranks = rankdata(draws, method="average").reshape(draws.shape)
-    return ndtri((ranks - 0.375) / (draws.size + 0.25))
+    flat = draws.reshape(*draws.shape[:-2], -1)
+    ranks = rankdata(flat, method="average", axis=-1).reshape(draws.shape)
+    return ndtri((ranks - 0.375) / (flat.shape[-1] + 0.25))
 
 
-def _plain_rhat(draws: np.ndarray) -> float:
-    n = draws.shape[1]
-    within = float(np.mean(np.var(draws, axis=1, ddof=1)))
-    between = float(np.var(draws.mean(axis=1), ddof=1))
-    return float(np.sqrt((n - 1) / n + between / within)) if within > 0 else np.inf
+def _plain_rhat(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N"]:
+    n = draws.shape[-1]
+    within = np.mean(np.var(draws, axis=-1, ddof=1), axis=-1)
+    between = np.var(draws.mean(axis=-1), axis=-1, ddof=1)
+    ratio = np.divide(between, within, out=np.full(within.shape, np.inf), where=within > 0)
+    return np.sqrt((n - 1) / n + ratio)
 
 
-def rhat(draws: np.ndarray) -> float:
-    """R-hat of draws of shape (chains, draws): the worse of location and spread; infinite where a chain does not move."""
-    if draws.shape[1] < 4 or not np.isfinite(draws).all():
-        return float("inf")
-    halves = split(draws)
-    folded = np.abs(halves - np.median(halves))
-    return max(_plain_rhat(normal_scores(halves)), _plain_rhat(normal_scores(folded)))
+def rhat(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N"]:
+    """R-hat of draws of shape (..., chains, draws): the worse of location and spread; infinite where a chain does not move."""
+    finite = np.isfinite(draws).all(axis=(-2, -1))
+    if draws.shape[-1] < 4 or not finite.any():
+        return np.full(finite.shape, np.inf)
+    halves = split(np.where(finite[..., None, None], draws, 0.0))
+    folded = np.abs(halves - np.median(halves, axis=(-2, -1), keepdims=True))
+    return np.where(finite, np.maximum(_plain_rhat(normal_scores(halves)), _plain_rhat(normal_scores(folded))), np.inf)
 
 
-def effective_size(draws: np.ndarray) -> float:
-    """Effective number of independent draws among (chains, draws), Geyer's initial monotone sequence."""
-    m, n = draws.shape
-    if n < 4 or np.ptp(draws) == 0:
-        return float("nan")
+def effective_size(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N"]:
+    """Effective number of independent draws among (..., chains, draws), Geyer's initial monotone sequence; NaN where none moves."""
+    m, n = draws.shape[-2:]
+    moves = np.ptp(draws, axis=(-2, -1)) > 0
+    if n < 4 or not moves.any():
+        return np.full(moves.shape, np.nan)
     size = 1 << (2 * n - 1).bit_length()
-    centered = draws - draws.mean(axis=1, keepdims=True)
-    spectrum = np.fft.rfft(centered, size, axis=1)
-    covariance = np.fft.irfft(spectrum * np.conj(spectrum), size, axis=1)[:, :n] / n
-    within = covariance[:, 0].mean() * n / (n - 1)
-    total = within * (n - 1) / n
-    if m > 1:
-        total += np.var(draws.mean(axis=1), ddof=1)
-    rho = 1 - (within - covariance.mean(axis=0)) / total
-    rho[0] = 1.0
-    pairs = rho[: 2 * (n // 2)].reshape(-1, 2).sum(axis=1)
-    negative = np.flatnonzero(pairs < 0)
-    last = min(int(negative[0]) if negative.size else len(pairs), (n - 3) // 2)
-    tau = -1 + 2 * float(np.sum(np.minimum.accumulate(pairs[:last]))) + max(float(rho[2 * last]), 0.0)
-    return float(m * n / max(tau, 1 / np.log10(m * n)))
+    spectrum = np.fft.rfft(draws - draws.mean(axis=-1, keepdims=True), size)
+    covariance = np.fft.irfft(spectrum * np.conj(spectrum), size)[..., :n] / n
+    within = covariance[..., 0].mean(axis=-1) * n / (n - 1)
+    total = within * (n - 1) / n + (np.var(draws.mean(axis=-1), axis=-1, ddof=1) if m > 1 else 0.0)
+    total = np.where(moves, total, 1.0)
+    rho = 1 - (within[..., None] - covariance.mean(axis=-2)) / total[..., None]
+    rho[..., 0] = 1.0
+    pairs = rho[..., : 2 * (n // 2)].reshape(*moves.shape, -1, 2).sum(axis=-1)
+    falling = np.minimum.accumulate(pairs, axis=-1)
+    last = np.minimum(np.sum(falling >= 0, axis=-1), (n - 3) // 2)  # pairs before the first negative one
+    summed = np.sum(np.where(np.arange(pairs.shape[-1]) < last[..., None], falling, 0.0), axis=-1)
+    after = np.take_along_axis(rho, 2 * last[..., None], axis=-1)[..., 0]
+    tau = -1 + 2 * summed + np.maximum(after, 0.0)
+    return np.where(moves, m * n / np.maximum(tau, 1 / np.log10(m * n)), np.nan)
 
 
-def bulk_ess(draws: np.ndarray) -> float:
+def bulk_ess(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N"]:
     """Effective size for the middle of the distribution."""
     return effective_size(normal_scores(split(draws)))
 
 
-def tail_ess(draws: np.ndarray) -> float:
+def tail_ess(draws: Float[np.ndarray, "*N m n"]) -> Float[np.ndarray, "*N"]:
     """Effective size for the 5 and 95 % quantiles, the smaller of the two."""
     halves = split(draws)
-    return min(effective_size((halves <= np.quantile(draws, q)).astype(float)) for q in (0.05, 0.95))
+    edges = np.quantile(halves, [0.05, 0.95], axis=(-2, -1), keepdims=True)
+    return np.minimum(*(effective_size((halves <= edge).astype(float)) for edge in edges))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,8 +96,9 @@ class Convergence:
     @classmethod
     def of(cls, draws: np.ndarray) -> Convergence:
         """Of draws of shape (chains, draws, d)."""
-        columns = [draws[:, :, k] for k in range(draws.shape[2])]
-        return cls(*(np.array([f(column) for column in columns]) for f in (rhat, bulk_ess, tail_ess)))
+        columns = np.ascontiguousarray(np.moveaxis(draws, -1, 0))
+        blocks = [columns[part] for part in parts(len(columns), columns[0].size)] if len(columns) else [columns]
+        return cls(*(np.concatenate([f(block) for block in blocks]) for f in (rhat, bulk_ess, tail_ess)))
 
     @property
     def apart(self) -> bool:

@@ -69,7 +69,7 @@ class Weights(AbstractSampler):
 
     name: ClassVar[str] = "weights"
     chains: int = 4
-    draws: int = 300
+    draws: int = 400
     extend: int = 8
     warmup: int = 50
 
