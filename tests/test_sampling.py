@@ -438,7 +438,7 @@ def test_settings_of_nuts_choose_nuts(fitted):
 
 def test_chains_that_diverge_are_drawn_again_for_a_higher_acceptance(fitted, monkeypatch, tmp_path):
     setup = dataclasses.replace(prepare(fitted, noise="iid"), target=of_kind(Funnel, fitted, [1.0] * 5))
-    nuts = Nuts(chains=2, draws=150, warmup=50, extend=1, target_accept=0.3)
+    nuts = Nuts(chains=2, draws=300, warmup=50, extend=1, target_accept=0.15)
     run = lambda folder=None: nuts.run(setup, 0, folder, lambda text, fraction: None)
     again = run(tmp_path)
     acceptance, steps = again.stats["acceptance"].mean(), again.stats["steps"].mean()
