@@ -173,7 +173,8 @@ def test_smooth_weights_are_sampled_by_default_and_resume(cells: hf.FitResult, d
 
 
 def test_weights_are_one_array_of_the_file(drawn: tuple, tmp_path: Path) -> None:
-    xarray = pytest.importorskip("xarray")
+    import xarray
+
     posterior = drawn[0]
     posterior.save(tmp_path / "p")
     with xarray.open_dataset(tmp_path / "p" / "posterior.nc", group="posterior", engine="h5netcdf") as table:
