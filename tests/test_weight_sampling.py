@@ -338,14 +338,15 @@ def test_the_exact_density_is_that_of_the_equations_where_only_weights_differ(
 
 
 def test_noises_have_the_shares_that_residuals_tell() -> None:
-    from hystfit.inference.noise.slow_likelihood import Contrasts
+    from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 
     rng, n = np.random.default_rng(0), 400
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     residual = np.linalg.cholesky(np.exp(-lags / 15)) @ rng.normal(size=n) + 0.5 * rng.normal(size=n)
     u = np.sin(0.05 * np.arange(n))
     samples, nothing = Samples.of(Problem(hf.BoucWen(), hf.Record(u=u, y=u)).host_setting), np.zeros((n, 0))
-    grid = NoiseGrid.about(Contrasts(samples, residual, nothing, nothing), priors.LogNormal(10.0, 0.5))
+    contrasts = Contrasts(samples, residual, nothing, nothing)
+    grid = NoiseGrid.about(fit_slow_noise(contrasts), contrasts, priors.LogNormal(10.0, 0.5))
     expected = norm.logpdf(np.log(grid.times), np.log(10.0), 0.5)  # the grid is even in the logarithm
     for k, (ratio, time) in enumerate(zip(grid.ratios, grid.times, strict=True)):
         covariance = np.exp(-lags / time) + ratio * np.eye(n)

@@ -9,9 +9,8 @@ import jax
 import numpy as np
 
 from hystfit.inference.noise.exponential import LEAST_TIME
-from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, fit_slow_noise, slow_solver
+from hystfit.inference.noise.slow_likelihood import Contrasts, Samples, SlowNoiseFit, slow_solver
 from hystfit.inference.priors import AbstractPrior
-from hystfit.inference.problem import Problem
 from hystfit.params.host_arrays import to_device
 
 _STEPS = np.array([-2.4, -1.2, 0.0, 1.2, 2.4])  # of the grid of noises along each axis, in standard deviations
@@ -37,23 +36,25 @@ class NoiseGrid(eqx.Module):
         return cls(None if ratio is None else np.array([ratio]), np.array([time]), np.zeros(1))
 
     @classmethod
-    def about(cls, contrasts: Contrasts, prior: AbstractPrior | None = None) -> NoiseGrid:
+    def about(cls, fit: SlowNoiseFit, contrasts: Contrasts, prior: AbstractPrior) -> NoiseGrid:
         """Along the principal axes of the logarithms of both.
 
         Args:
-            contrasts: of the residuals.
-            prior: of the correlation time; None for one that is uniform in its logarithm.
+            fit: the noise of the residuals.
+            contrasts: those that know it.
+            prior: of the correlation time.
         """
-        fit = fit_slow_noise(contrasts)
         place = lambda noise: np.log([(noise.white / noise.slow) ** 2, noise.time])
         center, others = place(fit.noise), np.array([place(noise) for noise in fit.others])
         # Nodes of a 3 x 3 Gauss-Hermite rule: the neighbors of the middle one lie at sqrt(3) standard deviations.
         first, second = (others[5] - others[4]) / np.sqrt(3), (others[7] - others[4]) / np.sqrt(3)
         at = center + (_STEPS[:, None, None] * first + _STEPS[None, :, None] * second).reshape(-1, 2)
         ratios, times = np.exp(at[:, 0]), np.maximum(np.exp(at[:, 1]), _SHORTEST)
-        log_shares = -0.5 * contrasts.at(ratios, times)[0]
-        if prior is not None:
-            log_shares += np.asarray(jax.vmap(prior.log_density)(to_device(times))) + np.log(times)
+        log_shares = (
+            np.asarray(jax.vmap(prior.log_density)(to_device(times)))
+            + np.log(times)
+            - 0.5 * contrasts.at(ratios, times)[0]
+        )
         return cls(ratios, times, log_shares - log_shares.max())
 
     def solvers(self, samples: Samples) -> list[tuple[Any, float]]:
@@ -68,10 +69,3 @@ class NoiseGrid(eqx.Module):
             return xp.sqrt(variance)[..., None]
         white = xp.sqrt(variance * xp.asarray(self.ratios)[number])
         return xp.stack([white, xp.sqrt(variance), xp.asarray(self.times)[number]], axis=-1)
-
-
-def weighted_rows(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (n,) and their derivatives (n, p) for the samples that count, times the roots of their weights, at physical x."""
-    residual, jacobian = problem.linearize(x)
-    root, on = np.sqrt(np.asarray(problem.objective.batch.weight)), problem.used
-    return (residual * root)[on], (jacobian * root[..., None])[on]

@@ -63,8 +63,12 @@ def draw_opposite(
     keys = jax.random.split(second, others)
     common = move(x, first)
     points = jnp.vstack([x, jax.lax.map(lambda key: move(common, key), keys)])
-    values = jax.vmap(order)(points)
-    return points[jnp.argsort(values)[others - jnp.sum(values[1:] < values[0])]]
+    return points[opposite(jax.vmap(order)(points))]
+
+
+def opposite(values: Float[Array, " n"]) -> Array:
+    """Index of the value as far from the other end as the first one; for use inside traced code."""
+    return jnp.argsort(values)[values.size - 1 - jnp.sum(values[1:] < values[0])]
 
 
 def _move(

@@ -20,7 +20,7 @@ from hystfit.inference.weights import smoothness_penalty
 from hystfit.models.shared.shapes import Scalar
 from hystfit.params.host_arrays import to_device
 from hystfit.params.space import ParameterSpace
-from hystfit.sampling.noise_grid import NoiseGrid, weighted_rows
+from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import inside
 
 _INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
@@ -136,10 +136,12 @@ def weight_equations(
     roughness = smoothness_penalty(space, list(problem.data), x)
     penalized = np.diag(roughness) > 0
     precision, pull = _of_priors(problem, priors, size)
-    residual, jacobian = weighted_rows(problem, x)
+    residual, jacobian = problem.linearize(x)
+    root, on = np.sqrt(np.asarray(problem.objective.batch.weight)), problem.used
+    rows, r = (jacobian * unit * root[..., None])[on], (residual * root)[on][:, None] / size
     joint, log_dets = [], []
     for solve, log_det in grid.solvers(Samples.of(problem.host_setting)):
-        joint.append(gram([jacobian * unit, residual[:, None] / size], solve))
+        joint.append(gram([rows, r], solve))
         log_dets.append(log_det)
     grams = np.stack(joint)
     device = to_device
@@ -155,7 +157,7 @@ def weight_equations(
         precision=device(precision),
         pull=device(pull),
         bounded=device(bounded),
-        count=device(float(residual.size)),
+        count=device(float(on.sum())),
     )
 
 

@@ -26,6 +26,7 @@ from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.fittable import check_smooth
 from hystfit.inference.noise.base import AbstractNoise
+from hystfit.inference.noise.ornstein_uhlenbeck import OrnsteinUhlenbeck
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.priors import AbstractPrior
 from hystfit.inference.residuals import analyze, diagnose
@@ -39,7 +40,7 @@ from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import Prepared
-from hystfit.sampling.truncated_normal import draw_opposite
+from hystfit.sampling.truncated_normal import draw_opposite, opposite
 from hystfit.sampling.weight_equations import (
     Exact,
     WeightEquations,
@@ -242,8 +243,8 @@ def overrelaxed(value: Array, others: Array) -> Array:
 
     Weights and the strength of their penalty hold each other back; this halves the sweeps that they need.
     """
-    rank = jnp.sum(others < value)
-    return jnp.sort(jnp.append(others, value))[others.size - rank]
+    values = jnp.append(value, others)
+    return values[opposite(values)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -279,9 +280,11 @@ class WeightSetup(Prepared):
         if has(diagnosis.findings, Code.REPEATING_RESIDUALS):
             text = "part of the residuals recurs every loop: the model is incomplete, and its weights are biased by more than chance"
             notes.append(warn(Code.INCOMPLETE, text))
-        longest = max(row.size for row in residuals.rows)
-        of_time = NOISES.find(label).default_priors(longest, None).get("noise_time")  # type: ignore[attr-defined]
-        grid = NoiseGrid.about(residuals.contrasts, of_time) if label == "ou" else NoiseGrid.one()
+        grid = NoiseGrid.one()
+        if label == "ou":
+            longest = max(row.size for row in residuals.rows)
+            of_time = OrnsteinUhlenbeck.default_priors(longest, None)["noise_time"]
+            grid = NoiseGrid.about(residuals.slow, residuals.contrasts, of_time)
         chosen, size = weight_priors(problem, result.x, priors), float(problem.scales.y)
         problem = problem.with_noise(NOISES.make(label))
         equations = weight_equations(problem, result.x, grid, chosen, size)

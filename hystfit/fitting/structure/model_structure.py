@@ -61,7 +61,7 @@ class Structure:
             "one envelope for symmetric loops" if self.envelopes == 1 else "three envelopes for asymmetric loops"
         )
         hardening = (
-            f"hardening over {self.hardening} input range{'s'[: self.hardening > 1]}"
+            f"hardening over {self.hardening} input range{'s' if self.hardening > 1 else ''}"
             if self.hardening
             else "leaving out the hardening"
         )
