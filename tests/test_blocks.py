@@ -169,7 +169,7 @@ def test_the_root_of_a_normal_matrix_of_any_rank_has_the_singular_values_of_the_
 def test_the_spectrum_of_many_columns_is_that_of_their_singular_values() -> None:
     rows = np.random.default_rng(0).normal(size=(300, 100)) * np.geomspace(1e-3, 1e3, 100)
     rows[:, 1] = 2 * rows[:, 0]
-    information = Information(rows, 4.0, np.zeros(100))
+    information = Information(rows, 4.0, np.zeros((100, 100)))
     values, root, back = _spectrum(information, np.ones(100, bool), np.zeros(100, bool))
     expected = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     np.testing.assert_allclose(values[:-1], expected[:-1], rtol=1e-9)
@@ -187,26 +187,28 @@ def test_errors_of_many_columns_are_those_of_the_inverse_where_all_are_known() -
     rows = np.random.default_rng(0).normal(size=(300, 100)) * np.geomspace(1e-3, 1e3, 100)
     rows[:, 7] = 1.0
     offsets = np.arange(100) == 7
-    values, root, back = _spectrum(Information(rows, 4.0, np.zeros(100)), np.ones(100, bool), offsets)
+    values, root, back = _spectrum(Information(rows, 4.0, np.zeros((100, 100))), np.ones(100, bool), offsets)
     expected = np.linalg.svd(centered(rows, offsets)[0] / np.linalg.norm(centered(rows, offsets)[0], axis=0))[1]
     np.testing.assert_allclose(values, expected[[0, -1]], rtol=1e-9)
     np.testing.assert_allclose(back @ root @ root.T @ back.T, 4.0 * np.linalg.inv(rows.T @ rows), rtol=1e-6, atol=1e-12)
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_errors_of_many_columns_under_a_ridge_are_those_of_the_normal_matrix_with_it(held: bool) -> None:
-    """Offsets of two records, without a ridge or with one; the first and only column of the second explains another."""
+def test_errors_of_many_columns_under_a_penalty_are_those_of_the_normal_matrix_with_it(held: bool) -> None:
+    """Offsets of two records, without a penalty or with one; the first and only column of the second explains another."""
     rng = np.random.default_rng(0)
-    rows, ridge = rng.normal(size=(300, 100)) + 1.0, np.geomspace(1e-2, 1e2, 100)
+    rows = rng.normal(size=(300, 100)) + 1.0
+    root = np.diag(np.geomspace(0.1, 10.0, 100)) + np.diag(-np.geomspace(0.1, 9.0, 99), 1)  # differences of neighbors
     rows[:, 7], rows[:, 8] = np.arange(300) < 120, np.arange(300) >= 120
     rows[:, 9] = 3.0 * rows[:, 8]
     offsets = np.isin(np.arange(100), (7, 8))
-    ridge[offsets] = 0.1 * held
-    values, root, back = _spectrum(Information(rows, 4.0, ridge), np.ones(100, bool), offsets)
-    stacked = centered(np.vstack([rows, np.diag(np.sqrt(ridge))]), offsets)[0]
+    root[:, offsets] *= 0.1 * held
+    penalty = root.T @ root
+    stacked = centered(np.vstack([rows, root]), offsets)[0]
+    values, root, back = _spectrum(Information(rows, 4.0, penalty), np.ones(100, bool), offsets)
     expected = np.linalg.svd(stacked / np.linalg.norm(stacked, axis=0), compute_uv=False)
     np.testing.assert_allclose(values, expected[[0, -1]], rtol=1e-9)
-    inverse = 4.0 * np.linalg.inv(rows.T @ rows + np.diag(ridge))
+    inverse = 4.0 * np.linalg.inv(rows.T @ rows + penalty)
     np.testing.assert_allclose(back @ root @ root.T @ back.T, inverse, rtol=1e-6, atol=1e-9)
 
 

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 import hystfit as hf
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
+from hystfit.fitting.judgment.covariance import uncertainty
 from hystfit.fitting.solvers.smooth_weights import SmoothWeights
+from hystfit.inference.problem import Problem
 from hystfit.models.preisach import (
     EverettTable,
     check_preisach,
@@ -775,3 +777,21 @@ def test_groups_of_many_weights_are_left_out_side_by_side_with_the_same_error(mo
         errors.append(hf.fit("preisach:n=8", data).left_out)
     assert len(set(errors)) == 1
     assert errors[0] > 0
+
+
+def test_errors_take_the_smoothness_penalty_as_the_prior_that_it_is():
+    """Differences of neighbors, of which the diagonal alone would say far more about a common change of the weights."""
+    u = np.concatenate([size * np.cos(np.linspace(0, 4 * np.pi, 400)) for size in (1.0, 0.7, 0.4)])
+    clean = output(truth(), u)
+    record = hf.Record(u=u, y=clean + 0.01 * np.ptp(clean) * np.random.default_rng(0).normal(size=u.size))
+    problem = Problem(Preisach.of(12, spacing="uniform", reversible=False).start([record]), record)
+    estimate = weights_alone(1e-4).estimate(problem, np.zeros((1, len(problem.space))))
+    residual, J = (of[0] / problem.scales.y for of in problem.linearize(estimate.x))
+    live = ~problem.on_bound(estimate.x)
+    assert 40 < np.count_nonzero(live) < live.size  # the slopes of the squares and of the penalty balance
+    balance = (J.T @ residual + estimate.penalty @ estimate.x)[live]
+    np.testing.assert_allclose(balance, 0, atol=1e-6 * np.abs(estimate.penalty @ estimate.x).max())
+    found = uncertainty(problem, estimate, correlated=False)
+    normal = (J.T @ J + estimate.penalty)[np.ix_(live, live)]
+    expected = (found.sigma / problem.scales.y) ** 2 * np.linalg.inv(normal)
+    np.testing.assert_allclose(found.joint[np.ix_(live, live)], expected, rtol=1e-6, atol=1e-9 * expected.max())

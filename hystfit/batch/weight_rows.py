@@ -21,7 +21,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.judgment.assessment import Unknown, notes_of_errors
 from hystfit.fitting.judgment.covariance import determine, ridge_shares
-from hystfit.fitting.judgment.near_bounds import Information, NearBounds, centered
+from hystfit.fitting.judgment.near_bounds import Information, NearBounds, centered, shared
 from hystfit.fitting.solvers.convex import Convex
 from hystfit.fitting.solvers.estimate import Estimate
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridges
@@ -47,7 +47,7 @@ class Weights(NamedTuple):
     columns: np.ndarray
     targets: np.ndarray  # what they have to explain, shape (N, n)
     x: np.ndarray  # solutions, shape (N, p)
-    penalty: np.ndarray  # diagonal of what a penalty adds to the normal matrix of the weights, shape (N, p)
+    penalty: np.ndarray  # what a penalty adds to the normal matrix of the weights, shape (N, p, p)
     left_out: np.ndarray  # rms errors of samples left out, by which the penalties were chosen, shape (N,)
     chosen: np.ndarray  # which loops begin in the state that `common` assumes, shape (N,), bool
     estimate: Callable[[int], Estimate]  # makes the estimate of a loop from its number
@@ -80,7 +80,8 @@ def _ridges(common: Common, group: Group) -> Weights:
         x, groups = fit.weights[k], int(system.fold.max()) + 1
         return estimator.of_ridge(fit.of(k), x, np.arange(x.size), float(sizes[k]), groups)
 
-    return Weights(common, system.columns, targets[own], fit.weights, fit.ridge, fit.score, chosen, estimate)
+    penalty = fit.ridge[..., None] * np.eye(fit.ridge.shape[1])
+    return Weights(common, system.columns, targets[own], fit.weights, penalty, fit.score, chosen, estimate)
 
 
 def _smooth(common: Common, group: Group) -> Weights:
@@ -142,7 +143,7 @@ def _errors(
     weights: Weights, record: Record, at: np.ndarray, white: np.ndarray, scale: Float[np.ndarray, "m p"]
 ) -> tuple[np.ndarray, Float[np.ndarray, "m p"], list[tuple[Note, ...]]]:
     """Of some loops: which are beyond doubt, their standard errors, and notes on these; `white` tells which have white residuals."""
-    space, columns, x, ridge = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
+    space, columns, x, penalty = weights.common.setup.problem.space, weights.columns, weights.x[at], weights.penalty[at]
     residual, rows = x @ columns.T - weights.targets[at], np.linalg.qr(columns, mode="r")
     relative, on_bound = relative_size(space, x, scale), np.logical_or(*space.reached(x, scale=scale))
     gain = np.linalg.norm(centered(rows, space.offsets)[0], axis=0) * np.minimum(relative, scale)
@@ -153,7 +154,7 @@ def _errors(
     counts = zip(at.tolist(), live.sum(axis=1).tolist(), strict=True)
     freedom = np.array([weights.estimate(k).freedom(len(columns), count) for k, count in counts])
     variance = np.einsum("nk,nk->n", residual, residual) / freedom
-    roots, variances, ridges = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), ridge.copy()  # type: ignore[attr-defined]
+    roots, variances, penalties = np.broadcast_to(rows, (at.size, *rows.shape)).copy(), variance.copy(), penalty.copy()  # type: ignore[attr-defined]
     slow = np.flatnonzero(~white)
     for k, analysis in zip(slow, _analyses(record, residual[slow], columns, live[slow], relative[slow]), strict=True):
         plain[k] &= all(note.code is Code.CORRELATED_RESIDUALS for note in diagnose(analysis).findings)
@@ -161,22 +162,22 @@ def _errors(
             variances[k] *= analysis.correlation_time
             continue
         root = least_squares_root(analysis.of_errors, columns[:, acts])
-        roots[k], variances[k], ridges[k] = 0.0, 1.0, ridge[k] / variance[k]
+        roots[k], variances[k], penalties[k] = 0.0, 1.0, penalty[k] / variance[k]
         roots[k, : len(root), acts] = root.T
-    slope = lambda: np.where(on_bound, residual @ columns, -ridge * x)
-    near = NearBounds.of(space, x, on_bound, rows, Information(roots, variances, ridges), slope, ridge, acts)
+    slope = lambda: np.where(on_bound, residual @ columns + (penalty @ x[..., None])[..., 0], 0.0)
+    near = NearBounds.of(space, x, on_bound, rows, Information(roots, variances, penalties), slope, penalty, acts)
     share, inside = np.ones(x.shape), [None] * at.size
     if near is not None:
         share = ridge_shares(near, space.names, acts) if weights.estimate(0).toward_zero else share
         inside = near.moments(share, acts)
     stderr, notes = np.full(x.shape, np.nan), list[tuple[Note, ...]]()
     for k in range(at.size):
-        own = Information(roots[k], float(variances[k]), share[k] * ridges[k])
+        own = Information(roots[k], float(variances[k]), shared(penalties[k], share[k]))
         found = determine(space, x[k], relative[k], own, live[k], inside[k])
         stderr[k] = np.sqrt(np.diag(found["covariance"]))
         unknown = Unknown(~acts & ~on_bound[k], found["directions"], found["reaching"], found["rank"])
         sides = ["lower" if reached else None for reached in on_bound[k]]
-        notes.append(tuple(notes_of_errors(space, sides, unknown, ridge[k])))
+        notes.append(tuple(notes_of_errors(space, sides, unknown, penalty[k])))
     return plain, stderr, notes
 
 

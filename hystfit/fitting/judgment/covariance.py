@@ -18,9 +18,10 @@ from hystfit.fitting.judgment.near_bounds import (
     centered,
     centered_lengths,
     distances_to_bounds,
+    shared,
 )
 from hystfit.fitting.solvers.estimate import Estimate
-from hystfit.inference.blocks import parts, triangle
+from hystfit.inference.blocks import gram_root, parts, triangle
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.slow_likelihood import SlowNoiseFit, least_squares_root
 from hystfit.inference.problem import Problem
@@ -109,7 +110,7 @@ def uncertainty(
     where it is given.
     """
     x, y = estimate.x, problem.scales.y
-    ridge = np.zeros(x.size) if estimate.penalty is None else estimate.penalty
+    penalty = np.zeros((x.size, x.size)) if estimate.penalty is None else estimate.penalty
     linear = problem.linearization(x) if estimate.linearized is None else estimate.linearized
     at_bound = problem.on_bound(x)
     residual, relative = linear.misfit, relative_size(problem.space, x)
@@ -123,24 +124,24 @@ def uncertainty(
         root = _correlated_root(analysis.of_errors, linear, acts, y)
     time = analysis.correlation_time if correlated or refined else 1.0
     if root is None:
-        ratio, information = float(np.sqrt(time)), Information(rows, plain * time, ridge)
+        ratio, information = float(np.sqrt(time)), Information(rows, plain * time, penalty)
     else:
         ratio = mean_error_ratio(root[:, live] * relative[live], rows[:, live] * relative[live], plain)
-        information = Information(root, 1.0, ridge / plain)
+        information = Information(root, 1.0, penalty / plain)
     inside = None
     if live.any() and plain > 0:
         # At the most probable point under a noise model the slope is not known.
         on_bound = at_bound & (not refined)
-        slope = lambda: np.where(on_bound, linear.gradient() if on_bound.any() else 0.0, -ridge * x)
+        slope = lambda: np.where(on_bound, linear.gradient() + penalty @ x if on_bound.any() else 0.0, 0.0)
         space = problem.space
         near = NearBounds.of(
-            space, x[None], at_bound[None], rows, information, lambda: slope()[None], ridge[None], acts
+            space, x[None], at_bound[None], rows, information, lambda: slope()[None], penalty[None], acts
         )
         if near is not None:
             shrunk = estimate.toward_zero and not refined
             share = ridge_shares(near, space.names, acts) if shrunk else np.ones((1, x.size))
             (inside,) = near.moments(share, acts)
-            information = information._replace(ridge=share[0] * information.ridge)
+            information = information._replace(penalty=shared(information.penalty, share[0]))
     determined = determine(problem.space, x, relative, information, live, inside)
     if inside is not None and determined["condition"] is not None:
         # Weights at a bound and the others compensate each other in the output: keep their covariance.
@@ -297,16 +298,17 @@ def _spectrum(
         If some values are tiny, the columns of the square root are the singular directions, with large but finite standard deviations as
         lengths.
     """
-    rows, ridge = information.root[:, live], information.ridge[live]
-    if ridge.any() and (ridge.size <= FEW or ridge[offsets].any()):
-        rows, ridge = np.vstack([rows, np.diag(np.sqrt(ridge))]), np.zeros(ridge.size)
+    rows, penalty = information.root[:, live], information.penalty[np.ix_(live, live)]
+    if penalty.any() and (len(penalty) <= FEW or penalty[offsets].any()):
+        rows, penalty = np.vstack([rows, gram_root(penalty)]), np.zeros(penalty.shape)
+    ridge = np.diag(penalty)
     if rows.shape[1] <= FEW and rows.shape[0] > rows.shape[1]:
         rows = np.linalg.qr(rows, mode="r")
     rows, back = centered(rows, offsets, ridge)
     size = np.hypot(np.linalg.norm(rows, axis=0), np.sqrt(ridge))
     size[size == 0] = 1.0
     if size.size > FEW:
-        values, inverse = _inverse_root(rows / size, ridge / size**2)
+        values, inverse = _inverse_root(rows / size, penalty / np.outer(size, size))
     else:
         _, values, vectors = np.linalg.svd(rows / size, full_matrices=True)
         values = np.pad(values, (0, len(vectors) - values.size))
@@ -314,14 +316,13 @@ def _spectrum(
     return values, np.sqrt(information.variance) * inverse / size[:, None], back
 
 
-def _inverse_root(rows: np.ndarray, ridge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Singular values of rows R and a diagonal `ridge`, falling, and a square root of the inverse of the normal matrix R'R + ridge.
+def _inverse_root(rows: np.ndarray, penalty: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Singular values of rows R and a penalty, falling, and a square root of the inverse of the normal matrix R'R + `penalty`.
 
     If some values are tiny, its columns are the singular directions, in a third of the time of a decomposition of R; else the values are
     the largest and the smallest one, and it is triangular. Values down to `RANK` of the largest are distinguished from zero.
     """
-    gram = rows.T @ rows
-    gram[np.diag_indices_from(gram)] += ridge
+    gram = rows.T @ rows + penalty
     with contextlib.suppress(np.linalg.LinAlgError, scipy.sparse.linalg.ArpackError):  # rounding errors
         inverse = np.triu(dtrtri(cholesky(gram), lower=True)[0].T)
         ends = _largest(len(gram), lambda v: gram @ v), 1 / _largest(len(gram), lambda v: inverse @ (inverse.T @ v))

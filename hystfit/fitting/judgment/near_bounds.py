@@ -21,15 +21,15 @@ _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 
 
 class Information(NamedTuple):
-    """Information about the parameters: R'R / variance, and that of a regularization."""
+    """Information about the parameters: (R'R + penalty) / variance."""
 
     root: np.ndarray  # R, shape (n, p) or (N, n, p)
     variance: Any  # of its rows, or one for each estimate, shape (N,)
-    ridge: np.ndarray  # added to R'R, diagonal, shape (p,) or (N, p)
+    penalty: np.ndarray  # of a regularization, shape (p, p) or (N, p, p)
 
 
 class NearBounds(NamedTuple):
-    """N linear models with bounds and a ridge about estimates, on the same centered columns of unit length.
+    """N linear models with bounds and a penalty about estimates, on the same centered columns of unit length.
 
     A ridge that was chosen for its predictions can be far stronger than what is known about the weights: as prior information it
     would then say that they are smaller than the estimate of their own size. The share of it that counts is the one of largest
@@ -40,10 +40,10 @@ class NearBounds(NamedTuple):
     x: np.ndarray  # estimates, shape (N, k)
     # information of independent noise, which decides where the unconstrained optimum is, shape (k, k)
     normal: np.ndarray
-    ridge: np.ndarray  # added to it, diagonal, shape (N, k)
-    slope: np.ndarray  # of the cost without the ridge, shape (N, k)
+    penalty: np.ndarray  # added to it, shape (N, k, k)
+    slope: np.ndarray  # of the cost with the penalty, shape (N, k)
     known: np.ndarray  # information about the parameters, shape (N, k, k)
-    prior: np.ndarray  # what the ridge adds to it, diagonal, shape (N, k)
+    prior: np.ndarray  # what the penalty adds to it, shape (N, k, k)
     room: np.ndarray  # distances to the bounds, infinite without one, shape (N, k)
     sides: np.ndarray  # 1 for a lower bound, -1 for an upper bound, shape (k,)
     back: np.ndarray  # takes these parameters to physical ones, shape (k, k)
@@ -57,32 +57,32 @@ class NearBounds(NamedTuple):
         rows: np.ndarray,
         information: Information,
         slope: Callable[[], np.ndarray],
-        ridge: np.ndarray,
+        penalty: np.ndarray,
         acts: np.ndarray,
     ) -> NearBounds | None:
-        """None where there is neither a bound nearby nor a ridge, or too many bounds are near.
+        """None where there is neither a bound nearby nor a penalty, or too many bounds are near.
 
         At N estimates x, shape (N, p), some parameters are `on_bound`. `rows` are the Jacobian of what was minimized, or its triangular
-        factor, shape (n, p); `slope` makes the slope of this cost, shape (N, p), and `ridge` is added to its normal matrix, diagonal, shape
+        factor, shape (n, p); `penalty` is added to its normal matrix, shape (N, p, p), and `slope` makes the slope of the whole cost, shape
         (N, p); `acts` tells which parameters have an influence, shape (p,).
         """
         below, above = distances_to_bounds(space, x)
         room = np.where(space.linear, np.minimum(below, above), np.inf)
         room = np.where(on_bound, 0.0, room)[:, acts]
         near = np.isfinite(room[0]).sum()
-        if near > FEW or not (near or ridge.any()) or (not near and room.shape[1] > _MANY):
+        if near > FEW or not (near or penalty.any()) or (not near and room.shape[1] > _MANY):
             return None
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)
-        back, unit = back / size, columns / size
+        back, unit, square = back / size, columns / size, 1 / np.outer(size, size)
         root, variance = information.root[..., acts] @ back, np.asarray(information.variance)
         return cls(
             x[:, acts] * size,
             unit.T @ unit,
-            ridge[:, acts] / size**2,
+            penalty[:, acts][..., acts] * square,
             slope()[:, acts] / size,
             root.swapaxes(-1, -2) @ root / variance[..., None, None] * np.ones((len(x), 1, 1)),
-            information.ridge[..., acts] / size**2 / variance[..., None] * np.ones((len(x), 1)),
+            information.penalty[..., acts, :][..., acts] * square / variance[..., None, None] * np.ones((len(x), 1, 1)),
             room * size,
             np.where(below < above, 1.0, -1.0)[0, acts],
             back,
@@ -90,27 +90,28 @@ class NearBounds(NamedTuple):
 
     def take(self, rows: np.ndarray) -> NearBounds:
         """Some of the models."""
-        own = {name: getattr(self, name)[rows] for name in ("x", "ridge", "slope", "known", "prior", "room")}
+        own = {name: getattr(self, name)[rows] for name in ("x", "penalty", "slope", "known", "prior", "room")}
         return self._replace(**own)
 
     def deviation(self, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Means and second moments of the deviations from the estimates (`about_estimate`), with some share of the ridge known, (N, k)."""
         # The estimate is off the unconstrained one by normal^-1 slope, whatever the noise.
-        unit = np.eye(share.shape[1])
-        normal, slope = self.normal + (share * self.ridge)[..., None] * unit, self.slope + share * self.ridge * self.x
-        known = self.known + (share * self.prior)[..., None] * unit
+        counted = shared(self.penalty, share)
+        normal, slope = self.normal + counted, self.slope + ((counted - self.penalty) @ self.x[..., None])[..., 0]
+        known = self.known + shared(self.prior, share)
         away = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ slope[..., None]
         return about_estimate(known, (known @ away)[..., 0], self.room, self.sides)
 
     def share(self, array: np.ndarray) -> np.ndarray:
         """Shares of the ridges of largest evidence, shape (N, k); `array` has the number of the array of each parameter."""
         share, member = np.ones(self.x.shape), (array[:, None] == np.arange(array.max(initial=-1) + 1)).astype(float)
-        moving = np.flatnonzero(self.prior.any(axis=1))
+        moving = np.flatnonzero(self.prior.any(axis=(1, 2)))
         for _ in range(_ROUNDS if moving.size else 0):
             some, before = self.take(moving), share[moving]
             mean, moments = some.deviation(before)
-            power = some.prior * (some.x + mean) ** 2
-            determined = (some.prior > 0) - before * some.prior * (np.einsum("npp->np", moments) - mean**2)
+            ridge = np.einsum("npp->np", some.prior)
+            power = ridge * (some.x + mean) ** 2
+            determined = (ridge > 0) - before * ridge * (np.einsum("npp->np", moments) - mean**2)
             number, size = determined @ member, power @ member
             after = np.clip(number / np.maximum(size, 1e-300), 0.0, 1.0) @ member.T
             share[moving] = after
@@ -126,6 +127,12 @@ class NearBounds(NamedTuple):
         at = np.flatnonzero(acts)
         inside[:, at[:, None], at] = 0.5 * (moments + moments.swapaxes(1, 2))  # a saved fit keeps one half
         return inside
+
+
+def shared(penalty: Float[np.ndarray, "*n p p"], share: Float[np.ndarray, "*n p"]) -> Float[np.ndarray, "*n p p"]:
+    """A penalty of which a share of each parameter counts."""
+    root = np.sqrt(share)
+    return penalty * root[..., None] * root[..., None, :]
 
 
 def centered(J: np.ndarray, offsets: np.ndarray, ridge: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:

@@ -59,8 +59,8 @@ class Convex(AbstractEstimator):
 
     def of_ridge(self, fit: RidgeFit, x: np.ndarray, at: np.ndarray, size: float, groups: int) -> Estimate:
         """The estimate that a solution gives: x has all parameters, shape (p,), and `size` is half the range of the output."""
-        penalty = np.zeros(x.size)
-        penalty[at] = fit.ridge / size**2
+        penalty = np.zeros((x.size, x.size))
+        penalty[at, at] = fit.ridge / size**2
         note = (
             f"ridge {fit.strength:.0e} chosen by cross-validation on {groups} groups "
             f"(error {100 * fit.score / (2 * size):.2f} % of the range)"

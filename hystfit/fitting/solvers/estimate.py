@@ -24,7 +24,7 @@ class Estimate:
     message: str  # of the solver, with what to try where it failed
     evaluations: int  # steps of the solver, over all starts
     costs: np.ndarray  # cost that each start reached, shape (starts,); not finite where one failed
-    # what regularization adds to the normal matrix of x in units of the cost, diagonal, shape (p,); None without regularization
+    # what regularization adds to the normal matrix of x in units of the cost, shape (p, p); None without regularization
     penalty: np.ndarray | None = None
     notes: tuple[Note, ...] = ()  # choices that were made
     # rms error on blocks left out of the fit [y], by which a regularization was chosen; None where none was

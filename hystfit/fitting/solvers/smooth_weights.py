@@ -81,9 +81,10 @@ class SmoothWeights(AbstractEstimator):
         self, fit: SmoothFit, split: Split, x: np.ndarray, size: float, groups: int = 0, texts: Sequence[str] = ()
     ) -> Estimate:
         """The estimate that a solution gives: x has the parameters that are no weights, shape (p,), `size` is half the output's range."""
-        at = split.place >= 0
-        x, penalty = x.copy(), np.zeros(x.size)
-        x[at], penalty[at] = fit.weights[split.place[at]], fit.penalty[split.place[at]] / size**2
+        at = np.flatnonzero(split.place >= 0)
+        own = split.place[at]
+        x, penalty = x.copy(), np.zeros((x.size, x.size))
+        x[at], penalty[np.ix_(at, at)] = fit.weights[own], fit.penalty[np.ix_(own, own)] / size**2
         texts = [*texts]
         if fit.error is not None:
             texts.append(
@@ -97,7 +98,7 @@ class SmoothWeights(AbstractEstimator):
             penalty=penalty,
             notes=tuple(Note(Code.CHOICE, text) for text in texts),
             left_out=None if fit.error is None else fit.error * fit.size,
-            effective=None if fit.effective is None else fit.effective + np.count_nonzero(~at),
+            effective=None if fit.effective is None else fit.effective + x.size - at.size,
         )
 
     def _search(

@@ -33,7 +33,7 @@ class SmoothFit:
     cost: float  # the same with the penalty added
     # number of weights that the data determine, see `effective_number`; None where there was no choice
     effective: float | None
-    # what the penalty adds to the normal matrix, diagonal, in units of outputs / weights, shape (p,)
+    # what the penalty adds to the normal matrix, in units of outputs / weights, shape (p, p)
     penalty: np.ndarray
     size: float  # of the output, as in the system
 
@@ -72,7 +72,7 @@ def _fit(system: SmoothSystem, trials: _Trials, fixed: np.ndarray, smoothness: f
     cost = (rss + strength * float(v @ trials.rough @ v)) * size**2
     weights = fixed.copy()
     weights[trials.free] = (v + system.origin[trials.free]) * size
-    penalty = strength * np.diag(system.roughness)
+    penalty = strength * system.roughness
     return SmoothFit(weights, smoothness, np.array([]), None, rss * size**2, cost, None, penalty, size)
 
 
