@@ -160,6 +160,22 @@ def test_the_coercivity_of_a_loop_with_an_offset_is_read_where_it_passes_zero():
     assert float(dict(fit.answer)["Coercivity (half width)"].split()[0]) == pytest.approx(at_zero, rel=0.03)
 
 
+def test_the_error_of_a_measured_quantity_is_that_of_its_own_loop():
+    """A small loop, measured after a large one, does not lend it its relative error."""
+    rng = np.random.default_rng(0)
+    u = [size * np.cos(np.linspace(0, 6 * np.pi, 1201)) for size in (1.0, 0.1)]
+    records = [
+        hf.Record(one, hf.simulate(TRUTH, one)[0] + 0.01 * rng.normal(size=one.size), name=name)
+        for one, name in zip(u, ("large", "small"), strict=True)
+    ]
+    both, alone = (
+        {q.name: q.measured_stderr for q in hf.fit(TRUTH, data, starts=1, noise="iid").quantities}
+        for data in (records, records[:1])
+    )
+    assert alone["loop_area"] > 0
+    assert both == pytest.approx(alone, rel=0.1)
+
+
 def _two_loops(rising, falling, low: float, high: float, units: tuple[str, str]) -> Dataset:
     """Two loops of two branches, from zero input, with the output counted from the start of the record."""
     u = np.concatenate([np.linspace(0, high, 801), np.linspace(high, low, 1601)[1:], np.linspace(low, 0, 801)[1:]])

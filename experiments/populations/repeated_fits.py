@@ -32,10 +32,11 @@ def repeated_fits(results: Results) -> str:
         noise = NOISE * np.ptp(clean) * rng.normal(size=INPUT.size)
         fit = hf.fit(OWN, hf.Record(u=INPUT, y=clean + noise))
         draws = derive(hf.sample(fit, seed=number), QUANTITIES, 1000)
-        estimates = {one.name: one for one in fit.quantities if one.value is not None and one.stderr is not None}
+        estimates = {one.name: np.array([one.value, one.stderr], float) for one in fit.quantities}
         for name in QUANTITIES:
             low, high = np.quantile(draws[name], [0.05, 0.95])
-            pulls[name].append((estimates[name].value - true[name]) / estimates[name].stderr)
+            value, stderr = estimates[name]
+            pulls[name].append((value - true[name]) / stderr)
             hits[name].append(low < true[name] < high)
     rows = [
         [name, DEVICES, float(np.sqrt(np.mean(np.square(pulls[name])))), 100 * float(np.mean(hits[name]))]

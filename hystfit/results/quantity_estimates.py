@@ -24,6 +24,7 @@ from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
+from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.results.result import FitResult
@@ -58,9 +59,9 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     outputs = lambda record: _perturbed(result, record, step, linear)
     values = _values(result, excitation, outputs)
     scales, rows = result.problem.scales, []
-    read = {one.name: one for values in result.measured.rows.values() for one in values}
+    read = [one for values in result.measured.rows.values() for one in values]
     measured = measured_quantities(result.data) if read else {}  # none of loops that noise alone opens
-    part = {name: one.stderr / abs(one.value) for name, one in read.items() if one.stderr is not None and one.value}
+    part = _relative_errors(read, measured)
     if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
         part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
     between, joint = (_between_samples(result), _between_levels(result, excitation)), result.joint
@@ -81,6 +82,17 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
         error = None if value is None or name not in part else part[name] * abs(value)
         rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
     return tuple(rows)
+
+
+def _relative_errors(read: list[LoopValue], measured: dict[str, float]) -> dict[str, float]:
+    """Standard errors of measured quantities over their sizes: those of the loop with the nearest value, among loops of all sizes."""
+    errors = {}
+    for name, value in measured.items():
+        known = [(one.value, one.stderr) for one in read if one.name == name and one.value and one.stderr is not None]
+        if known:
+            size, stderr = min(known, key=lambda one: abs(one[0] - value))
+            errors[name] = stderr / abs(size)
+    return errors
 
 
 def _between_samples(result: FitResult) -> dict[str, float]:
