@@ -782,3 +782,22 @@ def test_of_two_signals_without_a_role_the_smooth_one_is_the_command(noisy_first
     columns = (answer, drive) if noisy_first else (drive, answer)
     record = one(tmp_path, "ch1,ch2\n" + rows(",", *columns))
     np.testing.assert_allclose(record.u, drive, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("field.actual0", ""),
+        ("field.data", ""),
+        ("field.position0", "displacement"),
+        ("field.wrench.force.z", "force"),
+        ("wrench.force.z", "force"),
+        ("sensor.x", "displacement"),
+        ("field.magnetic_field.z", "field"),
+        ("Field.value", "field"),
+        ("field", "field"),
+    ],
+)
+def test_the_container_of_a_message_is_no_magnetic_field(name: str, meant: str) -> None:
+    """Messages of robots are written as field.NAME; a direction has the meaning of the vector that it belongs to."""
+    assert column_quantity(name) == meant

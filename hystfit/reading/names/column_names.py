@@ -19,6 +19,7 @@ _MEASURED = frozenset(VOCABULARY["measured"].split())
 _SECONDARY = frozenset(VOCABULARY["secondary"].split())
 SIDES = frozenset(VOCABULARY["sides"].split())
 MEANS = frozenset(VOCABULARY["means"].split())
+_DIRECTIONS = ("x", "y", "z")
 _CHANNEL = re.compile(
     r"(?:lock-?in|ch|chan|channel|kanal|voie|canal|ai|col|column|sensor|signal|trace)[ _.-]?[a-z0-9]\d?", re.IGNORECASE
 )
@@ -96,14 +97,24 @@ def column_quantity(name: str, unit: str = "") -> str:
 
 
 def _field(base: str) -> str:
-    """The last name of a path (t in experiment.data.t, effort0 in field.effort0) where it has a meaning; other names as they are.
+    """The name at the end of a path (t in experiment.data.t) where it has a meaning, and the one before a direction (force.z).
 
-    Behind two colons it is the name of a quantity of a part of a program (Oxs_UZeeman::Bx).
+    Other names are as they are, without the container of messages of robots (field.data). Behind two colons it is the name of a quantity
+    of a part of a program (Oxs_UZeeman::Bx).
     """
     path = re.fullmatch(r"(?:\w+\.)+([A-Za-z]\w*)|[\w:]+::([A-Za-z][\w ]*)", base)
-    if path and path[2]:
+    if not path:
+        return base
+    if path[2]:
         return path[2]
-    return path[1] if path and (len(path[1]) == 1 or any(w in WORDS or w in ROLES for w in _words(path[1]))) else base
+    *before, last = base.removeprefix("field.").split(".")
+    if last in _DIRECTIONS and before and any(word in WORDS for word in _words(before[-1])):
+        return before[-1]
+    return (
+        last
+        if len(last) == 1 or any(word in WORDS or word in ROLES for word in _words(last))
+        else ".".join((*before, last))
+    )
 
 
 def column_unit(name: str, unit: str) -> str:
