@@ -176,6 +176,20 @@ def test_the_error_of_a_measured_quantity_is_that_of_its_own_loop():
     assert both == pytest.approx(alone, rel=0.1)
 
 
+def test_noise_between_samples_is_no_difference_of_a_model() -> None:
+    """A play under a force with noise of 0.08 mm over its slope: where the noisy force crosses zero is no better value."""
+    u = np.concatenate([np.linspace(0, 1.5, 100), np.linspace(1.5, -1.5, 200), np.linspace(-1.5, 1.5, 200)])
+    play = np.zeros(u.size)
+    for k in range(1, u.size):
+        play[k] = min(max(play[k - 1], u[k] - 0.2), u[k] + 0.2)
+    for seed in range(4):
+        y = 12 * u - 9.6 * play + 0.2 * np.random.default_rng(seed).normal(size=u.size)
+        fit = hf.fit("prandtl-ishlinskii-stop", hf.Record(u, y, u_unit="mm", y_unit="N"), noise="iid")
+        width = {q.name: q for q in fit.quantities}["coercive_input"]
+        assert width.value == pytest.approx(0.8, abs=4 * width.stderr)
+        assert not width.differs
+
+
 def _two_loops(rising, falling, low: float, high: float, units: tuple[str, str]) -> Dataset:
     """Two loops of two branches, from zero input, with the output counted from the start of the record."""
     u = np.concatenate([np.linspace(0, high, 801), np.linspace(high, low, 1601)[1:], np.linspace(low, 0, 801)[1:]])

@@ -24,7 +24,6 @@ from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
-from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.results.result import FitResult
@@ -59,11 +58,7 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
     outputs = lambda record: _perturbed(result, record, step, linear)
     values = _values(result, excitation, outputs)
     scales, rows = result.problem.scales, []
-    read = [one for values in result.measured.rows.values() for one in values]
-    measured = measured_quantities(result.data) if read else {}  # none of loops that noise alone opens
-    part = _relative_errors(read, measured)
-    if "stroke" in part and measured.get("hysteresis_percent"):  # a height is the difference of two noisy outputs
-        part["hysteresis_percent"] = 100 * float(np.sqrt(2)) * part["stroke"] / measured["hysteresis_percent"]
+    measured = _measured(result)
     between, joint = (_between_samples(result), _between_levels(result, excitation)), result.joint
     known = None if joint is None else np.where(np.isfinite(joint), joint, 0.0)
     for name, y in values.items():
@@ -78,21 +73,28 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
             one = dataclasses.replace(one, reason=why)
         if one.stderr is not None and (more := [of[name] for of in between if name in of]):
             one = dataclasses.replace(one, stderr=float(np.linalg.norm([one.stderr, *more])))
-        value = measured.get(name)
-        error = None if value is None or name not in part else part[name] * abs(value)
+        value, error = measured.get(name, (None, None))
         rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
     return tuple(rows)
 
 
-def _relative_errors(read: list[LoopValue], measured: dict[str, float]) -> dict[str, float]:
-    """Standard errors of measured quantities over their sizes: those of the loop with the nearest value, among loops of all sizes."""
-    errors = {}
-    for name, value in measured.items():
-        known = [(one.value, one.stderr) for one in read if one.name == name and one.value and one.stderr is not None]
-        if known:
-            size, stderr = min(known, key=lambda one: abs(one[0] - value))
-            errors[name] = stderr / abs(size)
-    return errors
+def _measured(result: FitResult) -> dict[str, tuple[float, float | None]]:
+    """Measured quantities and their standard errors, by name, of those that are read off loops; none of loops that noise alone opens.
+
+    An error is that of the loop with the nearest value, among loops of all sizes. Without one, noise would make a model err.
+    """
+    read = [one for values in result.measured.rows.values() for one in values]
+    values, found = measured_quantities(result.data) if read else {}, dict[str, tuple[float, float | None]]()
+    for name, value in values.items():
+        if alike := [one for one in read if one.name == name]:
+            nearest = min(alike, key=lambda one: abs(one.value - value))
+            relative = nearest.stderr / abs(nearest.value) if nearest.stderr is not None and nearest.value else None
+            found[name] = value, None if relative is None else relative * abs(value)
+    if "stroke" in found and "hysteresis_percent" in values:
+        stroke, error = found["stroke"]  # a height is the difference of two noisy outputs
+        of_height = None if error is None else 100 * float(np.sqrt(2)) * error / stroke
+        found["hysteresis_percent"] = values["hysteresis_percent"], of_height
+    return found
 
 
 def _between_samples(result: FitResult) -> dict[str, float]:
