@@ -25,8 +25,8 @@ from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
+from hystfit.quality.host_operators import lagged
 from hystfit.quality.needs import Needs
-from hystfit.quality.recursions import lagged
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))

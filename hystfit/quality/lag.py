@@ -17,8 +17,7 @@ from scipy.linalg.lapack import dgtsv
 
 from hystfit.data.preparation import smooth
 from hystfit.quality.delay import MOST, REMAINS
-from hystfit.quality.plays import play_positions
-from hystfit.quality.recursions import lagged
+from hystfit.quality.host_operators import lagged, play_positions
 from hystfit.quality.resonance import FEWEST, explains, unexplained
 
 Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shape

@@ -105,7 +105,8 @@ def candidates(data: Dataset) -> Candidates:
         for name, model in able.items()
         if model.estimator in ("preisach", "convex", "switching") and name not in late
     }
-    resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
+    rings = lambda name, model: model.output_resonance() is not None or any(need.dynamics for need in _needs(name))
+    resonant = tuple(name for name, model in able.items() if name not in closed and rings(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant, *late))
     return Candidates((SEARCH, *closed.values()), others, resonant, late, last)
 
@@ -161,8 +162,3 @@ def _needs(name: str) -> list[Needs]:
 def _speeds_needed(name: str) -> int:
     """Number of speeds of the input without which parameters of a model stay undetermined."""
     return max((need.speeds for need in _needs(name) if need.rate), default=0)
-
-
-def _resonates(name: str, model: AbstractHysteresis) -> bool:
-    """Whether the output may ring after the input has stopped."""
-    return model.output_resonance() is not None or any(need.dynamics for need in _needs(name))

@@ -28,7 +28,6 @@ from hystfit.results.accuracy import (
     POOR,
     SHARE,
     VISIBLE,
-    Metrics,
     accuracy_note,
     exceeded_limits,
     is_noise,
@@ -122,7 +121,8 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
         return Status.POOR, [apart]
     unexplained = is_single_valued_error(train.rmse, baselines) and not white
     one_way = fitted.model.from_saturation  # without branches to compare, so that the noise is unknown
-    single_valued = percent <= POOR and not one_way and _is_single_valued(train, baselines, unexplained)
+    noisy_curve = unexplained and is_noise(min(train.rmse, baselines.curve), baselines)
+    single_valued = percent <= POOR and not one_way and (baselines.curve <= ROUNDED * baselines.span or noisy_curve)
     on_one_line = len(data) > 1 and percent <= VISIBLE and unexplained  # one branch alone is always a curve
     if single_valued or (on_one_line if one_way else _branches_coincide(fitted)):
         text = (
@@ -235,11 +235,6 @@ def _differ(fitted: Fitted) -> list[Note]:
         return []
     apart = apart_note(fitted.parts, _MOST_OF * fitted.percent) or scale_note(fitted, _MOST_OF)
     return [] if apart is None else [apart]
-
-
-def _is_single_valued(train: Metrics, baselines: Baselines, unexplained: bool) -> bool:
-    exact = baselines.curve <= ROUNDED * baselines.span
-    return exact or (unexplained and is_noise(min(train.rmse, baselines.curve), baselines))
 
 
 def _branches_coincide(fitted: Fitted) -> bool:
