@@ -47,6 +47,7 @@ def explain_drift(result: hf.FitResult) -> DriftExplained:
 
     def slope(values: np.ndarray) -> float:
         means, moment = cycle_means(record.u, np.where(kept, values, np.nan), record.t, loops)
+        assert moment is not None  # the record has time
         return float(np.polyfit(np.log10(moment[found.skipped :]), means[found.skipped :], 1)[0])
 
     run = result.predict(record)

@@ -81,7 +81,7 @@ def candidates(data: Dataset) -> Candidates:
     timed = all(record.t is not None for record in data)
     speeds = len(distinct((v for record in data for v in speeds_of(record)), SPEEDS_APART))
     within = speeds_within(data)
-    contrary, suits, plays_fail = _contrary(data), suited(data), _plays_fail(data)
+    contrary, suits, baselines = _contrary(data), suited(data), Baselines.of(data)
     able = {
         name: model
         for name, model in models.items()
@@ -92,6 +92,8 @@ def candidates(data: Dataset) -> Candidates:
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
+    # At contacts, stops and peaks plays leave much of the loops, and only weights of either sign may do.
+    plays_fail = baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
     last = () if plays_fail else tuple(against)
     able = {name: model for name, model in able.items() if name not in last}
     # Some models are tried both ways.
@@ -124,12 +126,6 @@ def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
     except HystfitError:
         return False
     return True
-
-
-def _plays_fail(data: Dataset) -> bool:
-    """Whether ten plays and a cubic curve leave much of the loops, as at contacts, stops and peaks: only weights of either sign may do."""
-    baselines = Baselines.of(data)
-    return baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
 
 
 def _contrary(data: Dataset) -> str:
