@@ -9,7 +9,7 @@ from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.faults import saturated_samples
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 from hystfit.results.measured.loop_values import quantities
 
 AMPLITUDE, YIELD, SPRING = 10.0, 2.0, 0.5  # mm, mm, kN/mm

@@ -88,10 +88,8 @@ def test_the_forces_of_a_damper_are_found(monkeypatch: pytest.MonkeyPatch) -> No
     record = hf.Record(u=u, y=y, t=np.arange(u.size) / RATE)
     kinds = ("damper", "self-similar-stops", "bouc-wen-force+viscous")  # of those that describe forces
     monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: kinds)
-    advice = hf.check(record).advice
-    assert advice is not None
-    assert advice.model == "damper"
-    fit = hf.fit("damper", record)
+    fit = hf.fit("auto", record)
+    assert fit.name == "damper"
     assert fit.train.rmse < 1.1 * 0.005 * np.ptp(clean)
     other = 0.9 * sweep(6.0)[::-1]
     expected = np.asarray(hf.simulate(truth, other, dt)[0])

@@ -17,6 +17,7 @@ from hystfit.data.batch import Batch
 from hystfit.errors import ParameterError
 from hystfit.inference.noise import Setting
 from hystfit.registry import class_from_file
+from hystfit.sampling.sample import _make
 
 from .conftest import ROOT
 
@@ -247,12 +248,11 @@ def test_classes_and_objects_do_as_well_as_files(folder, fitted):
     short = {"draws": 50, "chains": 2, "seed": 1}
     names = (f"{folder / name}" for name in ("my_sampler.py:RandomWalk", "my_noise.py:MovingAverage"))
     by_file = hf.sample(fitted, next(names), noise=next(names), **short)
-    by_class = hf.sample(fitted, sampler, noise=noise, **short)
     by_object = hf.sample(fitted, sampler(draws=50, chains=2), noise=noise, seed=1)
     assert by_file.draws.shape == (2, 50, 6)
     assert by_file.priors["noise_echo"] == str(hf.priors.Uniform(0.0, 1.0))
-    for found in (by_class, by_object):
-        np.testing.assert_array_equal(found.draws, by_file.draws)
+    np.testing.assert_array_equal(by_object.draws, by_file.draws)
+    assert _make(sampler, {"draws": 50, "chains": 2}) == sampler(draws=50, chains=2)
 
 
 @pytest.mark.usefixtures("as_users_run")

@@ -8,7 +8,7 @@ from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.quality.faults import noise_rms
 from hystfit.quality.flat_ends import flat_ends
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 from tests.conftest import examined
 
 N = 1200

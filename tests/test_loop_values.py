@@ -8,7 +8,7 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
-from hystfit.data.stated import Stated
+from hystfit.data.record import Stated
 from hystfit.quality.loops import closed_loops, cycles
 from hystfit.quality.shape import loop_shape
 from hystfit.results.measured.loop_branches import crossing

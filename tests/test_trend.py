@@ -8,7 +8,7 @@ from hystfit.data.circulation import circulation, trend
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.fitting.comparison.candidates import candidates
-from hystfit.fitting.judgment.remains import leaves_noise
+from hystfit.fitting.comparison.standings import leaves_noise
 from hystfit.fitting.structure.model_structure import falls, on_falling_line
 from hystfit.models.registry import make_model
 from hystfit.outcome.note import Code, has

@@ -19,7 +19,7 @@ from hystfit.models.registry import judged_as, make_model, model_name
 from hystfit.outcome import Code, Note, Status
 from hystfit.outcome.note import has
 from hystfit.quality.faults import clipped_samples, saturated_samples
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 from hystfit.quality.reversal_curves import reversal_curves
 from hystfit.quality.summary import summarize
 

@@ -18,8 +18,8 @@ from hystfit.outcome.note import has
 from hystfit.quality import baselines
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.held_out import held_out
+from hystfit.quality.host_operators import play_positions
 from hystfit.quality.loops import clear_reversals
-from hystfit.quality.plays import play_positions
 from hystfit.results.accuracy import Limits, persistent_error
 from hystfit.results.report.answer import Wording, next_commands
 from hystfit.results.report.text_report import verdict

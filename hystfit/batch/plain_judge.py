@@ -251,13 +251,10 @@ def row_notes(common: Common, loops: Loops, judged: Judged, on_errors: Sequence[
     plain, of, sets = np.flatnonzero(judged.plain), np.full(len(loops), -1), dict[tuple[str, ...], int]()
     traits = np.stack([group_of, advised, judged.slow, kind], axis=1)[plain]
     _, examples, which = np.unique(traits, axis=0, return_index=True, return_inverse=True)
-    own = [sets.setdefault(_codes(make(k)), len(sets)) for k in plain[examples].tolist()]
+    codes = lambda k: tuple(dict.fromkeys([str(Code.ACCURACY), *(str(note.code) for note in make(k))]))
+    own = [sets.setdefault(codes(k), len(sets)) for k in plain[examples].tolist()]
     of[plain] = np.array(own, int)[which.reshape(-1)]
     return RowNotes(tuple(sets), of, make)
-
-
-def _codes(notes: Sequence[Note]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([str(Code.ACCURACY), *(str(note.code) for note in notes)]))
 
 
 def _advised(common: Common, loops: Loops, judged: Judged) -> np.ndarray:

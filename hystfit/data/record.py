@@ -12,10 +12,22 @@ import numpy as np
 
 from hystfit.data.circulation import GAP
 from hystfit.data.preparation import check_columns, column, integral, interval_of, smooth
-from hystfit.data.stated import Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion, integral_unit
+
+# Labels of the line that was added to the output before the other results were computed: per unit of the input, and at zero input.
+SLOPE, OFFSET = "Slope correction", "Offset correction"
+
+
+@dataclasses.dataclass(frozen=True)
+class Stated:
+    """One result as the file states it, with the label and unit there; `quantity` names one of `QUANTITIES`, "" where it is none."""
+
+    label: str
+    value: float
+    unit: str = ""
+    quantity: str = ""
 
 
 def median_interval(steps: np.ndarray) -> float | None:

@@ -54,9 +54,11 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
     notes.append(accuracy_note(metrics, rows, baselines, "test error"))
     notes += [note for record in records if (note := result.extrapolation(record))]
     notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
-    if status is not Status.OK and not refit_offset and _offset_explains(rows, metrics.rmse):
-        text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
-        notes.append(warn(Code.RECORD_PARAMETERS, text))
+    if status is not Status.OK and not refit_offset:
+        shifted = np.concatenate([row - row.mean() for row in rows])
+        if np.sqrt(np.mean(shifted**2)) < _OFFSET * metrics.rmse:
+            text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
+            notes.append(warn(Code.RECORD_PARAMETERS, text))
     return Trial(metrics, baselines, status, tuple(notes))
 
 
@@ -67,11 +69,6 @@ def with_test(result: FitResult, test: Record | Dataset | Sequence[Record], *, r
     status = worse(result.status, trial.status)
     changed = dataclasses.replace(result, test=trial.metrics, test_baselines=trial.baselines, status=status)
     return changed.with_notes(*trial.notes, *notes)
-
-
-def _offset_explains(rows: Sequence[np.ndarray], rmse: float) -> bool:
-    remaining = np.concatenate([row - row.mean() for row in rows])
-    return float(np.sqrt(np.mean(remaining**2))) < _OFFSET * rmse
 
 
 def worse(first: Status, second: Status) -> Status:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hystfit.errors import DataError
 from hystfit.identify.vector_hysteresis import FEWEST
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 
 _STOPS, _FINEST, _COARSEST = 8, 3.2e-3, 0.745  # number, and half widths over the saturation: 1.5 to 350 mT of 0.47 T
 _CLIP = 0.995  # of the saturation, at most, where the single-valued curve turns up

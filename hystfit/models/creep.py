@@ -25,8 +25,8 @@ from hystfit.models.shared.slopes import Slopes
 from hystfit.models.shared.starting import fitted_input_range, input_range, sampling_interval
 from hystfit.models.shared.step_inverse import AbstractStepInverse
 from hystfit.params.param import element_places, element_weights, param
+from hystfit.quality.host_operators import lagged
 from hystfit.quality.needs import Needs
-from hystfit.quality.recursions import lagged
 
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))
@@ -114,9 +114,6 @@ class LogCreep(AbstractHysteresis):
     def linear_in_input(self) -> bool:
         """Where gamma does not depend on the displacement."""
         return self.gamma.shape[0] == 1
-
-    def without_creep(self) -> LogCreep:
-        return dataclasses.replace(self, gamma=jnp.zeros_like(self.gamma))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         return CreepStep(self)
@@ -206,9 +203,6 @@ class LinearCreep(AbstractHysteresis):
         typical = sampling_interval(records)
         tau = np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0])
         return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
-
-    def without_creep(self) -> LinearCreep:
-        return dataclasses.replace(self, a=np.zeros(self.a.shape))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """What relaxes within one sample."""

@@ -22,8 +22,8 @@ from hystfit.models.shared.play_columns import play_columns
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.starting import LARGE, SAMPLES, input_range, output_range, sampling_interval, speed
 from hystfit.params.param import element_weights, param
+from hystfit.quality.host_operators import recursion
 from hystfit.quality.needs import Needs
-from hystfit.quality.recursions import recursion
 
 # Of stops of the displacement and of the velocity, over half the stroke and the speed; and of the bends of saturating forces.
 _STROKES = tuple(np.geomspace(0.002, 1.2, 16))

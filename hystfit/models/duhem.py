@@ -21,9 +21,9 @@ from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.slopes import CYCLES, POINTS, Slopes
 from hystfit.models.shared.starting import first_output, fit_linear, input_range, thinned
 from hystfit.params.param import param
+from hystfit.quality.host_operators import recursion
 from hystfit.quality.loops import largest_step
 from hystfit.quality.needs import Needs
-from hystfit.quality.recursions import recursion
 
 Scheme = Literal["midpoint", "explicit", "exact"]
 

@@ -23,7 +23,7 @@ from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.starting import sampling_interval
 from hystfit.models.shared.step_inverse import COMES_LATER, AbstractStepInverse, LinearStep
 from hystfit.params.param import param
-from hystfit.quality.recursions import recursion
+from hystfit.quality.host_operators import recursion
 from hystfit.quality.summary import delay_of, dynamics_of
 
 

@@ -18,8 +18,8 @@ from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.starting import input_range, output_range, sampling_interval
 from hystfit.params.param import element_places, element_weights
+from hystfit.quality.host_operators import recursion
 from hystfit.quality.needs import Needs
-from hystfit.quality.recursions import recursion
 
 _BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
 MODES = 16  # two a decade over eight decades

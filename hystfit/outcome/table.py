@@ -1,4 +1,4 @@
-"""Tables of numbers as text, HTML and JSON: the one place where a verb's table is formatted."""
+"""Tables of numbers as text, HTML and JSON: the one place where a verb's table is formatted, also within what a notebook shows."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from hystfit.outcome.note import Note
 
 _WRITTEN_OUT = 1e6  # numbers from here on have an exponent
 
@@ -137,7 +139,8 @@ class Table:
 
     def to_list(self) -> list[dict[str, Any]]:
         """Rows for JSON: numbers in full, unknown values null."""
-        return [{c.name: _plain(value) for c, value in zip(self.columns, row, strict=True)} for row in self.rows]
+        plain = lambda value: value if isinstance(value, (str, bool, int)) else or_none(value)
+        return [{c.name: plain(value) for c, value in zip(self.columns, row, strict=True)} for row in self.rows]
 
 
 def _parts(widths: Sequence[int], width: int | None) -> list[list[int]]:
@@ -160,10 +163,6 @@ def _cell(value: Any, column: Column) -> str:
     if not isinstance(value, (int, float)) and not hasattr(value, "__float__"):
         return str(value)
     return str(value) if isinstance(value, int) else number(float(value), column.form)
-
-
-def _plain(value: Any) -> Any:
-    return value if isinstance(value, (str, bool, int)) else or_none(value)
 
 
 def or_none(value: Any) -> float | None:
@@ -190,3 +189,25 @@ def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Iterable[Any]], 
         writer = csv.writer(file)
         writer.writerow(heads)
         writer.writerows([cell(value) for value in row] for row in rows)
+
+
+_STYLE = "<style>.hystfit th, .hystfit td {text-align: left} .hystfit .number {text-align: right}</style>"
+
+
+def fragment(heading: str, parts: Iterable[str | Table | tuple[Note, ...]]) -> str:
+    """HTML of a heading and of paragraphs, tables and lists of notes below it; all text is escaped.
+
+    Args:
+        heading: one line.
+        parts: text for a paragraph, a table, or notes; empty ones are skipped.
+    """
+    shown = "\n".join(_part(part) for part in parts if not isinstance(part, str | tuple) or part)
+    return f'<div class="hystfit">{_STYLE}\n<p><b>{html.escape(heading)}</b></p>\n{shown}\n</div>'
+
+
+def _part(part: str | Table | tuple[Note, ...]) -> str:
+    if isinstance(part, Table):
+        return part.html()
+    if isinstance(part, str):
+        return f"<p>{html.escape(part)}</p>"
+    return "<ul>\n" + "".join(f"<li>{html.escape(str(note))}</li>\n" for note in part) + "</ul>"

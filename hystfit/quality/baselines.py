@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, rounding_rms
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 
 DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
@@ -61,7 +61,7 @@ class Baselines:
         chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
         theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
 
-        squares, outputs = np.zeros(len(chosen)), [_measured(record) for record in judged]
+        squares, outputs = np.zeros(len(chosen)), [record.y[record.used] for record in judged]
         for record in judged:
             k = own.get(record.name, 0)
             parts = fitted(k) if record is train[k] else frame.parts(record)
@@ -108,12 +108,6 @@ class _Frame:
             rows = _rows(place, before)
             before = place[-1], rows[-_PLAYS:, -1]
             yield (rows, record.y[at]) if used[at].all() else (rows[:, used[at]], record.y[at][used[at]])
-
-
-def _measured(record: Record) -> np.ndarray:
-    """Outputs at the samples that count."""
-    used = record.used
-    return record.y if used.all() else record.y[used]
 
 
 def _squares(misses: Iterable[np.ndarray], *, about_mean: bool) -> np.ndarray:

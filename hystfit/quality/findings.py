@@ -208,11 +208,13 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
     if shape.closure_percent is not None and abs(shape.closure_percent) > max(2.0, chance):
         yield warn(Code.NOT_CLOSED, f"the last large loop does not close: {shape.closure_percent:+.1f} % of its stroke")
     if record.degrading:
+        until = record.whole_until
+        whole = "" if until is None else f"; no damage is seen before {place_of(until, record)}"
         yield warn(
             Code.DEGRADING,
             f"loss of {_loss(record)}; models without terms for damage cannot describe this: fit one that has them (such as "
             f"self-similar-stops), or the cycles {'after the largest stroke' if record.softens_with_stroke else 'before the damage'} "
-            f"(window=){_whole(record)}",
+            f"(window=){whole}",
         )
     if record.fails_at is not None:
         place = place_of(record.fails_at, record)
@@ -222,11 +224,6 @@ def _loops(record: RecordQuality) -> Iterator[Note]:
 def place_of(at: float, record: RecordQuality) -> str:
     """A sample or a time of a record, in words."""
     return f"sample {at:.10g}" if record.sampling.rate is None else f"{at:.10g} {record.units['t']}".rstrip()
-
-
-def _whole(record: RecordQuality) -> str:
-    """How long the device is undamaged."""
-    return "" if record.whole_until is None else f"; no damage is seen before {place_of(record.whole_until, record)}"
 
 
 def _loss(record: RecordQuality) -> str:

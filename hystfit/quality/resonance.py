@@ -13,8 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hystfit.quality.plays import play_positions
-from hystfit.quality.recursions import lagged, recursion
+from hystfit.quality.host_operators import lagged, play_positions, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
 EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band

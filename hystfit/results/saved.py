@@ -16,8 +16,7 @@ import numpy as np
 
 from hystfit.config import verb
 from hystfit.data.dataset import Dataset
-from hystfit.data.record import Record
-from hystfit.data.stated import Stated
+from hystfit.data.record import Record, Stated
 from hystfit.errors import DataError, HystfitError
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code

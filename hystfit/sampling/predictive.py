@@ -31,7 +31,7 @@ from hystfit.inference.weights import free_columns
 from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.quality.held_out import correlation_length
-from hystfit.quality.recursions import recursion
+from hystfit.quality.host_operators import recursion
 from hystfit.results.result import FitResult
 from hystfit.sampling.posterior import Posterior
 

@@ -14,11 +14,10 @@ from hystfit.fitting.comparison.compared_models import MARGIN, Obstacles, Row
 from hystfit.fitting.comparison.contender import Candidate, First
 from hystfit.fitting.comparison.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.comparison.sizes import Known, SizeSearch, weights_of
-from hystfit.fitting.comparison.standings import Standings
+from hystfit.fitting.comparison.standings import Standings, correlation_of, leaves_noise
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, started_problem
-from hystfit.fitting.judgment.remains import correlation_of, leaves_noise
 from hystfit.fitting.solvers.least_squares import LeastSquares
 from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.fitting.solvers.thinning import thinned

@@ -81,7 +81,7 @@ def candidates(data: Dataset) -> Candidates:
     timed = all(record.t is not None for record in data)
     speeds = len(distinct((v for record in data for v in speeds_of(record)), SPEEDS_APART))
     within = speeds_within(data)
-    contrary, suits, plays_fail = _contrary(data), suited(data), _plays_fail(data)
+    contrary, suits, baselines = _contrary(data), suited(data), Baselines.of(data)
     able = {
         name: model
         for name, model in models.items()
@@ -92,6 +92,8 @@ def candidates(data: Dataset) -> Candidates:
         and (contrary not in {need.direction for need in _needs(name)} or model.either_way)
     }
     against = [name for name in able if contrary in {need.direction for need in _needs(name)}]
+    # At contacts, stops and peaks plays leave much of the loops, and only weights of either sign may do.
+    plays_fail = baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
     last = () if plays_fail else tuple(against)
     able = {name: model for name, model in able.items() if name not in last}
     # Some models are tried both ways.
@@ -105,7 +107,8 @@ def candidates(data: Dataset) -> Candidates:
         for name, model in able.items()
         if model.estimator in ("preisach", "convex", "switching") and name not in late
     }
-    resonant = tuple(name for name, model in able.items() if name not in closed and _resonates(name, model))
+    rings = lambda name, model: model.output_resonance() is not None or any(need.dynamics for need in _needs(name))
+    resonant = tuple(name for name, model in able.items() if name not in closed and rings(name, model))
     others = tuple(name for name in able if name not in (*closed, *resonant, *late))
     return Candidates((SEARCH, *closed.values()), others, resonant, late, last)
 
@@ -123,12 +126,6 @@ def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
     except HystfitError:
         return False
     return True
-
-
-def _plays_fail(data: Dataset) -> bool:
-    """Whether ten plays and a cubic curve leave much of the loops, as at contacts, stops and peaks: only weights of either sign may do."""
-    baselines = Baselines.of(data)
-    return baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
 
 
 def _contrary(data: Dataset) -> str:
@@ -161,8 +158,3 @@ def _needs(name: str) -> list[Needs]:
 def _speeds_needed(name: str) -> int:
     """Number of speeds of the input without which parameters of a model stay undetermined."""
     return max((need.speeds for need in _needs(name) if need.rate), default=0)
-
-
-def _resonates(name: str, model: AbstractHysteresis) -> bool:
-    """Whether the output may ring after the input has stopped."""
-    return model.output_resonance() is not None or any(need.dynamics for need in _needs(name))

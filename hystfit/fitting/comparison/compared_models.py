@@ -70,7 +70,7 @@ class Row:
     effective: float | None = None
     # whether slow cycles leave the model's loop open; of one without, "no-loop" is what it says of the data
     hysteretic: bool = True
-    # whether it leaves nothing but noise, see `hystfit.fitting.judgment.remains.leaves_noise`
+    # whether it leaves nothing but noise, see `hystfit.fitting.comparison.standings.leaves_noise`
     leaves_noise: bool = False
     # whether the model depends on time, and the records were taken at one pace, at which a lag and a loop look alike
     paced: bool = False

@@ -10,7 +10,7 @@ from hystfit.fitting.comparison.candidates import Candidates, timeless
 from hystfit.fitting.comparison.compared_models import MARGIN
 from hystfit.fitting.comparison.comparison_run import WHITE, ComparisonRun
 from hystfit.fitting.comparison.contender import Candidate
-from hystfit.fitting.judgment.remains import correlation_of
+from hystfit.fitting.comparison.standings import correlation_of
 from hystfit.fitting.structure.model_structure import Structure, falls, on_falling_line, structure_of
 from hystfit.models.registry import SEARCH
 from hystfit.quality.baselines import Baselines

@@ -41,6 +41,4 @@ class TableReading(AbstractEstimator):
             )
         x = with_record_parameters(problem, problem.space.vector(TabulatedPreisach.from_table(table)))
         cost = 0.5 * float(np.sum(problem.misfit(x) ** 2))
-        return Estimate(
-            x, cost, True, "read", 1, np.array([cost]), notes=tuple(Note(Code.CHOICE, text) for text in notes)
-        )
+        return Estimate.solved(x, cost, notes=tuple(Note(Code.CHOICE, text) for text in notes))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.errors import ModelError
-from hystfit.quality.plays import play_positions
+from hystfit.quality.host_operators import play_positions
 
 Envelope = Literal["identity", "square", "mirror"]
 

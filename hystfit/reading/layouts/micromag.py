@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.data.circulation import SLACK
-from hystfit.data.stated import OFFSET, SLOPE, Stated
+from hystfit.data.record import OFFSET, SLOPE, Stated
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.files.text_file import TextFile

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hystfit.data.stated import Stated
+from hystfit.data.record import Stated
 from hystfit.outcome import Note
 from hystfit.reading.names.branch_words import BRANCHES, FALLING, words_of
 from hystfit.reading.names.column_names import column_quantity

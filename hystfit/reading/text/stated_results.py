@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 
-from hystfit.data.stated import Stated
+from hystfit.data.record import Stated
 from hystfit.params.units import quantity as kind_of
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.text import cells

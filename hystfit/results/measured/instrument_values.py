@@ -6,8 +6,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Iterable, Iterator
 
-from hystfit.data.record import Record
-from hystfit.data.stated import OFFSET, SLOPE, Stated
+from hystfit.data.record import OFFSET, SLOPE, Record, Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion
