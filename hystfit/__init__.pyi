@@ -79,6 +79,7 @@ from .sampling.posterior import Posterior as Posterior
 from .sampling.sample import sample as sample
 from .uncertainty.block_covariance import covariance as covariance
 from .uncertainty.calibration import calibrate as calibrate
+from .uncertainty.explained_drift import explain_drift as explain_drift
 from .uncertainty.input_design import design as design
 from .uncertainty.profiles import profile as profile
 from .uncertainty.robust_errors import standard_errors as standard_errors

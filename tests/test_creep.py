@@ -1,7 +1,7 @@
 """Creep against the logarithmic law, superposition and plain loops."""
 
+import dataclasses
 import math
-import runpy
 from pathlib import Path
 
 import jax
@@ -9,19 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hystfit import FitResult, datasets, fit, signals
+from hystfit import FitResult, datasets, explain_drift, fit, signals
 from hystfit.data.record import Record
 from hystfit.errors import DataError, ModelError
 from hystfit.identify import Ukf
+from hystfit.inference.problem import Problem
 from hystfit.models import AbstractHysteresis, BoucWen, LinearCreep, LogCreep, Series, simulate
 from hystfit.outcome import Code
 from hystfit.params.space import ParameterSpace
 from hystfit.stage import Actuator, Sensor, piezo
 
-from .conftest import ROOT
-
 GAMMA = 0.0175
-explain_drift = runpy.run_path(str(ROOT / "experiments" / "measured" / "drift.py"))["explain_drift"]
 
 
 def step_response(model: LogCreep, times: np.ndarray, height: float = 12.0) -> np.ndarray:
@@ -192,11 +190,20 @@ def test_drift_is_the_creep_of_the_step_that_began_the_record(told: FitResult) -
     gamma = told["gamma[0]"]
     assert gamma.stderr is not None
     assert gamma.value == pytest.approx(GAMMA, abs=4 * gamma.stderr)
+    assert found.cycles >= 4
     blind = explain_drift(fit(BEGIN, record, start="model", starts=1))
     assert abs(blind.left) > 0.3 * found.measured
 
 
-def test_a_rest_is_a_number() -> None:
+def test_drift_that_cannot_be_explained_is_refused_in_words(told: FitResult) -> None:
+    short = dataclasses.replace(told, problem=Problem(told.model, told.data[0].segment(0, 250)))
+    with pytest.raises(DataError):
+        explain_drift(short)
+    plain = Problem(BoucWen(), told.data)
+    with pytest.raises(ModelError):
+        explain_drift(dataclasses.replace(told, problem=plain, x=plain.space.vector(plain.model)))
+    with pytest.raises(DataError):
+        explain_drift(told, "other")
     with pytest.raises(DataError):
         switched_on().resting_on(np.nan)
 

@@ -26,6 +26,7 @@ REFUSED = {
     "design": "hf.design(result)",
     "covariance": "hf.covariance(result, 'sandwich')",
     "standard_errors": "hf.standard_errors(result)",
+    "explain_drift": "hf.explain_drift(result)",
     "explore": "hf.explore(record)",
     "FitResult": "result.predict(u)",
     "Posterior": "posterior.predict(record)",

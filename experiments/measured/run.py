@@ -17,7 +17,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from common import Results, arguments, table
-from drift import explain_drift
 
 import hystfit as hf
 
@@ -192,7 +191,7 @@ def drift(results: Results) -> list:
         ("plays", plays, 0.0),
     ):
         fit = hf.fit(model, loaded[0] if rest is None else loaded[0].resting_on(rest), starts=2)
-        gamma, explained = fit["gamma[0]"], explain_drift(fit)
+        gamma, explained = fit["gamma[0]"], hf.explain_drift(fit)
         percent = [100 * gamma.value, None if gamma.stderr is None else 100 * gamma.stderr]
         parts = [explained.measured, explained.modeled, explained.stderr, explained.without_creep, explained.left]
         rows.append([model, "first input" if rest is None else "0 V", *percent, *parts, fit.train.nrmse_percent])

@@ -279,6 +279,10 @@ class AbstractHysteresis(AbstractDynamics):
         """
         return ()
 
+    def without_creep(self) -> AbstractHysteresis | None:
+        """The same model with its creep set to zero; None for a model that has no creep."""
+        return None
+
     # -- optional: control ---------------------------------------------------------------------------------------------------
 
     def reach(self) -> tuple[float, float] | None:

@@ -101,6 +101,12 @@ class AbstractComposition(AbstractHysteresis):
     def with_rest(self, rest: str) -> AbstractHysteresis:
         return type(self)(*(part.with_rest(rest) for part in self.parts))
 
+    def without_creep(self) -> AbstractHysteresis | None:
+        still = [part.without_creep() for part in self.parts]
+        if all(part is None for part in still):
+            return None
+        return type(self)(*(part if other is None else other for part, other in zip(self.parts, still, strict=True)))
+
     def choices(self, records: Sequence[Record]) -> tuple[tuple[AbstractHysteresis, ...], ...]:
         """Those of the first part that has a choice, on the records as they are: no part changes the number of samples or levels."""
         for k, part in enumerate(self.parts):

@@ -115,6 +115,9 @@ class LogCreep(AbstractHysteresis):
         """Where gamma does not depend on the displacement."""
         return self.gamma.shape[0] == 1
 
+    def without_creep(self) -> LogCreep:
+        return dataclasses.replace(self, gamma=jnp.zeros_like(self.gamma))
+
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         return CreepStep(self)
 
@@ -203,6 +206,9 @@ class LinearCreep(AbstractHysteresis):
         typical = sampling_interval(records)
         tau = np.geomspace(10 * typical, 40000 * typical, self.tau.shape[0])
         return dataclasses.replace(self, low=place.low, high=place.high, tau=tau)
+
+    def without_creep(self) -> LinearCreep:
+        return dataclasses.replace(self, a=np.zeros(self.a.shape))
 
     def slope_range(self, low: float, high: float, dt: float | None) -> Slopes | None:
         """What relaxes within one sample."""

@@ -198,6 +198,10 @@ class Varying(AbstractComposition):
     def with_rest(self, rest: str) -> Varying:
         return dataclasses.replace(self, parts=(self.model.with_rest(rest),))
 
+    def without_creep(self) -> Varying | None:
+        still = self.model.without_creep()
+        return None if still is None else dataclasses.replace(self, parts=(still,))
+
     def choices(self, records: Sequence[Record]) -> tuple[tuple[AbstractHysteresis, ...], ...]:
         """None: another choice has other parameters."""
         return ()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 
-import jax
 import numpy as np
 
 from hystfit.data.dataset import Dataset
@@ -18,7 +17,6 @@ from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, linear_positi
 from hystfit.fitting.solvers.thinning import thinned
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.creep import LinearCreep, LogCreep
 from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.self_similar import POWERS, SelfSimilarStops
 from hystfit.models.springpot import Springpot
@@ -82,10 +80,9 @@ def _first_two(scores: Sequence[_Score], left_out: set[str | None]) -> tuple[_Sc
 
 def _kind(model: AbstractHysteresis) -> str | None:
     """The trait that a model has a term for; "" for static loops without damage, None where creep accounts for its time."""
-    creeps = lambda node: isinstance(node, (LinearCreep, LogCreep))
-    if any(map(creeps, jax.tree_util.tree_leaves(model, is_leaf=creeps))):
-        return None
     parts = getattr(model, "parts", (model,))
+    if model.without_creep() is not None:
+        return None
     if any(isinstance(part, (Springpot, Viscoelastic)) for part in parts):
         return "viscoelastic"
     return "degrading" if model.degrades else "" if model.rate_independent else "rate-dependent"
