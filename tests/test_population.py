@@ -10,13 +10,14 @@ import pytest
 
 import hystfit as hf
 from hystfit.cli import run
+from hystfit.cli.uncertainty import _priors_of
 from hystfit.errors import DataError, ParameterError
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import warn
 from hystfit.population import devices as devices_module
 from hystfit.population.fit_population import _status
 from hystfit.population.hierarchy import Pool, draw_hierarchy
-from hystfit.population.population_files import load_population_priors
+from hystfit.population.population_files import load_next_device
 
 FIX = {"rho": 0.5, "mu": 0.5}
 COUNT = 8
@@ -158,7 +159,7 @@ def test_the_next_device_and_its_band(population):
 def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
     fit, _ = population
     fit.save(tmp_path / "pop")
-    priors = load_population_priors(tmp_path / "pop")
+    priors = load_next_device(tmp_path / "pop").priors({})
     assert set(priors) == {"c", "tau"}
     z = np.log(np.asarray(fit.next_devices(4000)))
     assert priors.correlation[0, 1] == pytest.approx(np.corrcoef(z.T)[0, 1], abs=0.1)
@@ -168,7 +169,39 @@ def test_saved_population_is_the_prior_of_the_next_fit(population, tmp_path):
     assert (tmp_path / "pop" / "devices.csv").read_text().count("\n") == COUNT + 1
     (tmp_path / "pop" / "result.json").write_text("{}")
     with pytest.raises(DataError):
-        load_population_priors(tmp_path / "pop")
+        load_next_device(tmp_path / "pop")
+
+
+def test_the_prior_of_the_next_fit_follows_the_covariates_that_its_record_states(population, tmp_path):
+    """Devices at several temperatures, whose mean changes with it by 0.02 and -0.01 in the logarithms of both parameters."""
+    fit, _ = population
+    degrees = np.arange(20.0, 20.0 + 5 * COUNT, 5.0)
+    design = np.stack([np.ones(COUNT), degrees - degrees.mean()], axis=1)
+    rng = np.random.default_rng(0)
+    means = np.array([0.0, np.log(2.0)]) + design[:, 1:] * [0.02, -0.01] + 0.1 * rng.normal(size=(COUNT, 2))
+    drawn = draw_hierarchy(means, np.tile(np.eye(2) * 0.02**-2, (COUNT, 1, 1)), design, chains=2, draws=1500)
+    warm = dataclasses.replace(fit, drawn=drawn, design=design, covariates={"temperature": degrees.mean()})
+    warm.save(tmp_path / "pop")
+    device = load_next_device(tmp_path / "pop")
+    for temperature in (degrees.mean(), 60.0):
+        z = np.log(np.asarray(warm.next_devices(20_000, temperature=temperature)))
+        for priors in (warm.priors(temperature=temperature), device.priors({"temperature": temperature})):
+            for prior, column in zip(priors.values(), z.T, strict=True):
+                assert float(jnp.log(prior.median)) == pytest.approx(column.mean(), abs=0.1 * column.std())
+                assert float(prior.spread) == pytest.approx(column.std(), rel=0.1)
+            assert priors.correlation[0, 1] == pytest.approx(np.corrcoef(z.T)[0, 1], abs=0.08)
+    with pytest.raises(ParameterError, match="no covariate"):
+        device.priors({"field": 1.0})
+    record = hf.Record(u=U, y=fit.devices[0].result.data[0].y)
+    own = hf.fit(hf.BoucWen(**FIX), record, fix=FIX, starts=1)
+    with pytest.raises(DataError, match="--covariate temperature=VALUE"):
+        _priors_of(tmp_path / "pop", own, [])
+    given = _priors_of(tmp_path / "pop", own, ["temperature=60"])
+    stating = record.replace(metadata={"temperature": "60"})
+    stated = _priors_of(tmp_path / "pop", hf.fit(hf.BoucWen(**FIX), stating, fix=FIX, starts=1), [])
+    expected = device.priors({"temperature": 60.0})
+    for name in ("c", "tau"):
+        assert given[name].exact() == stated[name].exact() == expected[name].exact()
 
 
 @pytest.mark.slow

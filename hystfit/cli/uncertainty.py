@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import STDOUT, FitFolder, Output, Trust, lists
-from hystfit.cli.records import open_fit
+from hystfit.cli.records import chosen_covariates, open_fit
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, progress, terminal_width, write_input
-from hystfit.errors import ParameterError, optional
+from hystfit.errors import DataError, ParameterError, optional
 from hystfit.inference.noise.registry import NOISES
 from hystfit.sampling.registry import SAMPLERS
 
@@ -28,6 +28,7 @@ def sample(
     noise: str = "auto",
     prior: list[str] | None = None,
     prior_from: Path | None = None,
+    covariate: list[str] | None = None,
     draws: int | None = None,
     chains: int | None = None,
     warmup: int | None = None,
@@ -52,6 +53,7 @@ def sample(
         prior: NAME=KIND(A,B), such as tau=log-normal(0.5,0.3), c=normal(0.15,0.01), rho=uniform(0,1); repeatable.
         prior_from: folder written by `hystfit population --out`: its distribution of a new device is the prior, with correlations (not for
             nested and weights); --prior replaces single ones.
+        covariate: of the population behind --prior-from, as NAME=VALUE, by default what the file of the fit states; repeatable.
         draws: draws per chain of independence and nuts (500, up to 16 times as many until the chains have converged) or weights (300, up
             to 8 times); per run of nested (2000); largest number of steps of emcee (5000).
         chains: chains of independence, nuts or weights (4); runs of nested (2).
@@ -70,7 +72,7 @@ def sample(
             optional(package, "bayes", "--out of hystfit sample")
     settings = {"draws": draws, "chains": chains, "warmup": warmup, "walkers": walkers, "live": live}
     settings = {k: v for k, v in {**settings, "target_accept": target_accept}.items() if v is not None}
-    priors = _priors_of(prior_from, result) | parse_priors(prior or [])
+    priors = _priors_of(prior_from, result, covariate or []) | parse_priors(prior or [])
     with progress("sampling") as update, resumable(output.run):
         posterior = draw(
             result, sampler, noise=noise, priors=priors, seed=seed, folder=output.run, progress=update, **settings
@@ -80,17 +82,31 @@ def sample(
     return finish(str(posterior), posterior.to_dict(), output, posterior.save, page=page)
 
 
-def _priors_of(folder: Path | None, result: FitResult) -> Any:
-    """Priors of the fit's free parameters from a population."""
+def _priors_of(folder: Path | None, result: FitResult, covariates: list[str]) -> Any:
+    """Priors of the fit's free parameters from a population, at the covariates that are given or that its records state."""
     if folder is None:
+        if covariates:
+            raise ParameterError("--covariate is for --prior-from: it is a covariate of that population")
         return {}
-    from hystfit.population.population_files import load_population_priors
+    from hystfit.population.population_files import load_next_device
 
-    free = {name.partition("@")[0] for name in result.free_names}
-    priors = load_population_priors(folder).of(free)
+    device, free = load_next_device(folder), {name.partition("@")[0] for name in result.free_names}
+    given = chosen_covariates(covariates)
+    stated = {name: _stated(result, name) for name in device.means if name not in given}
+    priors = device.priors(given | stated).of(free)
     if not priors:
         raise ParameterError(f"the population in {folder} has none of the fit's parameters: {', '.join(sorted(free))}")
     return priors
+
+
+def _stated(result: FitResult, name: str) -> float:
+    """A covariate of the population in the records of a fit."""
+    from hystfit.data.covariates import common_covariate
+
+    try:
+        return common_covariate(result.data, name)
+    except DataError as error:
+        raise DataError(f"{error}; the population depends on it: give it by --covariate {name}=VALUE") from error
 
 
 def parse_priors(options: list[str]) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from hystfit.data.record import Record
@@ -32,6 +32,14 @@ def covariate(record: Record, name: str) -> float:
         f"record {record.name!r} has no value of {name}: give it as a constant column of the file, in its name ({name}=25), or by "
         f"record.replace(metadata={{{name!r}: '25'}})"
     )
+
+
+def common_covariate(records: Iterable[Record], name: str) -> float:
+    """Value of a covariate that all records of a device share."""
+    values = {covariate(record, name) for record in records}
+    if len(values) > 1:
+        raise DataError(f"covariate {name!r} has several values: {sorted(values)}")
+    return values.pop()
 
 
 def _patterns(name: str) -> list[str]:

@@ -56,6 +56,10 @@ class AbstractPrior(eqx.Module):
         """The normal score of x, which is standard normal under the prior, where `has_score` is set."""
         raise TypeError(f"{type(self).__name__} has no normal score")
 
+    def moved(self, shift: float, factor: float) -> AbstractPrior:
+        """The prior whose normal scores are `shift` larger in the mean and `factor` times as wide, where `has_score` is set."""
+        raise TypeError(f"{type(self).__name__} has no normal score")
+
     @abc.abstractmethod
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         """Independent draws."""
@@ -77,6 +81,9 @@ class Normal(AbstractPrior):
 
     def score(self, x: Scalar) -> Scalar:
         return (x - self.mean) / self.sd
+
+    def moved(self, shift: float, factor: float) -> Normal:
+        return Normal(self.mean + shift * self.sd, self.sd * factor)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         return self.mean + self.sd * jax.random.normal(key, shape)
@@ -102,6 +109,10 @@ class LogNormal(AbstractPrior):
     def score(self, x: Scalar) -> Scalar:
         above = self.side * (x - self.edge)
         return (jnp.log(jnp.where(above > 0, above, 1.0)) - jnp.log(self.median)) / self.spread
+
+    def moved(self, shift: float, factor: float) -> LogNormal:
+        median = self.median * jnp.exp(shift * self.spread)
+        return LogNormal(median, self.spread * factor, self.edge, self.side)
 
     def sample(self, key: Array, shape: tuple[int, ...] = ()) -> Float[Array, "..."]:
         return self.edge + self.side * self.median * jnp.exp(self.spread * jax.random.normal(key, shape))
@@ -165,6 +176,11 @@ class LogitNormal(AbstractPrior):
 
     def score(self, x: Scalar) -> Scalar:
         return (self._logit(self._inside(x)[1]) - self._logit(self.median)) / self.spread
+
+    def moved(self, shift: float, factor: float) -> LogitNormal:
+        share = jax.nn.sigmoid(self._logit(self.median) + shift * self.spread)
+        median = self.lower + (self.upper - self.lower) * share
+        return LogitNormal(self.lower, self.upper, median, self.spread * factor)
 
     def _inside(self, x: Scalar) -> tuple[Array, Array]:
         """Whether x lies between the limits, and a value that does."""

@@ -13,7 +13,7 @@ from hystfit.batch.fits import Fits
 from hystfit.batch.many import fit_many
 from hystfit.batch.row import Row
 from hystfit.config import require_seed, verb
-from hystfit.data.covariates import covariate
+from hystfit.data.covariates import common_covariate
 from hystfit.data.record import Record
 from hystfit.errors import DataError, HystfitError, ParameterError
 from hystfit.fitting.fit import fit
@@ -219,10 +219,10 @@ def _covariates(given: Any, results: dict[str, FitResult]) -> dict[str, dict[str
 
 def _stated(label: str, name: str, result: FitResult) -> float:
     """The value of a covariate in the records of a device."""
-    values = {covariate(record, label) for record in result.data}
-    if len(values) > 1:
-        raise DataError(f"covariate {label!r}: the loops of device {name!r} have several values: {sorted(values)}")
-    return values.pop()
+    try:
+        return common_covariate(result.data, label)
+    except DataError as error:
+        raise DataError(f"device {name!r}: {error}") from error
 
 
 def _pools(

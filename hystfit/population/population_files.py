@@ -12,6 +12,7 @@ from hystfit.inference import priors as known_priors
 from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.inference.priors import AbstractPrior
 from hystfit.outcome.table import write_rows
+from hystfit.population.next_device import NextDevice
 from hystfit.population.population_fit import SCHEMA, PopulationFit
 from hystfit.results.saved import check_target, refuse_other_schema
 from hystfit.results.saving.folders import dump_json, writing
@@ -35,20 +36,24 @@ def write_devices(population: PopulationFit, file: Path) -> None:
 
 
 @verb
-def load_population_priors(folder: str | Path) -> CorrelatedPriors:
-    """The priors of `PopulationFit.priors` from a folder that `hystfit population` or `PopulationFit.save` wrote."""
+def load_next_device(folder: str | Path) -> NextDevice:
+    """`PopulationFit.next_device` from a folder that `hystfit population` or `PopulationFit.save` wrote."""
     folder = Path(folder)
     refuse_other_schema(folder, SCHEMA, "no population as hystfit population --out writes it", "fit it again")
     place = str(folder / "result.json")
-    stored = parse((folder / "result.json").read_text(encoding="utf-8"), place)
+    stored = parse((folder / "result.json").read_text(encoding="utf-8"), place).part("next_device")
+    array = lambda key: np.array(stored.listed(key), dtype=float)
     found: dict[str, AbstractPrior] = {}
-    for name, part in stored.part("next_device").parts():
-        kind, *values = part.listed("prior")
-        try:
-            found[name] = getattr(known_priors, kind)(*values)
-        except (AttributeError, TypeError, ValueError) as error:
-            raise DataError(f"{place} is damaged ({name}: {error}): restore it, or fit the population again") from error
     try:
-        return CorrelatedPriors(found, np.array(stored.listed("next_device_correlation"), dtype=float))
-    except (ParameterError, ValueError, TypeError) as error:
+        for name, part in stored.part("priors").parts():
+            kind, *values = part.listed("prior")
+            found[name] = getattr(known_priors, kind)(*values)
+        means, count = stored.mapping("covariates", float), len(found)
+        return NextDevice(
+            CorrelatedPriors(found, array("correlation")),
+            means,
+            array("effects").reshape(len(means), count),
+            array("covariance").reshape(1 + len(means), count, 1 + len(means), count),
+        )
+    except (AttributeError, ParameterError, TypeError, ValueError) as error:
         raise DataError(f"{place} is damaged ({error}): restore it, or fit the population again") from error

@@ -15,7 +15,6 @@ from jaxtyping import Array
 from scipy.stats import f as f_distribution
 
 from hystfit.data.record import Record
-from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors
 from hystfit.models.shared.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
@@ -23,11 +22,12 @@ from hystfit.outcome.table import or_none
 from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy, correlations_of
+from hystfit.population.next_device import NextDevice, away
 from hystfit.registry import attribute
 from hystfit.results.estimates import edges_of
 from hystfit.results.exchange import arviz_data
 
-SCHEMA = "hystfit.population/2"
+SCHEMA = "hystfit.population/3"
 INTERVAL = (0.05, 0.5, 0.95)  # quantiles: an interval of 90 % about the median
 _UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
 MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
@@ -173,9 +173,7 @@ class PopulationFit(WithStatus):
         return self.common.x_of(self._next_z(count, seed, covariates))
 
     def _next_z(self, count: int, seed: int, covariates: dict[str, float]) -> np.ndarray:
-        if unknown := [name for name in covariates if name not in self.covariates]:
-            raise ParameterError(f"no covariate {unknown[0]!r}; there are {', '.join(self.covariates) or 'none'}")
-        row = np.array([1.0, *(covariates.get(name, mean) - mean for name, mean in self.covariates.items())])
+        row = away(self.covariates, covariates)
         rng, drawn = np.random.default_rng(seed), self.drawn.joined
         at = rng.integers(len(drawn.effects), size=count)
         noise = rng.normal(size=(count, len(self.names)))
@@ -205,11 +203,27 @@ class PopulationFit(WithStatus):
         lower, median, upper = np.quantile(first.to_unit_of(record, runs), edges, axis=0)
         return lower, median, upper
 
-    def priors(self) -> CorrelatedPriors:
-        """Priors for the fit of a further device: the distribution of each parameter of the next one, with their correlations."""
-        z = self._next_z(4000, self.seed, {})
-        each = self.common.priors(z.mean(axis=0), z.std(axis=0))
-        return CorrelatedPriors(each, np.corrcoef(z.T).reshape(len(each), len(each)))
+    @functools.cached_property
+    def next_device(self) -> NextDevice:
+        """The distribution of a further device, which follows its covariates."""
+        z, effects = self._next_z(4000, self.seed, {}), self.drawn.joined.effects
+        at_means = self.common.priors(z.mean(axis=0), z.std(axis=0))
+        above = self.common.x_of(z.mean(axis=0) + z.std(axis=0))
+        # Scores of priors from an upper edge fall where z rises.
+        sign = np.sign([float(prior.score(jnp.asarray(x))) for prior, x in zip(at_means.values(), above, strict=True)])
+        scores = effects * sign / z.std(axis=0)
+        covariance = np.cov(scores.reshape(len(scores), -1).T).reshape(*effects.shape[1:], *effects.shape[1:])
+        correlation = np.corrcoef(z.T).reshape(len(sign), len(sign)) * np.outer(sign, sign)
+        correlated = CorrelatedPriors(at_means, correlation)
+        return NextDevice(correlated, self.covariates, scores[:, 1:].mean(axis=0), covariance)
+
+    def priors(self, **covariates: float) -> CorrelatedPriors:
+        """Priors for the fit of a further device: the distribution of each parameter of the next one, with their correlations.
+
+        Args:
+            **covariates: see `next_devices`.
+        """
+        return self.next_device.priors(covariates)
 
     # -- views ---------------------------------------------------------------------------------------------------------
 
@@ -295,7 +309,7 @@ class PopulationFit(WithStatus):
     def to_dict(self) -> dict[str, Any]:
         """The contents of `result.json`."""
         low, middle, high = np.quantile(self.correlations, INTERVAL, axis=0)
-        pairs, priors = [(a, b) for a in range(len(self.names)) for b in range(a)], self.priors()
+        pairs = [(a, b) for a in range(len(self.names)) for b in range(a)]
         return {
             "schema": SCHEMA,
             "model": self.model,
@@ -310,8 +324,7 @@ class PopulationFit(WithStatus):
             "covariates": {
                 label: {"mean": self.covariates[label], "effects": rows} for label, rows in self.effects().items()
             },
-            "next_device": {name: {"prior": prior.exact()} for name, prior in priors.items()},
-            "next_device_correlation": priors.correlation.tolist(),
+            "next_device": self.next_device.to_dict(),
             "devices": {row.pop("device"): row for row in self.device_rows()},
             "outlying": list(self.outlying),
             "timing": {"run_s": self.seconds},
