@@ -244,6 +244,15 @@ def test_the_cycle_of_a_model_with_time_lasts_as_long_as_that_of_the_record():
     assert excitation.interval * excitation.points == pytest.approx(4.0)
 
 
+def test_the_remanence_of_a_fit_is_read_between_the_samples_of_the_record():
+    """The height of a loop is largest at zero field, about which a cycle of 162 samples has two, 0.1 widths of the transition away."""
+    h = np.concatenate([np.linspace(0, 20, 41), np.linspace(20, -20, 81), np.linspace(-20, 20, 81)])
+    turned = np.repeat([-0.85, 0.85, -0.85], [41, 81, 81])
+    data = hf.Record(u=h, y=3.2 * np.tanh((h + turned) / 2.5), t=7.3 * np.arange(h.size), u_unit="kOe", y_unit="memu")
+    result = hf.fit("preisach-magnetic:n=48:degree=1", data)
+    assert quantity_values(result)["remanence"] == pytest.approx(3.2 * np.tanh(0.85 / 2.5), rel=3e-3)
+
+
 def test_the_steady_loop_behind_a_lag_is_that_of_the_fit_on_its_record():
     """A lag of three samples acts at the sampling rate of the record: at four times that rate the loop would be wider."""
     t = np.arange(501) / 100
