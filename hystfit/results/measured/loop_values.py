@@ -40,12 +40,12 @@ from hystfit.results.measured.loop_branches import (
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
-from hystfit.results.measured.loop_origin import Origin, is_unipolar
+from hystfit.results.measured.loop_origin import Origin, centered, is_unipolar
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured.measured_value import LoopValue
-from hystfit.results.measured.polarization_values import centered, offset_of, polarization_values
+from hystfit.results.measured.polarization_values import offset_of, polarization_values
 from hystfit.results.measured.quantities import area_label
 from hystfit.results.measured.stiffness_values import stiffness_values
 
@@ -179,8 +179,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
     # Of sparse samples the most that it can be: errors without it would be those of the straight lines alone.
     sigma = np.nan if noise is None else noise
-    if kind is LoopKind.FERROELECTRIC:
-        record, of_zero = centered(record)
+    if kind in REMANENT:
+        record, of_zero = centered(record, kind)
         y = record.y[kept]
     has_sheet = kind is LoopKind.MAGNETIC and not turns_light(record)
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if has_sheet else None

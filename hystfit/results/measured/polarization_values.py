@@ -7,27 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.outcome import Code, Note
 from hystfit.params.units import is_energy, loop_energy, size_in
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import GAP
-from hystfit.results.measured.loop_origin import is_unipolar, middle_of_relative
+from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
 _FEWEST = 3  # samples on each side of a tip
-
-
-def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
-    """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
-    if (middle := middle_of_relative(record)) is None:
-        return record, ()
-    text = (
-        f"the output is relative to the start of the record: coercivity and remanence are those about the middle of its range "
-        f"({middle:.5g} {record.y_unit}".rstrip()
-        + ")"
-    )
-    return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)
 
 
 def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
