@@ -208,3 +208,25 @@ def test_one_of_several_specimens_is_the_next_fit_where_no_model_describes_most_
     result = hf.fit("prandtl-ishlinskii:plays=10", hf.read(path))
     assert not result.usable
     assert any("--only=weak" in command for command in next_commands(result, Wording()))
+
+
+def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) -> None:
+    """A damper at three currents, one after the other: no model of the displacement alone describes them."""
+    phase = 2 * np.pi * np.arange(200) / 100
+    rows = [
+        f"{0.01 * (200 * k + j):.2f},{np.sin(p):.5f},{(1 + k) * np.tanh(5 * np.cos(p)):.5f},{0.5 * k}"
+        for k in range(3)
+        for j, p in enumerate(phase)
+    ]
+    path = tmp_path / "damper.csv"
+    path.write_text("Time (s),Displacement (mm),Force (N),Current (A)\n" + "\n".join(rows) + "\n")
+    data = hf.read(path)
+    (found,) = (note for note in examined(data).findings if note.code is Code.CONDITIONS)
+    assert found.option == ("where", "Current (A)=1")
+    result = hf.fit("prandtl-ishlinskii-stop:plays=10", data)
+    assert not result.usable
+    assert has(result.notes, Code.CONDITIONS)
+    assert next_commands(result, Wording())[0] == f"hystfit fit {path} '--where=Current (A)=1'"
+    one = hf.read(path, where="Current (A)=1")
+    assert len(one) == phase.size
+    assert not has(examined(one).findings, Code.CONDITIONS)

@@ -46,7 +46,7 @@ def check(
     content = {"schema": "hystfit.check/1", "status": str(status), **report.to_dict()}
     content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
     content["provenance"] = provenance(data, None)
-    remarks = dict.fromkeys(note for record in data for note in record.notes)
+    remarks = dict.fromkeys(note for record in data for note in record.notes if note not in report.findings)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])
     measured = quantities(data)
     content["measured"] = measured.to_dict()

@@ -164,7 +164,7 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     """
     dataset = Dataset.of(data)
     records = tuple(_measured(record, single=len(dataset) == 1) for record in dataset)
-    notes, determined = findings(records), determine(records, needs or {})
+    notes, determined = (*conditions_of(dataset), *findings(records)), determine(records, needs or {})
     family = recognize_family(dataset)
     if family is None:
         notes = (*([apart] if (apart := apart_note(tuple(dataset))) else []), *notes)
@@ -179,6 +179,12 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         notes = (*about, *notes)
         determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
     return QualityReport(dataset.name, records, notes, determined)
+
+
+def conditions_of(data: Dataset) -> tuple[Note, ...]:
+    """Warnings of the reader that a record holds measurements at several conditions, each once."""
+    notes = (note for record in data for note in record.notes)
+    return tuple(dict.fromkeys(note for note in notes if note.code is Code.CONDITIONS))
 
 
 def _measured(record: Record, *, single: bool) -> RecordQuality:
