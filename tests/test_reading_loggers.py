@@ -17,6 +17,7 @@ from hystfit.reading.names.names_with_units import split_unit
 from .loop_files import N, U, Y, is_pair, one, rows, written
 
 T = np.round(0.1 * np.arange(N), 1)
+X = np.round(20 * np.cos(np.linspace(0, 4 * np.pi, N)), 3)
 
 
 # Times --------------------------------------------------------------------------------------------------------------------------
@@ -65,6 +66,13 @@ def test_outputs_at_conditions_before_a_further_column(other: str, tmp_path: Pat
     assert any(note.code == Code.LEFT_OUT and "Ig" in note.text for note in data[0].notes) == bool(other)
 
 
+def test_branches_by_their_signs(tmp_path: Path) -> None:
+    field = np.round(np.linspace(-100, 100, N), 3)
+    rising = np.round(np.tanh((field - 20) / 12), 5)
+    record = one(tmp_path, "H (A/m),B+ (T),B- (T)\n" + rows(",", field, rising, -rising[::-1]))
+    is_pair(record, np.append(field, field[::-1]), np.append(rising, -rising))
+
+
 @pytest.mark.parametrize(
     ("names", "pair"),
     [
@@ -72,12 +80,15 @@ def test_outputs_at_conditions_before_a_further_column(other: str, tmp_path: Pat
         ("Time (h),Plasma concentration (ng/mL),Effect (% inhibition)", (None, "Effect (% inhibition)")),
         ("millis,fsr_raw,loadcell_g", ("loadcell_g", "fsr_raw")),
         ("E (kV/cm),S (%)", ("E (kV/cm)", "S (%)")),
+        ("flow_lpm,pressure_cmH2O,volume_ml", ("pressure_cmH2O", "volume_ml")),
+        ("v_primary (V),i_primary (A),v_secondary (V)", ("i_primary (A)", "v_secondary (V)")),
     ],
 )
 def test_names_of_drives_and_responses(names: str, pair: tuple[str | None, str], tmp_path: Path) -> None:
+    first = T if names.lower().startswith(("time", "millis")) else np.round(1.05 * Y, 3) if "v_p" in names else X
     columns = {
         4: (U, np.full(N, 0.5), Y, np.round(1e-3 * U, 6)),
-        3: (T, Y if "raw" in names else U, U if "raw" in names else Y),
+        3: (first, Y if "raw" in names else U, U if "raw" in names else Y),
         2: (U, Y),
     }
     record = one(tmp_path, f"{names}\n" + rows(",", *columns[names.count(",") + 1]))
