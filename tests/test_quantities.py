@@ -712,3 +712,18 @@ def test_thresholds_of_relays_have_the_error_of_the_cell_in_which_they_lie() -> 
         assert one.stderr is not None
         off.append((one.value - (up - down) / 2) / one.stderr)
     assert 0.3 < np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+def test_a_width_read_through_noise_is_not_preferred_to_that_of_the_model():
+    """At a noise of 10 % of the range, single samples near the middle make the measured loop narrower and lower."""
+    u = 5 * np.sin(2 * np.pi * np.arange(1200) / 400)
+    y = np.asarray(hf.simulate(hf.BoucWenForce(kappa_x=0.2, kappa_w=8.0, rho=1.25), u)[0])
+    noisy = y + 0.1 * np.ptp(y) * np.random.default_rng(5).normal(size=u.size)
+    result = hf.fit("prandtl-ishlinskii-stop", hf.Record(u=u, y=noisy, u_unit="mm", y_unit="N"))
+    found = {one.name: one for one in result.quantities}
+    true = measured_quantities(Dataset.of(hf.Record(u=u, y=y)))
+    for name in ("coercive_input", "remanence"):
+        one = found[name]
+        assert abs(one.value - true[name]) < 3 * one.stderr
+        assert abs(one.value - true[name]) < abs(one.measured - true[name])
+        assert not one.differs

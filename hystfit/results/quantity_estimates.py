@@ -79,7 +79,8 @@ def quantity_estimates(result: FitResult) -> tuple[QuantityEstimate, ...]:
             one = dataclasses.replace(one, stderr=float(np.linalg.norm([one.stderr, *more])))
         value = measured.get(name)
         error = None if value is None or name not in part else part[name] * abs(value)
-        rows.append(dataclasses.replace(one, measured=value, measured_stderr=error))
+        noise = (result.baselines.noise or 0.0) / scales.y * natural
+        rows.append(dataclasses.replace(one, measured=value, measured_stderr=error, measured_noise=noise))
     return tuple(rows)
 
 

@@ -150,6 +150,7 @@ class QuantityEstimate:
         reason: why one of them is unknown; None where both are known.
         measured: that of the measured loops, without a model; None where no measured cycle covers the fitted range.
         measured_stderr: standard error of that, by noise or repeats; None where it is unknown.
+        measured_noise: what the noise of one sample makes of it, which stands for an unknown error; not saved.
     """
 
     name: str
@@ -159,13 +160,15 @@ class QuantityEstimate:
     reason: Unknown | None = None
     measured: float | None = None
     measured_stderr: float | None = None
+    measured_noise: float = 0.0
 
     @property
     def differs(self) -> bool:
         """Whether the model's value is further from the measured one than both errors allow, and visibly so."""
         if self.value is None or self.stderr is None or self.measured is None:
             return False
-        apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, self.measured_stderr or 0.0))
+        of_measured = self.measured_noise if self.measured_stderr is None else self.measured_stderr
+        apart, both = abs(self.value - self.measured), float(np.hypot(self.stderr, of_measured))
         return apart > _APART * both and apart > _VISIBLE * abs(self.measured)
 
     def vaguer_than(self, stderr: float | None) -> bool:
@@ -181,4 +184,5 @@ class QuantityEstimate:
 
     def to_dict(self) -> dict[str, Any]:
         """For `result.json`."""
-        return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"} | {"differs": self.differs}
+        kept = {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "measured_noise")}
+        return kept | {"differs": self.differs}
