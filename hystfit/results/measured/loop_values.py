@@ -20,6 +20,7 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.quality.summary import without_outliers
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.butterfly_values import butterfly_values
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
@@ -171,7 +172,7 @@ _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Read:
     """Quantities, corrections and notes of a record."""
-    record, limited = _with_limited(record)
+    record, limited = _with_limited(without_outliers(record))
     kept = record.used
     u, y = record.u[kept], record.y[kept]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
