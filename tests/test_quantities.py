@@ -727,3 +727,14 @@ def test_a_width_read_through_noise_is_not_preferred_to_that_of_the_model():
         assert abs(one.value - true[name]) < 3 * one.stderr
         assert abs(one.value - true[name]) < abs(one.measured - true[name])
         assert not one.differs
+
+
+def test_a_butterfly_from_zero_has_a_range_and_no_ratio_to_the_distance_of_its_ends():
+    """Both ends have one output: the damping ratio would be divided by zero, in silence."""
+    phase = 2 * np.pi * np.arange(401) / 400
+    u = 5 * np.sin(phase)
+    y = np.tanh((u - np.where(np.cos(phase) >= 0, 1.1, -1.1)) / 0.8) ** 2
+    with np.errstate(all="raise"):
+        found = measured_quantities(Dataset.of(hf.Record(u=u, y=y)))
+    assert found["stroke"] == pytest.approx(1.0, abs=1e-3)
+    assert "equivalent_damping_percent" not in found

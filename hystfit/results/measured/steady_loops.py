@@ -112,12 +112,14 @@ class SteadyLoops:
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
         """Force over displacement between the ends of the loop, in the unit of `stiffness_unit`."""
-        return self.stiffness * (self.width / self.travel if self.force_driven else self.travel / self.width)
+        with np.errstate(divide="ignore"):  # a butterfly ends at one output
+            return self.stiffness * (self.width / self.travel if self.force_driven else self.travel / self.width)
 
     @property
     def damping_percent(self) -> Float[np.ndarray, " count"]:
         """Equivalent damping ratio; NaN above the critical damping."""
-        ratio = 100 * 2 * self.area / (np.pi * self.width * self.travel)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 100 * 2 * self.area / (np.pi * self.width * self.travel)
         return np.where(ratio > CRITICAL, np.nan, ratio)
 
 
