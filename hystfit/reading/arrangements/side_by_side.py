@@ -76,7 +76,7 @@ def stacked(table: Table) -> Table | None:
 def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
     """One input and an output at each of several conditions, and other columns behind them, which are left out; None for other tables."""
     titles = [_condition(table.names[k]) or _object(table.names[k]) for k in there[1:]]
-    told = [title for title in itertools.takewhile(lambda title: title is not None, titles) if title is not None]
+    told = [title for title in itertools.takewhile(bool, titles) if title]
     count = len(told)
     outputs, others = there[1 : count + 1], there[count + 1 :]
     apart = 1 < count == len({*told}) and not any(titles[count:]) and len(others) < count
