@@ -15,18 +15,26 @@ _CELL = re.compile(r"\s*[\[(][\d\s,;.eE+-]*\d[\d\s,;.eE+-]*[\])]\s*")
 
 
 def with_list_columns(table: Table) -> Table | None:
-    """The table with a column for each number of the lists behind the others, as position[0] and position[1]; None for other tables."""
+    """The table with the numbers of the lists as columns, the first in place of the lists, position[0], and the others behind all columns.
+
+    None for other tables.
+    """
     found = {k: values for k, label in table.labels.items() if (values := _values(label)) is not None}
     if not found:
         return None
-    for k, values in found.items():
-        for place, column in enumerate(values.T):
-            table = table.beside(f"{table.names[k]}[{place}]" if values.shape[1] > 1 else table.names[k], column)
-    listed = ", ".join(repr(table.names[k]) for k in found)
-    hidden = tuple("" if k in found else name for k, name in enumerate(table.names))
-    return dataclasses.replace(table, names=hidden).noted(
-        Note(Code.FILE_FORMAT, f"lists of numbers in the cells of {listed}, a column for each of their places")
+    named = lambda k, place: f"{table.names[k]}[{place}]" if found[k].shape[1] > 1 else table.names[k]
+    read = dataclasses.replace(
+        table,
+        names=tuple(named(k, 0) if k in found else name for k, name in enumerate(table.names)),
+        columns=tuple(found[k][:, 0] if k in found else values for k, values in enumerate(table.columns)),
+        labels={k: label for k, label in table.labels.items() if k not in found},
     )
+    for k, values in found.items():
+        for place in range(1, values.shape[1]):
+            read = read.beside(named(k, place), values[:, place])
+    listed = ", ".join(repr(table.names[k]) for k in found)
+    text = f"lists of numbers in the cells of {listed}, a column for each of their places"
+    return read.noted(Note(Code.FILE_FORMAT, text))
 
 
 def _values(label: np.ndarray) -> np.ndarray | None:
