@@ -46,7 +46,8 @@ def check(
     content = {"schema": "hystfit.check/1", "status": str(status), **report.to_dict()}
     content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
     content["provenance"] = provenance(data, None)
-    remarks = dict.fromkeys(note for record in data for note in record.notes if note not in report.findings)
+    told = {note.text for note in report.findings}
+    remarks = dict.fromkeys(note for record in data for note in record.notes if note.text not in told)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])
     measured = quantities(data)
     content["measured"] = measured.to_dict()

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.outcome.note import Code, Note, has, warn
+from hystfit.outcome.note import Code, Note, Severity, has, warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import Column, Table, number
 from hystfit.outcome.wrapping import shortened
@@ -182,9 +182,10 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
 
 
 def conditions_of(data: Dataset) -> tuple[Note, ...]:
-    """Warnings of the reader that a record holds measurements at several conditions, each once."""
-    notes = (note for record in data for note in record.notes)
-    return tuple(dict.fromkeys(note for note in notes if note.code is Code.CONDITIONS))
+    """Warnings of the reader that a record holds measurements at several conditions or levels of a further input, each once."""
+    several = lambda note: note.severity is Severity.WARNING and note.option is not None
+    notes = (note for record in data for note in record.notes if note.code is Code.CONDITIONS or several(note))
+    return tuple(dict.fromkeys(dataclasses.replace(note, code=Code.CONDITIONS) for note in notes))
 
 
 def _measured(record: Record, *, single: bool) -> RecordQuality:

@@ -51,7 +51,7 @@ def _note(name: str, word: str, levels: list[float], option: tuple[str, str], wh
         f"column {name!r} is {word} {len(levels)} levels ({shown}), and a model has one input: {key}={value!r} reads the {what} "
         "of one level"
     )
-    return dataclasses.replace(warn(Code.CONDITIONS, text), option=option)
+    return dataclasses.replace(warn(Code.CURVES, text), option=option)
 
 
 def _held_apart(table: Table, choice: Choice, position: int) -> list[tuple[float, int, int]]:
