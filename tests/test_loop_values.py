@@ -9,6 +9,7 @@ import pytest
 import hystfit as hf
 from hystfit.cli import run
 from hystfit.data.record import Stated
+from hystfit.outcome import Code
 from hystfit.quality.loops import closed_loops, cycles
 from hystfit.quality.shape import loop_shape
 from hystfit.results.measured.loop_branches import crossing
@@ -347,6 +348,18 @@ def test_light_that_a_magnetization_turns_has_coercivity_and_remanence_and_no_da
     assert found["coercive_input"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
     assert found["remanence_falling"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)
     assert not any("volume" in note.text for note in measured.notes)
+
+
+@pytest.mark.parametrize("offset", [0.0, 2.3, -8.0])
+def test_light_over_an_offset_has_the_coercivity_about_the_middle_of_its_range(offset: float) -> None:
+    record = ellipse(u_name="Field", u_unit="Oe", y_name="Kerr signal", y_unit="V")
+    measured = quantities(record.replace(y=record.y + offset))
+    found = {one.name: one for one in next(iter(measured.rows.values()))}
+    assert found["coercive_input"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
+    assert found["coercive_input_rising"].value == pytest.approx(3 * np.sin(0.4), rel=1e-5)
+    assert found["remanence_falling"].value == pytest.approx(2 * np.sin(0.4), rel=1e-5)
+    notes = next(iter(measured.notes.values()), ())
+    assert bool(offset) == any(note.code is Code.PREPARED and "offset" in note.text for note in notes)
 
 
 def test_the_data_sheet_of_a_magnet_has_what_its_instrument_states_beside_it(tmp_path):

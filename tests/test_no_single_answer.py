@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.cli import run
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import curve_scatter
@@ -208,3 +209,46 @@ def test_one_of_several_specimens_is_the_next_fit_where_no_model_describes_most_
     result = hf.fit("prandtl-ishlinskii:plays=10", hf.read(path))
     assert not result.usable
     assert any("--only=weak" in command for command in next_commands(result, Wording()))
+
+
+def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) -> None:
+    """A damper at three currents, one after the other: no model of the displacement alone describes them."""
+    phase = 2 * np.pi * np.arange(200) / 100
+    rows = [
+        f"{0.01 * (200 * k + j):.2f},{np.sin(p):.5f},{(1 + k) * np.tanh(5 * np.cos(p)):.5f},{0.5 * k}"
+        for k in range(3)
+        for j, p in enumerate(phase)
+    ]
+    path = tmp_path / "damper.csv"
+    path.write_text("Time (s),Displacement (mm),Force (N),Current (A)\n" + "\n".join(rows) + "\n")
+    data = hf.read(path)
+    (found,) = (note for note in examined(data).findings if note.code is Code.CONDITIONS)
+    assert found.option == ("where", "Current (A)=1")
+    result = hf.fit("prandtl-ishlinskii-stop:plays=10", data)
+    assert not result.usable
+    assert has(result.notes, Code.CONDITIONS)
+    assert next_commands(result, Wording())[0] == f"hystfit fit {path} '--where=Current (A)=1'"
+    one = hf.read(path, where="Current (A)=1")
+    assert len(one) == phase.size
+    assert not has(examined(one).findings, Code.CONDITIONS)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.004])
+def test_the_command_after_a_check_of_a_further_input_runs(
+    noise: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Levels that were set are chosen by their value, and those of a measured current by a stretch of the time."""
+    phase, rng = 2 * np.pi * np.arange(200) / 100, np.random.default_rng(0)
+    rows = [
+        f"{0.01 * (200 * k + j):.2f},{np.sin(p):.5f},{(1 + 0.4 * k) * np.sin(p + 1.2):.5f},{0.5 * k + noise * rng.normal():.5f}"
+        for k in range(3)
+        for j, p in enumerate(phase)
+    ]
+    path = tmp_path / "damper.csv"
+    path.write_text("Time (s),Displacement (mm),Force (N),Current (A)\n" + "\n".join(rows) + "\n")
+    assert run(["check", str(path), "--data-only"]) == 0
+    command = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
+    assert command[0] == "hystfit"
+    assert command[1:3] == ["fit" if noise else "check", str(path)]
+    more = ["--model", "linear+viscous"] if noise else ["--data-only"]  # these describe one level
+    assert run([*command[1:], *more]) == 0

@@ -14,7 +14,7 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hystfit import BoucWen, check, compare, datasets, fit, signals, simulate
+from hystfit import BoucWen, BoucWenForce, check, compare, datasets, fit, signals, simulate
 from hystfit.cli import run
 from hystfit.data.circulation import circulation
 from hystfit.data.dataset import Dataset
@@ -35,6 +35,7 @@ from hystfit.quality.needs import Needs
 from hystfit.quality.resonance import _filtered, lagged
 from hystfit.quality.shape import loop_shape
 from hystfit.quality.summary import outliers_of, summarize
+from hystfit.results.measured.loop_values import quantities as loop_quantities
 
 from .conftest import examined
 
@@ -1343,3 +1344,18 @@ def test_a_stored_cycle_that_ends_a_sample_before_it_would_begin_again_is_a_clos
     assert shape.circulation == "clockwise"
     assert shape.area == pytest.approx(-0.6 * np.pi, rel=0.01)
     assert not has(report.findings, Code.NOT_CLOSED)
+
+
+def test_a_spike_is_no_strength_that_is_lost_later():
+    """One sample of a logger is off by three times the largest force: no damage, no failure there, and no range of the output."""
+    sizes = (5.0, 5.0, 10.0, 10.0, 20.0, 20.0, 40.0, 40.0, 60.0, 60.0)
+    u = np.concatenate([[0.0], *(size * np.sin(2 * np.pi * np.arange(1, 81) / 80) for size in sizes)])
+    force = np.asarray(simulate(BoucWenForce(kappa_x=0.4, kappa_w=61.0, rho=0.125, n=2.0), u)[0])
+    record = Record(u=u, y=np.round(force, 2), u_unit="mm", y_unit="kN")
+    spoiled = record.replace(y=record.y + np.where(np.arange(u.size) == 222, 300.0, 0.0))
+    report = examined(spoiled)
+    assert has(report.findings, Code.SPIKES)
+    assert not has(report.findings, Code.DEGRADING, Code.FAILURE)
+    clean, off = ({one.name: one.value for one in loop_quantities(one).rows["record"]} for one in (record, spoiled))
+    assert off["stroke"] == clean["stroke"]
+    assert off["loop_area"] == pytest.approx(clean["loop_area"], rel=0.01)

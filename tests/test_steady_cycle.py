@@ -153,3 +153,34 @@ def test_cycles_cut_out_of_a_longer_test_begin_on_its_loop():
     rested[:100] = np.minimum(0.5 * (angle[:100] - angle[0]), 1.5)
     assert steady_period(record.replace(y=0.12 * angle + rested + noise)) is None
     assert steady_period(hf.Record(angle[:200], record.y[:200])) is None
+
+
+def butterfly(phase, sign=1.0):
+    """The strain of a ferroelectric over one period of the field, in which the branches cross at zero field."""
+    field = period(phase, 5.0)
+    rises = np.cos(phase + 2 * np.pi * np.arange(N + 1) / N) >= 0
+    return hf.Record(field, sign * np.tanh((field - np.where(rises, 1.1, -1.1)) / 0.8) ** 2)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_period_from_where_the_branches_of_a_butterfly_cross_is_recognized(sign):
+    assert steady_period(butterfly(0.0, sign)) == N + 1
+
+
+def test_a_virgin_strain_from_where_the_branches_cross_later_is_no_steady_period():
+    """A ferroelectric without polarization is shortest at zero field: here it begins where the loop passes later, but by another way."""
+    record = butterfly(0.0)
+    quarter = record.u[: N // 4 + 1]
+    virgin = record.y[0] + (record.y[N // 4] - record.y[0]) * (quarter / quarter[-1]) ** 2
+    assert steady_period(record.replace(y=np.concatenate([virgin, record.y[N // 4 + 1 :]]))) is None
+
+
+def test_an_input_of_an_oscilloscope_with_noise_of_its_last_digit_is_one_period():
+    """Eight bits, of which the sine has a hundred steps: near its turning points it goes back by two of them."""
+    phase = 2 * np.pi * np.arange(2000) / 2000
+    rng = np.random.default_rng(0)
+    u = np.round((2.1 * np.sin(phase) + rng.normal(0, 0.01, 2000)) / 0.04) * 0.04
+    y = np.round(
+        (0.45 * np.tanh((2.1 * np.sin(phase) - 0.35 * np.cos(phase)) / 0.8) + rng.normal(0, 0.002, 2000)) / 0.008
+    )
+    assert steady_period(hf.Record(u, 0.008 * y)) is not None

@@ -46,7 +46,8 @@ def check(
     content = {"schema": "hystfit.check/1", "status": str(status), **report.to_dict()}
     content["reading"] = {record.name: [note.to_dict() for note in record.notes] for record in data}
     content["provenance"] = provenance(data, None)
-    remarks = dict.fromkeys(note for record in data for note in record.notes)
+    told = {note.text for note in report.findings}
+    remarks = dict.fromkeys(note for record in data for note in record.notes if note.text not in told)
     text = "\n".join([report.text().rstrip(), *(["", "Reading of the file", *items(remarks)] if remarks else [])])
     measured = quantities(data)
     content["measured"] = measured.to_dict()
@@ -74,7 +75,10 @@ def _next_command(loops: Sequence[str], reading: Reading, remarks: Iterable[Note
     reading_options = dict(note.option for note in remarks if note.option is not None)
     changed = dict(note.option for note in report.findings if note.option is not None)
     options = {name: True if value == "true" else value for name, value in (reading_options | changed).items()}
+    window = options.pop("window", None)  # an option of a fit
     command = command_words(loops, dataclasses.replace(reading, **options))
+    if window is not None:
+        return f"\n\nNext: fit the stretch at one level\nhystfit fit {command} --window={window}"
     if report.advice is None and not changed and (part := _sound_part(report)) is not None:
         return f"\n\nNext: fit the part before the {part[0]}\nhystfit fit {command} --window=:{part[1]:.10g}"
     if changed or report.advice is None:  # the advice is for the record before the proposed change

@@ -13,6 +13,7 @@ _PLACES = 10  # parts of the range between which two branches in the same direct
 _LOCAL = 0.05  # of the input's range, over which the slope at the first sample is measured
 # Of the local width: largest change of the output over the period, without and with noise. A virgin branch begins half a width away.
 _CLOSED, _LOOSE = 0.1, 0.25
+_CURVE = 5  # coefficients of a branch there: four put a kink of 0.14 into that of a strain of 600 samples
 _STANDS_OUT = 8.0  # times the noise: least local width
 
 
@@ -39,8 +40,10 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
     away = int(np.argmax(np.abs(u - u[0]) > _LOCAL * span))
     rising = 1.0 if u[away] > u[0] else -1.0
     v = rising * u
-    first = _turn(v, span)
-    second = first + _turn(-v[first:], span)
+    # A noisy input, or one of few digits, turns back within a branch as far as its noise does.
+    slack = float(np.clip(_STANDS_OUT * _noise(u[None])[0], SLACK * span, GAP * span))
+    first = _turn(v, slack)
+    second = first + _turn(-v[first:], slack)
     beyond = np.flatnonzero(v[second:] >= v[0]) if inside else np.zeros(1, int)
     last = second + int(beyond[0]) if beyond.size else u.size - 1
     last -= int(inside and v[0] - v[last - 1] < v[last] - v[0])  # the nearer of both neighbors
@@ -59,7 +62,7 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
         width = np.abs(_between(-v[0], -v[first : second + 1], part[:, first : second + 1]) - 0.5 * (begin + end))
         off = np.abs(end - begin)
     else:  # the next branch in the same direction must be the same too
-        third = second + _turn(v[second:], span)
+        third = second + _turn(v[second:], slack)
         at = low + np.arange(1, _PLACES) / _PLACES * span
         one, other = (
             np.stack([_between(x, v[a:b], rows[:, a:b]) for x in at]) for a, b in ((0, first + 1), (second, third + 1))
@@ -67,10 +70,36 @@ def steady_rows(u: Float[np.ndarray, " T"], y: Float[np.ndarray, "N T"]) -> tupl
         middle, half = at[at.size // 2], slice(first, second + 1)
         width = np.abs(_between(-middle, -v[half], part[:, half]) - one[at.size // 2])
         off = np.maximum(np.abs(end - begin), np.sqrt(np.mean((one - other) ** 2, axis=0)))
-    noise = np.std(np.diff(part, 2), axis=1) / np.sqrt(6.0)  # second differences have sqrt(6) times white noise
-    closes = off <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)
-    stands_out = width > np.maximum(OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
-    return last + (last == u.size - 1), finite & closes & stands_out
+    noise = _noise(part)
+    least = np.maximum(OPEN * np.ptp(part, axis=1), _STANDS_OUT * noise)
+    closes = (off <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)) & (width > least)
+    if inside and not closes.all():  # the first sample may be where the branches of a butterfly cross
+        width, off = _at_crossing((v[: last + 1] - v[0]) / (_LOCAL * span), part, (first, second))
+        closes |= (off <= np.minimum(_CLOSED * width + 2 * noise, _LOOSE * width)) & (width > least)
+    return last + (last == u.size - 1), finite & closes
+
+
+def _at_crossing(
+    x: Float[np.ndarray, " T"], rows: Float[np.ndarray, "N T"], turns: tuple[int, int]
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Difference of the slopes of both branches at the first sample, and the kink or step there from the end of the period to its start.
+
+    Args:
+        x: input from that of the first sample, in parts of the range that is near.
+        turns: where the other branch begins and ends.
+    """
+    rises = np.ones(x.size, bool)
+    rises[turns[0] + 1 : turns[1]] = False
+    near = np.flatnonzero(rises & (np.abs(x) <= 1))
+    falls = slice(turns[0], turns[1] + 1)
+    smooth = np.vander(x[near], _CURVE, increasing=True)
+    joint = np.column_stack([smooth, np.maximum(x[near], 0), near < turns[0]])
+    if near.size <= joint.shape[1]:
+        return np.zeros(len(rows)), np.full(len(rows), np.inf)
+    fit = lambda basis, y: np.linalg.lstsq(basis, y.T, rcond=None)[0]
+    curve = fit(joint, rows[:, near])
+    other = fit(smooth, np.stack([_between(-at, -x[falls], rows[:, falls]) for at in x[near]], axis=1))
+    return np.abs(other[1] - curve[1] - 0.5 * curve[_CURVE]), np.abs(curve[_CURVE:]).max(axis=0)
 
 
 def _between(x: float, places: Float[np.ndarray, " T"], rows: Float[np.ndarray, "N T"]) -> Float[np.ndarray, " N"]:
@@ -82,10 +111,15 @@ def _between(x: float, places: Float[np.ndarray, " T"], rows: Float[np.ndarray, 
     return (1 - share) * rows[:, k - 1] + share * rows[:, k]
 
 
-def _turn(v: np.ndarray, span: float) -> int:
-    """Where a rise ends: the largest value before the first step back; the last sample where there is none."""
+def _noise(rows: Float[np.ndarray, "N T"]) -> Float[np.ndarray, " N"]:
+    """Standard deviation of white noise on each row, of which second differences have sqrt(6) times that."""
+    return np.std(np.diff(rows, 2), axis=1) / np.sqrt(6.0)
+
+
+def _turn(v: np.ndarray, slack: float) -> int:
+    """Where a rise ends: the largest value before the first step back by more than `slack`; the last sample where there is none."""
     for stop in (v.size // 16, v.size):  # most rises end soon
-        back = np.flatnonzero(np.maximum.accumulate(v[:stop]) - v[:stop] > SLACK * span)
+        back = np.flatnonzero(np.maximum.accumulate(v[:stop]) - v[:stop] > slack)
         if back.size:
             return int(np.argmax(v[: back[0]]))
     return v.size - 1

@@ -11,7 +11,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.outcome.note import Code, Note, has, warn
+from hystfit.outcome.note import Code, Note, Severity, has, warn
 from hystfit.outcome.table import Column, Table, fragment, number
 from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
@@ -163,7 +163,7 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     """
     dataset = Dataset.of(data)
     records = tuple(_measured(record, single=len(dataset) == 1) for record in dataset)
-    notes, determined = findings(records), determine(records, needs or {})
+    notes, determined = (*conditions_of(dataset), *findings(records)), determine(records, needs or {})
     family = recognize_family(dataset)
     if family is None:
         notes = (*([apart] if (apart := apart_note(tuple(dataset))) else []), *notes)
@@ -178,6 +178,13 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         notes = (*about, *notes)
         determined = tuple(_by_family(item, family) if item.model == "preisach" else item for item in determined)
     return QualityReport(dataset.name, records, notes, determined)
+
+
+def conditions_of(data: Dataset) -> tuple[Note, ...]:
+    """Warnings of the reader that a record holds measurements at several conditions or levels of a further input, each once."""
+    several = lambda note: note.severity is Severity.WARNING and note.option is not None
+    notes = (note for record in data for note in record.notes if note.code is Code.CONDITIONS or several(note))
+    return tuple(dict.fromkeys(dataclasses.replace(note, code=Code.CONDITIONS) for note in notes))
 
 
 def _measured(record: Record, *, single: bool) -> RecordQuality:

@@ -7,7 +7,7 @@ import numpy as np
 from hystfit.data.record import Record
 from hystfit.quality.loops import SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import WHOLE, RecordQuality
-from hystfit.quality.summary import summarize
+from hystfit.quality.summary import summarize, without_outliers
 
 FAILED = 0.8  # of the largest force, to which that of later peaks has fallen at failure (ASTM E2126)
 
@@ -49,7 +49,7 @@ def fails_at(record: Record, quality: RecordQuality) -> float | None:
     """
     if not quality.weakens or not quality.degrading or quality.softens_with_stroke:
         return None
-    used = np.flatnonzero(record.used)
+    used = np.flatnonzero(without_outliers(record).used)
     u, force = np.abs(record.u[used]), np.abs(record.y[used])
     last = int(np.flatnonzero(force >= FAILED * force.max())[-1])
     turns = clear_reversals(record.u[used])

@@ -80,14 +80,14 @@ def summarize(record: Record) -> RecordQuality:
 @_once
 def may_change(record: Record) -> bool:
     """Whether the device may degrade: a first look, in a fraction of the time of `summarize`."""
-    u, y, t = record.u, record.y, record.t
+    u, sound, t = record.u, _without_spikes(record), record.t
     threshold = _threshold(_column(u))
     turns, cycles = geometry.reversals(u, threshold), geometry.cycles(u, threshold)
     parts = (
-        (stiffness_left(u, y, t, cycles, threshold), WHOLE),
-        (strength_left(u, y, cycles), WEAKER),
-        (unloading_left(u, y, cycles, threshold), SOFTER),
-        (softening_left(u, y, turns), WEAKER),
+        (stiffness_left(u, sound, t, cycles, threshold), WHOLE),
+        (strength_left(u, sound, cycles), WEAKER),
+        (unloading_left(u, sound, cycles, threshold), SOFTER),
+        (softening_left(u, sound, turns), WEAKER),
     )
     return any(left is not None and left < whole for left, whole in parts)
 
@@ -136,14 +136,31 @@ def outliers_of(record: Record) -> np.ndarray:
     return found if found.size <= _MOST_OUTLIERS * len(record) else found[:0]
 
 
+def without_outliers(record: Record) -> Record:
+    """The record with isolated outliers of the output left out, as a fit leaves them out."""
+    found = outliers_of(record)
+    weight = record.weight.copy()
+    weight[found] = 0.0
+    return record.replace(weight=weight) if found.size else record
+
+
+def _without_spikes(record: Record) -> np.ndarray:
+    """The output with straight lines in place of isolated outliers, which are no strength that later cycles have lost."""
+    found, y = outliers_of(record), record.y.copy()
+    known = np.setdiff1d(np.flatnonzero(np.isfinite(y)), found)
+    y[found] = np.interp(found, known, y[known])
+    return y
+
+
 def _summarize(record: Record) -> RecordQuality:
     u, y, t = record.u, record.y, record.t
+    sound = _without_spikes(record)
     u_column, y_column = _column(u), _column(y)
     motion, turns, cycles, loops = _motion(record, u_column)
     moving = np.ptp(u) > 0
     sampling, interval = _sampling(record), record.sampling_interval
     lag = dynamics = slow_lag = None
-    shape = loop_shape(u, bridged(y), loops, cycles, y_column.known_noise or 0.0)
+    shape = loop_shape(u, bridged(sound), loops, cycles, y_column.known_noise or 0.0)
     if moving and t is not None and interval and sampling.uniform and sampling.repeated_stamps == 0:
         seen = np.where(saturated_samples(u, y), np.nan, y)  # a sensor at its limit does not show when the output turns
         lag = estimate_lag(u, seen, interval, turns, u_noise=u_column.known_noise)
@@ -168,10 +185,10 @@ def _summarize(record: Record) -> RecordQuality:
         drift=drifts,
         lag=lag,
         rate_effect=rate_effect(u, y, t, cycles),
-        stiffness_left=stiffness_left(u, y, t, cycles, motion.threshold),
-        strength_left=strength_left(u, y, cycles),
-        unloading_left=unloading_left(u, y, cycles, motion.threshold),
-        softening_left=softening_left(u, y, turns),
+        stiffness_left=stiffness_left(u, sound, t, cycles, motion.threshold),
+        strength_left=strength_left(u, sound, cycles),
+        unloading_left=unloading_left(u, sound, cycles, motion.threshold),
+        softening_left=softening_left(u, sound, turns),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),

@@ -20,7 +20,7 @@ from hystfit.reading.files.file_bytes import inner_name, load
 from hystfit.reading.files.text_file import Opening
 from hystfit.reading.frames import frame_table, is_frame
 from hystfit.reading.registry import table_of_file
-from hystfit.reading.several import combined, files_of, pair_of, pair_table
+from hystfit.reading.several import check_single, combined, files_of, pair_of, pair_table
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.treatment import Treatment
 
@@ -168,6 +168,8 @@ def _read_all(
             unread.append(error)
     if not parts:
         raise unread[0]
+    if len(parts) == 1 and not any(columns.values()):
+        check_single(*parts[0])
     if unread:
         words = f"left out: {len(unread)} files of the archive that hold no loop, the first because {unread[0]}"
         parts = [(file, _noted(data, warn(Code.LEFT_OUT, words))) for file, data in parts]

@@ -14,12 +14,15 @@ from collections.abc import Callable
 from hystfit.errors import DataError
 from hystfit.reading.arrangements.adjusted import with_adjusted
 from hystfit.reading.arrangements.charge_throughput import with_throughput
+from hystfit.reading.arrangements.compact_stamps import with_compact_stamps
+from hystfit.reading.arrangements.list_columns import with_list_columns
 from hystfit.reading.arrangements.long_format import widened
 from hystfit.reading.arrangements.row_loops import with_row_loops
 from hystfit.reading.arrangements.scaled_columns import unscaled
 from hystfit.reading.arrangements.side_by_side import stacked
 from hystfit.reading.arrangements.signed_amplitude import with_signed_amplitude
 from hystfit.reading.arrangements.specimens import divided
+from hystfit.reading.arrangements.split_clock import with_joined_clock
 from hystfit.reading.arrangements.switch_columns import with_switches
 from hystfit.reading.arrangements.unit_columns import with_unit_columns
 from hystfit.reading.curves.two_branches import unfolded
@@ -37,11 +40,13 @@ from hystfit.reading.layouts.igor_text import read_igor
 from hystfit.reading.layouts.json_text import read_json
 from hystfit.reading.layouts.key_values import read_key_values
 from hystfit.reading.layouts.known_layouts import KnownLayouts
+from hystfit.reading.layouts.list_cells import read_list_cells
 from hystfit.reading.layouts.magic_tables import read_magic
 from hystfit.reading.layouts.markup import read_markup
 from hystfit.reading.layouts.matlab import read_matlab
 from hystfit.reading.layouts.micromag import read_micromag
 from hystfit.reading.layouts.parquet import read_parquet
+from hystfit.reading.layouts.pgfplots import read_pgfplots
 from hystfit.reading.layouts.sections import read_sections
 from hystfit.reading.layouts.snapshots import read_snapshots
 from hystfit.reading.layouts.spice_raw import read_spice
@@ -144,6 +149,8 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
     read_micromag,
     read_magic,
     read_easyexpert,
+    read_list_cells,
+    read_pgfplots,
     read_assigned_arrays,
     read_snapshots,
     read_key_values,
@@ -165,6 +172,9 @@ TEXTS: tuple[Callable[[TextFile], Table | None], ...] = (
 # What the columns of a table show, wherever it comes from, in this order; each gives None for a table without it.
 ARRANGEMENTS: tuple[Callable[[Table], Table | None], ...] = (
     with_unit_columns,
+    with_list_columns,
+    with_compact_stamps,
+    with_joined_clock,
     unscaled,
     with_switches,
     with_signed_amplitude,

@@ -20,9 +20,10 @@ from hystfit.params.units import conversion
 from hystfit.reading.arrangements.branch_files import go_on, joined
 from hystfit.reading.arrangements.charge_throughput import cycled
 from hystfit.reading.arrangements.side_by_side import stacked_files
-from hystfit.reading.choice.chosen_columns import Choice, choose, find
+from hystfit.reading.choice.chosen_columns import Choice, choose, find, half_of_pair
 from hystfit.reading.files.archive import members_of
 from hystfit.reading.files.file_bytes import exists
+from hystfit.reading.limits import FEW, MAJORITY
 from hystfit.reading.table.raw_table import Table
 
 PAIR = "+"
@@ -103,11 +104,32 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     )
 
 
+def check_single(path: str, data: Record | Dataset) -> None:
+    """Refuse the only file where its two columns, without names, are a time and one signal, which goes up and down by turns.
+
+    Raises:
+        DataError: the file has no other signal.
+    """
+    if not (isinstance(data, Record) and data.u_name == "column 0" and _is_clock(data)):
+        return
+    ways = np.sign(np.diff(data.y))
+    if FEW < int((np.diff(ways[ways != 0]) != 0).sum()) < MAJORITY * len(data):
+        raise DataError(
+            f"{path}: a loop needs an input and an output, and the first of its two columns rises in even steps as a time does; "
+            f"{half_of_pair(path)}. If it is the input, --input 0 --output 1 reads it (input=, output=)"
+        )
+
+
+def _is_clock(record: Record) -> bool:
+    """Whether the input of a record without a time, and without a unit, rises in even steps."""
+    steps = np.diff(record.u)
+    even = steps.size > 1 and steps.min() > 0 and bool(np.ptp(steps) <= EVEN * np.median(steps))
+    return even and record.t is None and not record.u_unit
+
+
 def _share_a_clock(one: Record, other: Record) -> bool:
     """Whether two records without a time have the same input, which rises in even steps."""
-    steps = np.diff(one.u)
-    even = steps.size > 1 and steps.min() > 0 and bool(np.ptp(steps) <= EVEN * np.median(steps))
-    return even and one.t is None and other.t is None and not one.u_unit and np.array_equal(one.u, other.u)
+    return _is_clock(one) and other.t is None and np.array_equal(one.u, other.u)
 
 
 def pair_table(

@@ -14,6 +14,7 @@ from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK, plays_residuals
+from hystfit.quality.check import conditions_of
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
@@ -45,7 +46,7 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _chattering(fitted),
         _at_one_rate(fitted.data),
     )
-    notes = [note for note in found if note is not None]
+    notes = [*conditions_of(fitted.data), *(note for note in found if note is not None)]
     drift = _drift(fitted)
     return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
 
@@ -55,6 +56,10 @@ def _of_time_alone(fitted: Fitted) -> Note | None:
     if fitted.model.hysteretic or fitted.model.memoryless:
         return None
     text = "the model has no hysteresis: its loop is due to a lag, a delay or a rate-dependent force, and closes in slow cycles"
+    if paces(fitted.data) == 1:
+        text = (
+            f"{text}; loops of one pace do not tell this from hysteresis: measure at another pace before using it there"
+        )
     return Note(Code.SPEED_DEPENDENT, text)
 
 

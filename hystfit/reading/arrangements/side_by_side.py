@@ -22,8 +22,8 @@ _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a nam
 # Words between underscores and signs, and of CamelCase; a number keeps its decimals: 0.5T of H_0.5T.
 _WORD = re.compile(r"\d+\.\d+[^\W_]*|[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")
 _CONDITION = re.compile(
-    r"(.*?)(?:[\s_@(]|at\b)*([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
-)  # a value and its unit behind a name
+    r"(.*?)(?:[\s_@(]|at\b)*(?:\b\w{1,3} ?= ?)?([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
+)  # a value and its unit behind a name: M 5K, Id (Vd = 1 V)
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3
@@ -74,15 +74,21 @@ def stacked(table: Table) -> Table | None:
 
 
 def _of_conditions(table: Table, there: Sequence[int]) -> Table | None:
-    """One input and an output at each of several conditions; None for other tables."""
-    titles = [title for k in there[1:] if (title := _condition(table.names[k]) or _object(table.names[k])) is not None]
-    apart = len({*titles}) == len(titles) == len(there) - 1
-    if not apart or len({(base, unit) for base, _, unit in titles}) > 1:
+    """One input and an output at each of several conditions, and other columns behind them, which are left out; None for other tables."""
+    titles = [_condition(table.names[k]) or _object(table.names[k]) for k in there[1:]]
+    told = [title for title in itertools.takewhile(bool, titles) if title]
+    count = len(told)
+    outputs, others = there[1 : count + 1], there[count + 1 :]
+    apart = 1 < count == len({*told}) and not any(titles[count:]) and len(others) < count
+    if not apart or len({(base, unit) for base, _, unit in told}) > 1:
         return None
-    names = [f"{value} {unit}".strip() for _, value, unit in titles]
-    output = titles[0][0] or "output"
-    alike = dataclasses.replace(table, names=tuple(output if k in there[1:] else n for k, n in enumerate(table.names)))
-    return _below_each_other(alike, [[there[0], k] for k in there[1:]], names)
+    names = [f"{value} {unit}".strip() for _, value, unit in told]
+    output = told[0][0] or "output"
+    alike = dataclasses.replace(table, names=tuple(output if k in outputs else n for k, n in enumerate(table.names)))
+    if others:
+        shown = ", ".join(repr(table.names[k]) for k in others)
+        alike = alike.noted(Note(Code.LEFT_OUT, f"columns not used: {shown}"))
+    return _below_each_other(alike, [[there[0], k] for k in outputs], names)
 
 
 def _at_conditions(table: Table, clock: int, rest: Sequence[int]) -> Table | None:

@@ -251,7 +251,7 @@ def _too_few(table: Table, free: list[int], given: Mapping[str, int], clock: int
     beside = " beside the time" if clock is not None else ""
     remedy = "name them with input= and output=, or check delimiter= and decimal="
     if len(free) == 1:
-        remedy = f"{remedy}; {_half_of_pair(table)}" if table.labels else _half_of_pair(table)
+        remedy = f"{remedy}; {half_of_pair(table.source)}" if table.labels else half_of_pair(table.source)
     return DataError(
         f"{table.source}: a loop needs an input and an output, found {len(free) + len(given)} column(s) of changing numbers{beside}. "
         f"The columns are {table.describe()}; {remedy}"
@@ -341,7 +341,7 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
     if len(kept) + len(given) < 2:
         raise DataError(
             f"{table.source}: the columns {', '.join(map(str, free))} are one signal, of equal or opposite sign; a loop needs an input and "
-            f"an output; {_half_of_pair(table)}"
+            f"an output; {half_of_pair(table.source)}"
         )
     for k in [*kept]:
         alike = lambda j, k=k: any(same(table.columns[j], table.columns[k]) for same in (computed, rounded))
@@ -354,9 +354,8 @@ def _without_copies(table: Table, free: list[int], given: dict[str, int], notes:
     return kept
 
 
-def _half_of_pair(table: Table) -> str:
+def half_of_pair(own: str) -> str:
     """The remedy for a file of one signal: it may be half of a pair."""
-    own = str(table.source)
     return f"if the other one is in a file of its own, INPUT_FILE+{own} or {own}+OUTPUT_FILE reads both"
 
 

@@ -138,7 +138,8 @@ class _Evidence:
             + self._of_pair(i, o)
         )
         points += _LATER * (later + (i > o and not {i, o} <= self.facts.equal)) * (not self.facts.is_open(i))
-        points += self._of_role(i, "input") + self._of_role(o, "output") + self._of_signal[i] + self._of_signal[o]
+        stated = self._of_role(i, "input") * (not heats) + self._of_role(o, "output")
+        points += stated + self._of_signal[i] + self._of_signal[o]
         across = kinds[o] == "strain" and self.facts.is_partial[o]
         points += _PARTIAL * (self.facts.is_partial[i] + across + self.facts.is_share[o])
         points += _HELD_INPUT * (self.facts.is_held[i] or self.facts.has_two_states[i])

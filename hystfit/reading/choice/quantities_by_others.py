@@ -12,7 +12,7 @@ from hystfit.data.two_levels import has_two_levels
 from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.choice.quantity_points import LOADS
 from hystfit.reading.limits import MAJORITY, ODD
-from hystfit.reading.names.column_names import RELATIVE_PRESSURE, column_quantity, column_role, parts_of
+from hystfit.reading.names.column_names import RELATIVE_PRESSURE, column_quantity, column_role, has_terminals, parts_of
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import is_even, is_near_median, proportional
@@ -72,6 +72,8 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "phase" for k in free if bases[k].lower() in _POLAR})
     locked = [k for k in free if {"lock", "lockin"} & parts_of(table.names[k])]
     kinds.update({k: "phase" for k in locked if _POLAR & parts_of(table.names[k]) and kinds[k] == "displacement"})
+    if has_terminals(table.names):  # ID beside VG is no number of an object
+        kinds.update({k: "current" for k in free if bases[k] in ("ID", "IS")})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if bases[k] in ("D", "Q")})
     if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing

@@ -55,7 +55,7 @@ PAIRS: Mapping[tuple[str, str], float] = (
         3.0,
     )
     | dict.fromkeys([("strain", "resistance"), ("displacement", "resistance")], 1.0)  # less than beside a temperature that drives both
-    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0, ("pressure", "flow"): 1.5}
+    | {("temperature", "heat flow"): 4.0, ("induction", "resistance"): 3.0, ("pressure", "flow"): 1.5, ("pressure", "volume"): 2.5}
     | {("displacement", "concentration"): -2.0, ("concentration", "displacement"): -2.0}  # the depth to which water is clear
     | {("volume", "displacement"): 1.0, ("force", ""): 0.5}  # of a drop or a syringe; of a sensor under a load
     | {("field", "resistance"): 3.0, ("current", "field"): 6.0}  # of a coil, where nothing else responds to its field

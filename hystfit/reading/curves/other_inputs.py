@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Iterable, Iterator
 
@@ -35,21 +36,22 @@ def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iter
         if levels := levels_in_turn(values):
             if states_strokes(values, drive):
                 continue
-            option = f"where='{name}={levels[-1]:g}' reads the samples of one level"
-            yield _note(name, "set to", levels, option)
+            yield _note(name, "set to", levels, ("where", f"{name}={levels[-1]:g}"), "samples")
         elif kinds[position] not in ("velocity", "") and (held := _held_apart(table, choice, position)):
             _, first, stop = max(held, key=lambda one: one[2] - one[1])
             clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
             window = f"{clock[first]:.10g}:{clock[stop - 1]:.10g}"
-            option = f"window='{window}' reads the longest stretch of one level"
-            yield _note(name, "held at", [level for level, _, _ in held], option)
+            yield _note(name, "held at", [level for level, _, _ in held], ("window", window), "longest stretch")
 
 
-def _note(name: str, word: str, levels: list[float], option: str) -> Note:
+def _note(name: str, word: str, levels: list[float], option: tuple[str, str], what: str) -> Note:
     shown = ", ".join(f"{level:.4g}" for level in levels)
-    return warn(
-        Code.CURVES, f"column {name!r} is {word} {len(levels)} levels ({shown}), and a model has one input: {option}"
+    key, value = option
+    text = (
+        f"column {name!r} is {word} {len(levels)} levels ({shown}), and a model has one input: {key}={value!r} reads the {what} "
+        "of one level"
     )
+    return dataclasses.replace(warn(Code.CURVES, text), option=option)
 
 
 def _held_apart(table: Table, choice: Choice, position: int) -> list[tuple[float, int, int]]:

@@ -25,7 +25,8 @@ _BACK = frozenset({"backward", "bwd", "reverse", "retrace"})  # the second one, 
 # Of a speed: the other branch is that of the other direction, and not the way back.
 _SIGNS = frozenset({"positive", "pos"})
 _SHORT = {"ch": "charge", "dch": "discharge"}
-_NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"))  # branches without a direction; "1" is the first
+_NUMBERED = (("1", "2"), ("a", "b"), ("i", "ii"), ("+", "-"))  # branches without a direction; "1" is the first
+_SIGNED = re.compile(r"(.*\w)\s*([+-])")  # B+ beside B-
 _TOKEN = re.compile(r"[A-Z]+(?![a-zà-ÿ])|[A-Z]?[a-zà-ÿµ]+|\d+|[^\W\d_]+")
 _OF_MATRIX = re.compile(r"\[\d+\]$")  # column of a matrix
 _UNSPACED = re.compile(
@@ -151,6 +152,8 @@ def _branch(name: str) -> tuple[str, str]:
         base, word = _branch(name)
         return base + column, word
     spaced = _UNSPACED.sub(r" \g<0> ", split_unit(name)[0])
+    if signed := _SIGNED.fullmatch(spaced.strip().replace("−", "-")):
+        return signed[1].lower(), signed[2]
     tokens = [token.lower() for token in _TOKEN.findall(spaced)]
     numbers = {word for pair in _NUMBERED for word in pair}
     place = next((k for k, token in enumerate(tokens) if token in RISING | FALLING), None)

@@ -22,16 +22,18 @@ _START = re.compile(
 _LISTED = re.compile(
     rf"^[ \t]*([A-Za-z_]\w*)[ \t]*:[ \t]*\n((?:[ \t]*-[ \t]+{_NUMBER}[ \t]*(?:\n|$))+)", re.MULTILINE | re.IGNORECASE
 )
+_CONTINUED = re.compile(r"\.\.\.[^\n]*\n")  # MATLAB goes on in the next line
 _CLOSING = str.maketrans("[({", "])}")
 _LOOKED_AT = 4000  # characters in which the first array begins
 
 
 def read_assigned_arrays(text: TextFile) -> Table | None:
     """Arrays in the text of a program (V = [1, 2, ...] of MATLAB, Python, C or R), and lists of YAML, each a column under its name."""
-    head = text.content[:_LOOKED_AT]
-    found = _assigned(text.content) if _START.search(head) else _listed(text.content) if _LISTED.search(head) else []
+    content = _CONTINUED.sub(" ", text.content)
+    head = content[:_LOOKED_AT]
+    found = _assigned(content) if _START.search(head) else _listed(content) if _LISTED.search(head) else []
     arrays = {name: array for name, array, _ in found if array is not None and array.shape[0] >= FEWEST}
-    if not arrays or sum(size for _, _, size in found) < MOST * len(text.content.strip()):
+    if not arrays or sum(size for _, _, size in found) < MOST * len(content.strip()):
         return None
     note = Note(Code.FILE_FORMAT, "arrays behind their names, as programs write them")
     table = table_of_arrays(arrays, text.source, text.sha256, (*text.notes, note))
@@ -62,7 +64,6 @@ def _assigned(content: str) -> list[_Array]:
 
 def _array(body: str, *, nested: bool) -> np.ndarray | None:
     """The numbers between brackets, a vector or a matrix of rows; None where they are no numbers or rows of different lengths."""
-    body = re.sub(r"\.\.\.[^\n]*\n", " ", body)  # MATLAB continues a row in the next line
     parts = re.split(r"[\])}]\s*,?\s*[\[({]", body) if nested else re.split(r"[;\n]", body)
     try:
         rows = [[float(cell) for cell in part.replace(",", " ").split()] for part in parts]

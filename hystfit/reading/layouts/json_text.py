@@ -56,7 +56,7 @@ def table_of_tree(content: Any, file: TextFile | FileBytes, note: Note) -> Table
     Raises:
         DataError: there are no arrays of numbers.
     """
-    parts = _parts(_columnar(content))
+    parts = _as_channels(_parts(_columnar(content)))
     if not parts:
         raise DataError(f"{file.source} holds no arrays of numbers; write each column as a list under its name")
     units = {*_unit_texts(content)}
@@ -201,6 +201,23 @@ def _joined(parts: list[_Record], title: str) -> list[_Record]:
     if len(parts) < 2 or not told or not all(map(meet, numbers)):
         return parts
     return [({name: np.concatenate(column) for name, column in columns.items()}, "", {})]
+
+
+def _as_channels(parts: list[_Record]) -> list[_Record]:
+    """Parts with one time and one signal each, such as the process variables of an archive, as one record; others as they are."""
+    arrays = [arrays for arrays, _, _ in parts]
+    names = [[name for name in one if column_quantity(name) != "time"] for one in arrays]
+    clocks = [
+        {name: one[name] for name in one if name not in signals} for one, signals in zip(arrays, names, strict=True)
+    ]
+    shared = all(
+        all(np.array_equal(clock[name], clocks[0].get(name)) for name in clock) and len(clock) == len(clocks[0])
+        for clock in clocks
+    )
+    if len(parts) < 2 or not all(clocks) or not shared or any(len(signals) != 1 for signals in names):
+        return parts
+    signals = {name: one[signal] for (_, name, _), one, (signal,) in zip(parts, arrays, names, strict=True)}
+    return [(clocks[0] | signals, "", {})] if len(signals) == len(parts) else parts
 
 
 def _records(items: Iterable[tuple[str, Any]]) -> list[tuple[str, dict[str, np.ndarray], dict[str, Any]]]:

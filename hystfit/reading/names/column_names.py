@@ -31,12 +31,18 @@ _TERMINAL = re.compile(
 )
 _REMARK = re.compile(r"\s*[(\[][^()\[\]]*[)\]]")  # on a name: Cycle Count(Digital Position)
 _OF_GATE = re.compile(r"V_?[Gg][Ss]?\d?")
-_TEMPERATURES = re.compile(r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?")
+_TEMPERATURES = re.compile(
+    r"T[_ ]?(?:stage|sample|chamber|room|amb|ambient|env|probe|set|bath|oven|cold|hot|c|C)\d?|T[AS]_F(?:_MDS)?(?:_\d)?"
+)
+# Net exchange of an ecosystem, its photosynthesis and its respiration, as FLUXNET names them: "REF" is no reference there.
+_EXCHANGE = re.compile(r"(?:NEE|GPP|RECO)(?:_[A-Z]+)*(?:_\d)?")
 # Tags of process control: LIC101.PV, FIC-7/OUT, TIC_3.SP.
 _TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
 RELATIVE_PRESSURE = re.compile(r"(?<!\w)p_?e?q? ?/ ?p_?[0os₀]?(?!\w)", re.IGNORECASE)
+_OF_BRIDGES = ("mV/V", "µV/V", "μV/V")  # signals of strain gauges, over the voltage that feeds their bridge
+_RATIOS = ("%", "‰", "ppm")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
 
@@ -89,6 +95,8 @@ def column_quantity(name: str, unit: str = "") -> str:
         return ""  # a level is no force, and Q in m3/s is a flow
     if by_unit == "charge" and stated == "C" and not named and len(base) > 1:
         return "temperature"  # of channels that have a number or the name of a port
+    if named == "stress" and stated in _RATIOS:
+        return "strain"  # S in percent, beside an electric field
     if named in _STATED_AS.get(by_unit, ()) and (len(base) > 1 or base in "HMJ"):
         return named
     if named == "wavelength" and base.lower().startswith(("λ", "lambda")):
@@ -143,6 +151,8 @@ def column_role(name: str) -> str:
     if tag := _TAG.fullmatch(name):
         return "input" if tag[1] else "output" if name.endswith("PV") else ""
     base = _field(split_unit(name)[0].strip())
+    if _EXCHANGE.fullmatch(base) or split_unit(name)[1] in _OF_BRIDGES:
+        return "output"
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input
     first, _, rest = base.lower().partition("_")

@@ -10,6 +10,7 @@ from hystfit.params.units import ONE_CHARACTER, parse_unit, quantity
 from hystfit.reading.limits import LONGEST
 from hystfit.reading.names.scaled_units import factor_of
 from hystfit.reading.names.unit_case import in_case, split_in_case
+from hystfit.reading.names.vocabulary import WORDS
 
 _BASE = (
     r"(?:[pnuµμm]?s|[pnuµμmckMG]?(?:Gs|V|A|m|N|Pa|T|G|Oe|C|Hz|W|J|g|Wb|rad|[oO]hms?|Ω|Ω|K|bar|emu|Am2|Am|Nm|Ncm|Nmm|[sS]ec|psi|gf|lbf))|[uµμm]strain"
@@ -43,7 +44,8 @@ _NO_UNIT = re.compile(r"[a-z]+ed|raw|avg|mean|left|right|top|bottom", re.IGNOREC
 _LENGTHS = frozenset({"x", "y", "z", "d", "pos", "position", "disp", "displacement", "length"})
 # Names of columns that are no more than a unit, and that unit.
 _BARE_UNITS = {
-    unit: unit for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa hPa".split()
+    unit: unit
+    for unit in "day ms us µs μs ns mT µT uT Oe kOe emu mV kV mA µA uA nA µm um nm kN MPa kPa hPa mV/V µV/V".split()
 } | {"kpa": "kPa"}
 _ARBITRARY = frozenset(
     {"a.u.", "a.u", "arb. units", "arb.u.", "arb. unit", "arb", "adu", "p/p0"}
@@ -54,7 +56,9 @@ _OVER_INCHES = frozenset({"lb", "lbs", "lbf", "oz", "ozf", "kip", "kips", "klbf"
 _NOT_SUFFIX = frozenset(
     {"min", "h", "counts", "second", "minute", "hour", "degree", "foot"}
 )  # x_min is a minimum, not minutes
-_NODE = re.compile(r"[NVAWJKGTL]\d")  # number of a node, an element or a channel: U1_N5, I(V1)
+_NODE = re.compile(
+    r"[NVAWJKGTL](?:\d|_in)"
+)  # number of a node, an element or a channel, or its input: U1_N5, I(V1), run1/V_in
 # Names before the "in" that is an inch: x_in, stroke_in; that of v_in, air_in and sw_in is the way in.
 _INCHES = re.compile(
     r"x|y|z|d|l|(?:.*[_ ])?(?:\w*(?:pos|disp|dist|drift|defl|stroke|travel|slip|lift|gap|width|length|height|elong|ext|lvdt|pot)\w*)",
@@ -185,6 +189,8 @@ def _behind_blank(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
     if not match or not known or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
         return None
     spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
+    last = WORDS.get(match[1].lower().split()[-1], "")  # Force N, Current A, and not phase A beside phase B
+    spelled = spelled or (last == quantity(match[2]) != "" and len(_indices(match[1], siblings, " ")) < 2)
     return (match[1], match[2]) if spelled or _all_have_units(siblings) else None
 
 
@@ -207,9 +213,9 @@ def _in_lower_case(name: str, siblings: Sequence[str]) -> tuple[str, str] | None
     return None if found is None or (one and len(_indices(found[0], siblings)) > 1) else found
 
 
-def _indices(base: str, siblings: Sequence[str]) -> set[str]:
-    """Single letters behind a name and an underscore: a, b and c of i_a, i_b and i_c."""
-    others = {other[len(base) + 1 :] for other in siblings if other.startswith(f"{base}_")}
+def _indices(base: str, siblings: Sequence[str], mark: str = "_") -> set[str]:
+    """Single letters behind a name and a mark: a, b and c of i_a, i_b and i_c."""
+    others = {other[len(base) + 1 :] for other in siblings if other.startswith(f"{base}{mark}")}
     return {other for other in others if len(other) == 1}
 
 

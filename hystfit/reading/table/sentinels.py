@@ -117,7 +117,8 @@ def shifted_marks(values: np.ndarray) -> np.ndarray:
 def without_end_marks(table: Table) -> Table:
     """The table without rows that are 0 in all its columns of numbers, where one of these otherwise stays far from 0: marks of an end.
 
-    Far is farther than the range of the column, as a saturation pressure or a temperature that is logged beside a loop is.
+    Far is farther than the range of the column, as a saturation pressure or a temperature that is logged beside a loop is. So are the rows
+    at the end of a record that fills an array of zeros in part: a column that always rises before them is a time, which never goes back.
     """
     numbers = [k for k in table.positions if k not in table.labels and np.isfinite(table.columns[k]).any()]
     if len(numbers) < 3:
@@ -127,8 +128,14 @@ def without_end_marks(table: Table) -> Table:
     if not 0 < marks.sum() < MAJORITY * table.rows:
         return table
     low, high = np.nanmin(columns[~marks], axis=0), np.nanmax(columns[~marks], axis=0)
-    if not (np.maximum(low, -high) > high - low).any():
+    filled = bool(marks[-marks.sum() :].all()) and (np.diff(columns[~marks], axis=0) > 0).all(axis=0).any()
+    if not filled and not (np.maximum(low, -high) > high - low).any():
         return table
+    if filled:
+        text = (
+            f"left out: {int(marks.sum())} rows at the end that are 0 in all columns, the time among them: no samples"
+        )
+        return table.take(~marks).noted(Note(Code.LEFT_OUT, text))
     text = f"left out: {int(marks.sum())} rows that are 0 in all columns, of which one otherwise stays far from 0: marks of an end"
     return table.take(~marks).noted(Note(Code.LEFT_OUT, text))
 

@@ -230,6 +230,8 @@ def _are_units(bare: Sequence[str], parts: Sequence[str]) -> bool:
 
 def _mostly_units(bare: Sequence[str]) -> bool:
     """Whether two cells of a line and half of those that are filled are units; "NO." and "Time" count on neither side."""
+    if any(cell.endswith((")", "]")) and split_unit(cell)[1] and not is_unit(cell) for cell in bare):
+        return False  # Load (N) beside mV/V is the name of a column
     count = sum(is_unit(cell) or is_symbol(cell) for cell in bare)
     others = [cell for cell in bare if cell and (is_unit(cell) or column_quantity(cell) not in ("index", "time"))]
     return count > 1 and 2 * count >= len(others)
@@ -265,7 +267,7 @@ def listed_names(above: Sequence[str], width: int) -> list[str]:
 def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
     """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
     found = {}
-    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in above)):
+    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in with_next(above))):
         cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
         is_units = match["word"][0].lower() == "u"
         if fitting := next(
@@ -273,6 +275,12 @@ def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
         ):
             found[is_units] = fitting
     return found
+
+
+def with_next(lines: Sequence[str]) -> list[str]:
+    """The lines, those that end with a colon joined with the next one, "channel names:" above the names."""
+    below = itertools.zip_longest(lines, lines[1:], fillvalue="")
+    return [f"{line} {after}" if line.rstrip().endswith(":") else line for line, after in below]
 
 
 def _of_channels(above: Sequence[str], width: int) -> dict[bool, list[str]]:

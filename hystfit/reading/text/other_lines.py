@@ -30,6 +30,7 @@ _WORDS = {
     "cells": "row with another number of cells than {width}",
     "text": "line with text where numbers are expected",
     "comment": "comment line",
+    "unmeasured": "row of missing values",
 }
 
 
@@ -70,6 +71,8 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
         extra: positions of columns that may have no name of their own, such as the time of day beside a date.
     """
     dialect, first = text.dialect, int(block.index[0])
+    while first and _is_unmeasured(block.rows[first - 1]):  # the first samples, of which nothing was measured
+        first -= 1
     low = max(0, first - 12)
     empty = [k for k, kind in enumerate(dialect.kinds) if kind == cells.MISSING]
     at_end = [k for k in empty if k >= len(dialect.kinds.rstrip(cells.MISSING))]
@@ -118,6 +121,11 @@ def header_of(text: Text, block: Block, extra: Sequence[int] = ()) -> Header:
     if used > 2 and not over and not place:
         over = _over(text, block, first - 1)
     return Header(names, units, used, apart=place > 0, over=over)
+
+
+def _is_unmeasured(row: Sequence[str]) -> bool:
+    """Whether a row has nothing but words for missing values: NaN, NaN."""
+    return len(row) > 1 and any(map(str.strip, row)) and all(cells.is_missing(cells.clean(cell)) for cell in row)
 
 
 def _is_outer(row: Sequence[str], dialect: Dialect) -> bool:
@@ -306,6 +314,8 @@ def _grouped(text: Text, block: Block, names: list[str]) -> tuple[dict[str, list
             groups["header"].append(k)
         elif is_comment(line):
             groups["comment"].append(k)
+        elif _is_unmeasured(row):
+            groups["unmeasured"].append(k)
         else:
             mostly, kinds = _mostly_numbers(row, text)
             groups["cells" if k in ragged and mostly else "text"].append(k)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.outcome import Code, Note
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.loop_branches import ENDS, GAP
 from hystfit.results.measured.loop_kinds import REMANENT, LoopKind
@@ -40,8 +41,7 @@ class Origin(NamedTuple):
             low, high = float(outputs.min()), float(outputs.max())
             resists = column_quantity(data[0].y_name, data[0].y_unit) == "resistance"
             return cls(None, (low * high) ** 0.5, 1.0) if resists and 0 < _LOGARITHMIC * low <= high else cls()
-        relative = kind is LoopKind.FERROELECTRIC and middle_of_relative(data[0]) is not None
-        return cls(0.0, None if relative else 0.0)
+        return cls(0.0, 0.0 if middle_of_relative(data[0], kind) is None else None)
 
 
 MIDDLE = Origin()
@@ -58,12 +58,31 @@ def is_unipolar(u: np.ndarray) -> bool:
     return bool(min(-u.min(), u.max()) < GAP * np.ptp(u))
 
 
-def middle_of_relative(record: Record) -> float | None:
-    """Middle of the range of a charge that is counted from the start of the record [y]; None of others, and of inputs of one sign."""
+def middle_of_relative(record: Record, kind: LoopKind) -> float | None:
+    """Middle of the range of an output without a zero of its own [y]; None of others, and of inputs of one sign.
+
+    It is that of a charge that is counted from the start of the record, or of an output of which the loop does not reach zero, as light
+    that a magnetization turns is measured over the light itself.
+    """
     u, y = record.u[record.used], record.y[record.used]
-    if is_unipolar(u):
+    if kind not in REMANENT or is_unipolar(u):
         return None
     middle, size = 0.5 * float(y.max() + y.min()), float(np.ptp(y))
-    if abs(y[0]) > _START * size or abs(u[0]) > GAP * np.ptp(u) or abs(middle) < _OFF_CENTER * size:
-        return None
-    return middle
+    if abs(middle) >= 0.5 * ENDS * size:
+        return middle
+    from_start = abs(y[0]) <= _START * size and abs(u[0]) <= GAP * np.ptp(u) and abs(middle) >= _OFF_CENTER * size
+    return middle if kind is LoopKind.FERROELECTRIC and from_start else None
+
+
+def centered(record: Record, kind: LoopKind) -> tuple[Record, tuple[Note, ...]]:
+    """The loop about the middle of an output that has no zero of its own, and a note that says so."""
+    if (middle := middle_of_relative(record, kind)) is None:
+        return record, ()
+    crosses = record.y[record.used].min() < 0 < record.y[record.used].max()
+    what = "is relative to the start of the record" if crosses else "has an offset"
+    text = (
+        f"the output {what}: coercivity and remanence are those about the middle of its range "
+        f"({middle:.5g} {record.y_unit}".rstrip()
+        + ")"
+    )
+    return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)

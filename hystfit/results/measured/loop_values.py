@@ -19,6 +19,7 @@ from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
+from hystfit.quality.summary import without_outliers
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
@@ -38,7 +39,7 @@ from hystfit.results.measured.loop_branches import (
     turns_of,
 )
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
-from hystfit.results.measured.loop_origin import Origin, is_unipolar
+from hystfit.results.measured.loop_origin import Origin, centered, is_unipolar
 from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
@@ -46,7 +47,6 @@ from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import area_label
 from hystfit.results.measured.values_by_kind import (
     butterfly_values,
-    centered,
     offset_of,
     polarization_values,
     stiffness_values,
@@ -174,7 +174,7 @@ _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
 
 def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Read:
     """Quantities, corrections and notes of a record."""
-    record, limited = _with_limited(record)
+    record, limited = _with_limited(without_outliers(record))
     kept = record.used
     u, y = record.u[kept], record.y[kept]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0) or is_switched([u]):
@@ -182,8 +182,8 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
     # Of sparse samples the most that it can be: errors without it would be those of the straight lines alone.
     sigma = np.nan if noise is None else noise
-    if kind is LoopKind.FERROELECTRIC:
-        record, of_zero = centered(record)
+    if kind in REMANENT:
+        record, of_zero = centered(record, kind)
         y = record.y[kept]
     has_sheet = kind is LoopKind.MAGNETIC and not turns_light(record)
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if has_sheet else None

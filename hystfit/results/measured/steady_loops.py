@@ -112,12 +112,14 @@ class SteadyLoops:
     @property
     def secant_stiffness(self) -> Float[np.ndarray, " count"]:
         """Force over displacement between the ends of the loop, in the unit of `stiffness_unit`."""
-        return self.stiffness * (self.width / self.travel if self.force_driven else self.travel / self.width)
+        with np.errstate(divide="ignore"):  # a butterfly ends at one output
+            return self.stiffness * (self.width / self.travel if self.force_driven else self.travel / self.width)
 
     @property
     def damping_percent(self) -> Float[np.ndarray, " count"]:
         """Equivalent damping ratio; NaN above the critical damping."""
-        ratio = 100 * 2 * self.area / (np.pi * self.width * self.travel)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = 100 * 2 * self.area / (np.pi * self.width * self.travel)
         return np.where(ratio > CRITICAL, np.nan, ratio)
 
 
@@ -158,13 +160,16 @@ class Excitation:
 
         Args:
             model: where its loop changes with the path, the cycles run that of the longest record; where its output jumps at an input,
-                this is known to the distance of the samples alone.
+                this is known to the distance of the samples alone. Where its columns are known in closed form, as those of relays and plays
+                are, the distance of the samples changes nothing but what straight lines between them cut off, and there are `POINTS`.
         """
         hardens, jumps = model is not None and model.hardens, model is not None and model.jumps
         low, high = min(float(r.reached.min()) for r in data), max(float(r.reached.max()) for r in data)
         interval, sine, points = _waveform(data)
-        if jumps:
-            interval, points = interval * points / _MOST, _MOST
+        exact = model is not None and model.rate_independent and model.has_fast_run
+        fine = _MOST if jumps else POINTS if exact else points
+        if fine > points:
+            interval, points = interval * points / fine, fine
         count = _cycles_of_path(data, high - low) if hardens else CYCLES
         u, y = data.units["u"], data.units["y"]
         lead = 0 if hardens else points - points // 4

@@ -7,11 +7,10 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.outcome import Code, Note
 from hystfit.params.units import conversion, is_energy, loop_energy, size_in, stiffness_unit
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import GAP, Branch, Pair, combined, loss, range_error
-from hystfit.results.measured.loop_origin import is_unipolar, middle_of_relative
+from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.steady_loops import CRITICAL
 
@@ -20,18 +19,6 @@ _FEWEST = 3  # samples on each side of a tip
 
 
 # -- ferroelectric loops: imprint, polarizations at the ends and tips, leakage --
-
-
-def centered(record: Record) -> tuple[Record, tuple[Note, ...]]:
-    """The loop about the middle of its charge where this is counted from the start of the record, and a note that says so."""
-    if (middle := middle_of_relative(record)) is None:
-        return record, ()
-    text = (
-        f"the output is relative to the start of the record: coercivity and remanence are those about the middle of its range "
-        f"({middle:.5g} {record.y_unit}".rstrip()
-        + ")"
-    )
-    return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)
 
 
 def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:

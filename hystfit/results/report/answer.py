@@ -34,6 +34,7 @@ _OF_NO_MODEL = ("damping_coefficient", "turning_input_rising", "turning_input_fa
 _SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
+    Code.CONDITIONS,
     Code.RATE,
     Code.FAILURE,
     Code.RECORDS_DIFFER,

@@ -24,6 +24,7 @@ _STATUS = {Status.OK: "usable", Status.ROUGH: "ROUGH, usable only where such err
 _VERDICT = frozenset(
     {
         Code.ACCURACY,
+        Code.CONDITIONS,
         Code.MEASUREMENT_NOISE,
         Code.CLIPPED,
         Code.POOR_FIT,
