@@ -148,7 +148,9 @@ class _Evidence:
         points += _PARTNERS * self.facts.are_partners(i, o)
         points += _OVERTAKEN * (self.facts.set_values(i, o) + heats) + _FOLLOWED * self.facts.is_followed(i, o)
         answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
-        points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not self.facts.is_controlled(i))
+        # A load that is set holds or creeps: beside a velocity it answers to the motion, by equal steps too.
+        moves = kinds[i] in LOADS and "velocity" in kinds.values()
+        points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not (moves or self.facts.is_controlled(i)))
         cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
         points += _COLD * (cold and not (self.facts.alone or self.facts.has_two_states[o]))
         points += _RAW_VOLTS * self.facts.is_raw_beside(i, o)

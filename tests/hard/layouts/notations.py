@@ -57,10 +57,10 @@ def prefixes(draw: Draw) -> Layout:
 
 @kind("exponents without their letter")
 def fortran(draw: Draw) -> Layout:
-    """Fortran leaves the E out before three digits: in every number, or in the few that are that small."""
+    """Fortran leaves the E out before three digits: in the few numbers that are that small, which are read as zeros."""
     n = 2 * draw.whole(80, 200)
     x = major_loop(n)
-    y = saturating(draw, x, begin=1) * draw.pick(1e-110, 1e-3)
+    y = saturating(draw, x, begin=1) * 1e-3
     y[np.abs(x) < 0.1] *= 1e-100
     u = Column("H", 800 * x, "A/m", ".4f")
     y = Column("M", y, "A/m", ".6E")
