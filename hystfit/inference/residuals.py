@@ -253,13 +253,14 @@ def _repeating(analysis: ResidualAnalysis) -> Repeating | None:
     size, axes = np.linalg.eigh(joint[1:, 1:])
     kept = size > 1e-8 * size[-1]
     size, axes = size[kept], axes[:, kept]
-    score = axes.T @ joint[1:, 0]  # under slow noise alone normal with variances `size`
+    unit = np.sqrt(size[-1])  # without it the squares of residuals that are rounding errors overflow
+    score, size = axes.T @ joint[1:, 0] / unit, size / size[-1]  # under slow noise alone normal with variances `size`
     ideal = _chi_squares(size.size) @ size
     chance = (1 + np.count_nonzero(ideal >= score @ score)) / (_DRAWS + 1)
-    strengths = np.geomspace(1e-3, 1e3, 61) / size[-1]
+    strengths = np.geomspace(1e-3, 1e3, 61)
     variances = size + strengths[:, None] * size**2  # with a curve of that variance
     strength = strengths[np.argmin(np.sum(np.log(variances) + score**2 / variances, axis=1))]
-    curve = columns @ (axes @ (strength * score / (1 + strength * size)))
+    curve = columns @ (axes @ (strength * score / (1 + strength * size))) / unit
     curve = curve - basis @ (basis.T @ curve)
     return Repeating(float(np.sum(curve**2) / np.sum(residual**2)), float(chance))
 

@@ -36,7 +36,7 @@ def turned(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
     if rows and len(counted := [k for k, cell in enumerate(rows[0]) if cell == "0"]) == 1 and (first := counted[0]):
         if rows[0][first:] == [str(k) for k in range(len(rows[0]) - first)]:
             rows = [row[first - 1 :] for row in rows[1:]]
-    quantities = [row for row in rows if _is_quantity(row)]
+    quantities = [row for row in rows if row and _is_quantity(row)]
     width = {len(row) for row in quantities}
     headed = any(
         len(row) in width and row not in quantities for row in rows
@@ -64,8 +64,10 @@ def _of_runs(rows: Sequence[list[str]]) -> list[tuple[str, ...]] | None:
     names = [[line[0] for line in run] for run in runs.values()]
     if len(names[0]) < 2 or len({*names[0]}) < len(names[0]) or any(one != names[0] for one in names):
         return None
+    if any(len({*map(len, run)}) > 1 for run in runs.values()):
+        return None
     samples = [(*sample, number) for number, run in runs.items() for sample in list(zip(*run, strict=True))[1:]]
-    return [(*names[0], titles[0]), *samples] if all(len({*map(len, run)}) == 1 for run in runs.values()) else None
+    return [(*names[0], titles[0]), *samples]
 
 
 def _is_quantity(row: list[str]) -> bool:
