@@ -225,10 +225,11 @@ def test_what_was_set_by_equal_steps_drives_the_voltage_of_its_sensor(names: str
     is_pair(one(tmp_path, "voltage_V,position_mm\n" + rows(",", set_values, measured), "b.csv"), set_values, measured)
 
 
-def test_a_force_beside_displacement_and_velocity_answers_by_equal_steps_too(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cycles", [3, 4])  # of three the displacement goes by equal steps too
+def test_a_force_beside_displacement_and_velocity_answers_by_equal_steps_too(cycles: int, tmp_path: Path) -> None:
     """A damper under triangles of growing size: its simulated force is a straight line along each branch, as a load that is set."""
-    cycle = np.arange(800) / 200
-    x = np.round((0.2 + 0.8 * (cycle // 1) / 3) * (1 - 2 * np.abs(2 * ((cycle + 0.25) % 1) - 1)), 7)
+    cycle = np.arange(200 * cycles) / 200
+    x = np.round((0.2 + 0.8 * (cycle // 1) / (cycles - 1)) * (1 - 2 * np.abs(2 * ((cycle + 0.25) % 1) - 1)), 7)
     v = np.gradient(x)
     a = np.round(np.gradient(v) + 0.001 * np.random.default_rng(0).normal(size=x.size), 6)
     force = np.round(750 * np.tanh(v / 0.002) + 100 * x, 4)

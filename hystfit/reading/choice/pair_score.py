@@ -147,10 +147,8 @@ class _Evidence:
         points += _ALONG * (self.facts.axis[i] == self.facts.axis[o] != "") + _SAME_PART * self.facts.of_one_part(i, o)
         points += _PARTNERS * self.facts.are_partners(i, o)
         points += _OVERTAKEN * (self.facts.set_values(i, o) + heats) + _FOLLOWED * self.facts.is_followed(i, o)
-        answers = kinds[o] in RESPONSE and not self.facts.by_steps[o]
-        # A load that is set holds or creeps: beside a velocity it answers to the motion, by equal steps too.
-        moves = kinds[i] in LOADS and "velocity" in kinds.values()
-        points += _SET_BY_STEPS * (self.facts.by_steps[i] and answers and not (moves or self.facts.is_controlled(i)))
+        answers = kinds[o] in RESPONSE and not self._is_set(o)
+        points += _SET_BY_STEPS * (self._is_set(i) and answers and not self.facts.is_controlled(i))
         cold = kinds[i] == "temperature" and extent(self.facts.table.columns[i]) < HEATED
         points += _COLD * (cold and not (self.facts.alone or self.facts.has_two_states[o]))
         points += _RAW_VOLTS * self.facts.is_raw_beside(i, o)
@@ -163,6 +161,11 @@ class _Evidence:
             points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
             points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
         return Reading(i, o, points)
+
+    def _is_set(self, k: int) -> bool:
+        """Whether a column was set by equal steps; a load beside a velocity answers to the motion, by equal steps too."""
+        answers = self.facts.kinds[k] in LOADS and "velocity" in self.facts.kinds.values()
+        return bool(self.facts.by_steps[k]) and not answers
 
     def related(self, found: Sequence[Reading]) -> list[Reading]:
         """The readings, those that could be the best with the points of how the two columns are related."""
