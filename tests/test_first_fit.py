@@ -21,7 +21,7 @@ from hystfit.fitting.solvers.least_squares import LeastSquares
 from hystfit.inference.problem import Problem
 from hystfit.models.registry import make_model
 from hystfit.models.shared import starting
-from hystfit.params.coordinates import latin_hypercube
+from hystfit.params.hypercube import latin_hypercube
 
 _PROGRAMS = """
 import os, sys

@@ -15,7 +15,7 @@ from hystfit.config import PROGRAM_FOLDER, expect_few_runs
 from hystfit.fitting.solvers import lanes
 from hystfit.fitting.solvers.lanes import Stack
 from hystfit.models.shared import simulation
-from hystfit.params import kept_programs
+from hystfit.params import kept_programs, program_limit
 from hystfit.params.host_arrays import compiled
 from hystfit.params.kept_programs import kept, unoptimized
 from hystfit.runs.threads import Workers
@@ -152,13 +152,13 @@ def test_a_quickly_compiled_program_computes_the_same_with_another_one_within_it
 
 def test_programs_of_many_lengths_are_dropped_before_they_are_too_many(monkeypatch):
     """As many maps of memory as Linux allows end a process with a segmentation fault; here a program is a map, and eight more the limit."""
-    assert (kept_programs._MAPS.is_file() and kept_programs._MOST.is_file()) == (sys.platform == "linux")
+    assert (program_limit._MAPS.is_file() and program_limit._MOST.is_file()) == (sys.platform == "linux")
     programs = lambda: len(get_backend().live_executables())
     first = np.asarray(hf.simulate(hf.BoucWen(), U)[0])
-    before, most, limit = programs(), 0, (programs() + 8) / kept_programs._SHARE
-    monkeypatch.setattr(kept_programs, "_MAPS", SimpleNamespace(read_bytes=lambda: b"\n" * programs()))
-    monkeypatch.setattr(kept_programs, "_MOST", SimpleNamespace(read_text=lambda: str(int(limit))))
-    monkeypatch.setattr(kept_programs, "_EVERY", 2)
+    before, most, limit = programs(), 0, (programs() + 8) / program_limit._SHARE
+    monkeypatch.setattr(program_limit, "_MAPS", SimpleNamespace(read_bytes=lambda: b"\n" * programs()))
+    monkeypatch.setattr(program_limit, "_MOST", SimpleNamespace(read_text=lambda: str(int(limit))))
+    monkeypatch.setattr(program_limit, "_EVERY", 2)
     for length in range(20, 60):
         hf.simulate(hf.BoucWen(), np.zeros(length))
         most = max(most, programs())

@@ -2,6 +2,7 @@
 
 import dataclasses
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -211,16 +212,21 @@ def test_one_of_several_specimens_is_the_next_fit_where_no_model_describes_most_
     assert any("--only=weak" in command for command in next_commands(result, Wording()))
 
 
-def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) -> None:
-    """A damper at three currents, one after the other: no model of the displacement alone describes them."""
+def at_three_currents(
+    path: Path, force: Callable[[int, np.ndarray], np.ndarray], current: Callable[[int, np.ndarray], np.ndarray]
+) -> Path:
+    """A file of two cycles of a damper at each of three currents, one after the other: force and current by level and phase."""
     phase = 2 * np.pi * np.arange(200) / 100
-    rows = [
-        f"{0.01 * (200 * k + j):.2f},{np.sin(p):.5f},{(1 + k) * np.tanh(5 * np.cos(p)):.5f},{0.5 * k}"
-        for k in range(3)
-        for j, p in enumerate(phase)
-    ]
-    path = tmp_path / "damper.csv"
-    path.write_text("Time (s),Displacement (mm),Force (N),Current (A)\n" + "\n".join(rows) + "\n")
+    columns = [[np.sin(phase), force(k, phase), current(k, phase)] for k in range(3)]
+    table = np.column_stack([0.01 * np.arange(600), np.hstack(columns).T])
+    np.savetxt(path, table, "%.5f", ",", header="Time (s),Displacement (mm),Force (N),Current (A)", comments="")
+    return path
+
+
+def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) -> None:
+    """No model of the displacement alone describes a damper at three currents."""
+    set_to = lambda k, p: np.full(p.size, 0.5 * k)
+    path = at_three_currents(tmp_path / "damper.csv", lambda k, p: (1 + k) * np.tanh(5 * np.cos(p)), set_to)
     data = hf.read(path)
     (found,) = (note for note in examined(data).findings if note.code is Code.CONDITIONS)
     assert found.option == ("where", "Current (A)=1")
@@ -229,7 +235,7 @@ def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) 
     assert has(result.notes, Code.CONDITIONS)
     assert next_commands(result, Wording())[0] == f"hystfit fit {path} '--where=Current (A)=1'"
     one = hf.read(path, where="Current (A)=1")
-    assert len(one) == phase.size
+    assert len(one) == 200
     assert not has(examined(one).findings, Code.CONDITIONS)
 
 
@@ -238,14 +244,9 @@ def test_the_command_after_a_check_of_a_further_input_runs(
     noise: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Levels that were set are chosen by their value, and those of a measured current by a stretch of the time."""
-    phase, rng = 2 * np.pi * np.arange(200) / 100, np.random.default_rng(0)
-    rows = [
-        f"{0.01 * (200 * k + j):.2f},{np.sin(p):.5f},{(1 + 0.4 * k) * np.sin(p + 1.2):.5f},{0.5 * k + noise * rng.normal():.5f}"
-        for k in range(3)
-        for j, p in enumerate(phase)
-    ]
-    path = tmp_path / "damper.csv"
-    path.write_text("Time (s),Displacement (mm),Force (N),Current (A)\n" + "\n".join(rows) + "\n")
+    rng = np.random.default_rng(0)
+    measured = lambda k, p: 0.5 * k + noise * rng.normal(size=p.size)
+    path = at_three_currents(tmp_path / "damper.csv", lambda k, p: (1 + 0.4 * k) * np.sin(p + 1.2), measured)
     assert run(["check", str(path), "--data-only"]) == 0
     command = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
     assert command[0] == "hystfit"

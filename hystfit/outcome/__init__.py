@@ -8,8 +8,8 @@ Open first: `note.py`.
 from hystfit.outcome.note import Code as Code
 from hystfit.outcome.note import Note as Note
 from hystfit.outcome.note import Severity as Severity
+from hystfit.outcome.notebook import fragment as fragment
 from hystfit.outcome.status import Status as Status
 from hystfit.outcome.status import WithStatus as WithStatus
 from hystfit.outcome.table import Column as Column
 from hystfit.outcome.table import Table as Table
-from hystfit.outcome.table import fragment as fragment

@@ -1,4 +1,4 @@
-"""Tables of numbers as text, HTML and JSON: the one place where a verb's table is formatted, also within what a notebook shows."""
+"""Tables of numbers as text, HTML and JSON: the one place where a verb's table is formatted."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from hystfit.outcome.note import Note
 
 _WRITTEN_OUT = 1e6  # numbers from here on have an exponent
 
@@ -189,25 +187,3 @@ def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Iterable[Any]], 
         writer = csv.writer(file)
         writer.writerow(heads)
         writer.writerows([cell(value) for value in row] for row in rows)
-
-
-_STYLE = "<style>.hystfit th, .hystfit td {text-align: left} .hystfit .number {text-align: right}</style>"
-
-
-def fragment(heading: str, parts: Iterable[str | Table | tuple[Note, ...]]) -> str:
-    """HTML of a heading and of paragraphs, tables and lists of notes below it; all text is escaped.
-
-    Args:
-        heading: one line.
-        parts: text for a paragraph, a table, or notes; empty ones are skipped.
-    """
-    shown = "\n".join(_part(part) for part in parts if not isinstance(part, str | tuple) or part)
-    return f'<div class="hystfit">{_STYLE}\n<p><b>{html.escape(heading)}</b></p>\n{shown}\n</div>'
-
-
-def _part(part: str | Table | tuple[Note, ...]) -> str:
-    if isinstance(part, Table):
-        return part.html()
-    if isinstance(part, str):
-        return f"<p>{html.escape(part)}</p>"
-    return "<ul>\n" + "".join(f"<li>{html.escape(str(note))}</li>\n" for note in part) + "</ul>"

@@ -1,4 +1,4 @@
-"""Traced and lowered programs, kept on disk between processes (half the time of a first fit), and those in memory, kept few.
+"""Traced and lowered programs, kept on disk between processes: half the time of a first fit whose programs are compiled.
 
 JAX keeps compiled programs, but finds one only after it has traced and lowered it again. Here a program is kept as `jax.export`
 serializes it: StableHLO, which computes and can do nothing else. Its key is made of the source of hystfit, the versions and settings
@@ -11,9 +11,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import functools
-import gc
 import hashlib
-import itertools
 import os
 import sys
 import tempfile
@@ -30,6 +28,7 @@ import jax
 import numpy as np
 
 from hystfit.config import PROGRAM_FOLDER, compiles_quickly, platform, program_options
+from hystfit.params.program_limit import keep_below_limit
 from hystfit.version import version_of
 
 _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed first
@@ -205,28 +204,3 @@ def _write(path: Path, content: bytes) -> None:
         if total > _MOST_BYTES:
             with suppress(OSError):
                 os.unlink(name)
-
-
-# -- programs in memory --
-
-_MAPS, _MOST = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
-# Part of the maps that a process may have, at which programs are dropped: those of other packages need some too.
-_SHARE = 0.4
-# Calls of compiled functions between two counts. Each may compile a program of up to 60 maps, half the limit in all; a count of 26 000 maps
-# takes 10 ms, and as many calls 50 ms at the least.
-_EVERY = 500
-_calls = itertools.count(1)
-
-
-def keep_below_limit() -> None:
-    """Count a call of a compiled function; drop all programs where they are too many, each of which is compiled anew when it is used.
-
-    Each takes about ten of the memory maps that Linux allows a process, which at the limit ends with a segmentation fault. JAX drops the
-    programs of all packages together.
-    """
-    if next(_calls) % _EVERY:
-        return
-    with suppress(OSError, ValueError):  # no Linux
-        if _MAPS.read_bytes().count(b"\n") > _SHARE * int(_MOST.read_text()):
-            jax.clear_caches()
-            gc.collect()

@@ -12,7 +12,8 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome.note import Code, Note, Severity, has, warn
-from hystfit.outcome.table import Column, Table, fragment, number
+from hystfit.outcome.notebook import fragment
+from hystfit.outcome.table import Column, Table, number
 from hystfit.outcome.wrapping import shortened
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import fails_at, whole_until

@@ -12,7 +12,8 @@ from hystfit.data.circulation import SLACK
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Column, Table
-from hystfit.outcome.table import fragment, rounded
+from hystfit.outcome.notebook import fragment
+from hystfit.outcome.table import rounded
 from hystfit.outcome.wrapping import shortened
 from hystfit.quality.damage import FAILED
 from hystfit.quality.faults import noise_rms

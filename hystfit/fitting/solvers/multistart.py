@@ -10,7 +10,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.solvers.ridge import LinearSystem
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
-from hystfit.params.coordinates import spread_points
+from hystfit.params.hypercube import spread_points
 
 
 def spread_starts(problem: Problem, center: np.ndarray, count: int, seed: int) -> np.ndarray:

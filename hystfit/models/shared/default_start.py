@@ -12,7 +12,7 @@ import numpy as np
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.shared.starting import scales_of, thinned
-from hystfit.params.coordinates import spread_points
+from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace
 
 _POINTS = 128  # of the spread design over the parameters that move

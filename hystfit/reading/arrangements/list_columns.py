@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 
 import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.limits import LONGEST
 from hystfit.reading.table.raw_table import Table
-
-_CELL = re.compile(r"\s*[\[(][\d\s,;.eE+-]*\d[\d\s,;.eE+-]*[\])]\s*")
+from hystfit.reading.text.number_lists import is_list, numbers_of
 
 
 def with_list_columns(table: Table) -> Table | None:
@@ -39,12 +37,10 @@ def with_list_columns(table: Table) -> Table | None:
 
 def _values(label: np.ndarray) -> np.ndarray | None:
     """The numbers of cells that hold lists, shape (rows, places); None where a cell is none, or has another number of them."""
-    if not all(len(cell) < LONGEST and _CELL.fullmatch(cell) for cell in label):
-        return None
-    rows = [re.sub(r"[\[\](),;]", " ", cell).split() for cell in label]
-    if len({len(row) for row in rows}) > 1:
+    if not all(len(cell) < LONGEST and is_list(cell) for cell in label):
         return None
     try:
-        return np.array(rows, dtype=float)
-    except ValueError:
+        rows = [numbers_of(cell) for cell in label]
+    except ValueError:  # dates: [2019-11-02]
         return None
+    return np.stack(rows) if rows[0].size and len({row.size for row in rows}) == 1 else None

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import csv
-import re
-
-import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.layouts.array_table import table_of_arrays
 from hystfit.reading.limits import FEWEST
 from hystfit.reading.table.raw_table import Part, Table, below_each_other
+from hystfit.reading.text.number_lists import is_list, numbers_of
 
-_CELL = re.compile(r"\s*[\[(][\d\s,;.eE+-]*[\])]\s*")
 _LONGEST = 100_000_000  # characters of a cell: ten million numbers
 
 
@@ -29,10 +26,10 @@ def read_list_cells(text: TextFile) -> Table | None:
     names, *rows = [row for row in csv.reader(text.content.splitlines(keepends=True), delimiter=mark) if any(row)]
     if not rows or any(len(row) != len(names) for row in rows):
         return None
-    signals = [k for k in range(len(names)) if all(_CELL.fullmatch(row[k]) for row in rows)]
+    signals = [k for k in range(len(names)) if all(is_list(row[k]) for row in rows)]
     if len(signals) < 2:
         return None
-    arrays = [{names[k]: _numbers(row[k]) for k in signals} for row in rows]
+    arrays = [{names[k]: numbers_of(row[k]) for k in signals} for row in rows]
     if any(len({array.size for array in one.values()}) > 1 or len(next(iter(one.values()))) < FEWEST for one in arrays):
         return None
     others = (([row[k] for row in rows]) for k in range(len(names)) if k not in signals)
@@ -40,8 +37,3 @@ def read_list_cells(text: TextFile) -> Table | None:
     note = Note(Code.FILE_FORMAT, f"one loop a row: {len(rows)} row{'s' * (len(rows) > 1)} with lists")
     tables = [table_of_arrays(one, text.source, text.sha256, (*text.notes, note)) for one in arrays]
     return tables[0] if len(tables) == 1 else below_each_other(tables, [*map(Part, titles)])
-
-
-def _numbers(cell: str) -> np.ndarray:
-    """The numbers in brackets, which commas or blanks separate."""
-    return np.array([float(number) for number in re.sub(r"[\[\](),;]", " ", cell).split()])

@@ -31,25 +31,12 @@ _SETTINGS = (
 MOST_METADATA = 40
 _LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 
-# "@attribute voltage numeric": a column of an ARFF file, below the one before.
-_ATTRIBUTE = re.compile(r"@attribute\s+(?P<name>'[^']+'|\"[^\"]+\"|\S+)\s+\S.*", re.IGNORECASE)
-# "@Column 3: Applied Field [Oe]", "# 2 = time (s)", "# first column: time": a column by its number, in the lines above the numbers.
-_LISTED = re.compile(
-    r"\W*[A-Za-z]{0,12}[\s_#.]*(?P<number>\d{1,3}|(?<![A-Za-z])first)(?: column:\s*|(?:\s*[:=).]\s*|\t\s*)(?!\d))(?P<name>.*[A-Za-z].*)"
-)
-_TITLED = re.compile(
-    r"\W*(?P<word>columns?|fields?|names|channels?(?:[ _]?names?)?|variables|units?)(?:\s*[:=]\s*|(?<=#fields)\s+)(?P<cells>\S.*)",
-    re.IGNORECASE,
-)
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
-_NAME_CELL = re.compile(
+NAME_CELL = re.compile(
     r"(?:(?:trace|channel|signal|ch|column)[ _]?)?(?:names?|labels?|titles?)[=:]?|CH名称|信号名|通道名称?|Kanalname",
     re.IGNORECASE,
 )
 UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
-_OF_CHANNEL = re.compile(
-    r"\W*(?:(?:ch|channel|kanal|signal|column)[ _.]?\d*[ _.]?)?(name|unit)[ _]?\d*\s*[:=]\s*(\S.*)", re.IGNORECASE
-)
 _VALUE = re.compile(r"\S+\s*=\s*[^\s,;]+")  # of a setting in the name of a column
 _COMMENT = r"(?:[#%!*]+|//|--)"
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
@@ -86,7 +73,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     """Split a header line into `width` cells, by the delimiter of the data or by another one; None if none does."""
     for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line), _LABEL.sub("", line)):
         for mark in (delimiter, "  ", ",", ";", "\t", "|", None):
-            parts = _cut(text, mark)
+            parts = cut_cells(text, mark)
             while len(parts) > width and not parts[-1]:
                 parts.pop()
             if len(parts) == width and any(parts):
@@ -96,7 +83,8 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     return None
 
 
-def _cut(text: str, mark: str | None) -> list[str]:
+def cut_cells(text: str, mark: str | None) -> list[str]:
+    """Clean cells of a line of a header, between marks; "  " is two blanks or a tab, None any white space before no bracket."""
     if mark is None:  # a bracketed unit belongs to the word before it
         text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
         parts = re.findall(r"(?:\"[^\"]*\"[^\s\"]*)+|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
@@ -114,7 +102,7 @@ def _longer(line: str, width: int, delimiter: str | None, below: Sequence[str]) 
     Args:
         below: cells of the line below, of units.
     """
-    parts = _cut(line, delimiter) if delimiter else []
+    parts = cut_cells(line, delimiter) if delimiter else []
     if len(parts) <= width or not all(parts):
         return None
     units = sum(map(is_unit, parts))  # Force, kN
@@ -189,7 +177,7 @@ def _names_and_units(rows: list[list[str]], bare: list[list[str]]) -> tuple[list
         of_names, used, units = 0, 1, None
     else:  # a line below the units has how each was averaged
         of_names, used = place + 1, place + 2
-    titled = (k for k in range(of_names, len(rows)) if _NAME_CELL.fullmatch(rows[k][0]) and any(rows[k][1:]))
+    titled = (k for k in range(of_names, len(rows)) if NAME_CELL.fullmatch(rows[k][0]) and any(rows[k][1:]))
     of_names = next(titled, of_names)
     names = rows[of_names]
     if not distinct(names) and used < len(rows):  # Force, Force under A, B, and mean, std, mean, std under x, "", F, ""
@@ -244,69 +232,6 @@ def _numbered(line: str, width: int, delimiter: str | None, decimal: str) -> lis
         return []
     kinds = {cells.kind(part, decimal) for part in parts[1:]}
     return parts if kinds <= {cells.NUMBER, cells.TEXT} and not any("=" in part for part in parts) else []
-
-
-def is_listed(line: str) -> bool:
-    """Whether a line has the name of one column behind its number."""
-    return _LISTED.fullmatch(line.strip()) is not None
-
-
-def listed_names(above: Sequence[str], width: int) -> list[str]:
-    """Names of columns that stand below each other with their numbers, from 0 or 1 on; none for other lines."""
-    found = [_LISTED.fullmatch(line.strip()) for line in above]
-    for first in range(len(found) - width + 1):
-        block = [match for match in found[first : first + width] if match]
-        numbers = [int(match["number"].replace("first", "1")) for match in block]
-        if width > 1 and [number - numbers[0] for number in numbers] == list(range(width)):
-            if numbers[0] in (0, 1):
-                return [re.sub(r",?\s+(?=[\[(])", " ", match["name"].strip()) for match in block]
-    attributes = [match["name"].strip("'\"") for line in above if (match := _ATTRIBUTE.fullmatch(line.strip()))]
-    return attributes if len(attributes) == width else []
-
-
-def behind_words(above: Sequence[str], width: int) -> dict[bool, list[str]]:
-    """The names of all columns (False) and their units (True) in lines that begin with a word for them, the last of several."""
-    found = {}
-    for match in filter(None, (_TITLED.fullmatch(line.strip()) for line in with_next(above))):
-        cut = [_cut(match["cells"], mark) for mark in (",", ";", "\t", "|", "  ", None)]
-        is_units = match["word"][0].lower() == "u"
-        if fitting := next(
-            (parts for parts in cut if len(parts) == width and (any(parts) if is_units else all(parts))), None
-        ):
-            found[is_units] = fitting
-    return found
-
-
-def with_next(lines: Sequence[str]) -> list[str]:
-    """The lines, those that end with a colon joined with the next one, "channel names:" above the names."""
-    below = itertools.zip_longest(lines, lines[1:], fillvalue="")
-    return [f"{line} {after}" if line.rstrip().endswith(":") else line for line, after in below]
-
-
-def _of_channels(above: Sequence[str], width: int) -> dict[bool, list[str]]:
-    """Names (False) and units (True) of as many channels as there are columns, a setting each: "Name=Force", "Channel 2 unit: kN"."""
-    settings = [
-        (match[1].lower(), match[2].strip()) for line in above if (match := _OF_CHANNEL.fullmatch(line.strip()))
-    ]
-    found = {word == "unit": [value for key, value in settings if key == word] for word in ("name", "unit")}
-    return {key: values for key, values in found.items() if len(values) == width}
-
-
-def titled_names(above: Sequence[str], width: int, delimiter: str | None) -> tuple[list[str], list[str]]:
-    """Names and units behind words that say so ("# columns: height force", "# units: m N"), or of all columns but the first."""
-    found = {}
-    for line in above if delimiter else ():
-        title, *names = _cut(line, delimiter)
-        if len(names) == width - 1 and _NAME_CELL.fullmatch(title) and all(names):
-            found[False] = ["", *names]
-    found |= _of_channels(above, width) | behind_words(above, width)
-    names = found.get(False, [])
-    if width < 2 or not names or any(cells.kind(name, ".") == cells.NUMBER for name in names):
-        return [], []
-    units = found.get(True, [""] * width)
-    return names, [
-        unit if is_unit(unit) else split_unit(name, names)[1] for name, unit in zip(names, units, strict=True)
-    ]
 
 
 def _aligned(above: Sequence[str], width: int) -> tuple[list[str], list[str], int] | None:
@@ -370,10 +295,10 @@ def read_header(
         parts = split.get(position)
         if parts is None or len(parts) != width or re.match(_COMMENT, parts[0]):
             apart = any(not line.strip() for line in above[position + 1 :])
-            parts = _cut(above[position], "  ") if apart else _fields(above[position], width, delimiter)
+            parts = cut_cells(above[position], "  ") if apart else _fields(above[position], width, delimiter)
             if parts is None and len(above) - 1 - position == len(headers) < 2 and bool(longer) == bool(headers):
                 parts = _longer(above[position], width, delimiter, longer)
-                longer = _cut(above[position], delimiter) if parts else []
+                longer = cut_cells(above[position], delimiter) if parts else []
         if parts and len(parts) == width and _BEGUN.fullmatch("".join(parts)):  # a row that lacks its numbers
             continue
         if parts and not headers and _is_remark(parts, _fields(above[position - 1], width, delimiter) or []):

@@ -17,7 +17,8 @@ from hystfit.reading.names.column_names import is_channel
 from hystfit.reading.names.names_with_units import is_unit, split_unit
 from hystfit.reading.text import cells
 from hystfit.reading.text.dialect import Dialect, Text
-from hystfit.reading.text.header import is_listed, listed_names, read_header, titled_names
+from hystfit.reading.text.header import read_header
+from hystfit.reading.text.listed_names import is_listed, listed_names, titled_names
 from hystfit.reading.text.number_block import Block, is_comment, is_mark
 from hystfit.reading.text.stated_units import stated_units
 

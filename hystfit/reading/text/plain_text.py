@@ -26,7 +26,8 @@ from hystfit.reading.names.latex_names import without_latex
 from hystfit.reading.table.raw_table import Part, Table
 from hystfit.reading.text import cells
 from hystfit.reading.text.dialect import Dialect, Text, apart, sniff, split
-from hystfit.reading.text.header import sample_properties, with_next
+from hystfit.reading.text.header import sample_properties
+from hystfit.reading.text.listed_names import with_next
 from hystfit.reading.text.number_block import Block, careful_block, clean_block
 from hystfit.reading.text.other_lines import Header, header_of, heads_of_sections, left_out
 from hystfit.reading.text.stated_interval import stated_interval

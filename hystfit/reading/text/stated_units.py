@@ -9,7 +9,8 @@ from hystfit.params.units import quantity
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import is_unit
 from hystfit.reading.text import cells
-from hystfit.reading.text.header import UNIT_CELL, behind_words, setting_of
+from hystfit.reading.text.header import UNIT_CELL, setting_of
+from hystfit.reading.text.listed_names import behind_words
 
 _UNIT_KEY = re.compile(r"units?[ _](?:of[ _])?(?P<by>\w+)|(?P<of>\w+?)[ _]?units?", re.IGNORECASE)
 _PER_VOLT = re.compile(r"(?:scale|slope|gain|sensitivity)\W.*(?:units?|eu)/v(?:olt)?s?\b")

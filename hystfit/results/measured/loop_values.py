@@ -13,7 +13,8 @@ from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
-from hystfit.outcome.table import fragment, rounded
+from hystfit.outcome.notebook import fragment
+from hystfit.outcome.table import rounded
 from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, saturated_samples
@@ -21,6 +22,7 @@ from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import without_outliers
 from hystfit.reading.names.column_names import column_quantity
+from hystfit.results.measured.butterfly_values import butterfly_values
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
     ENDS,
@@ -44,13 +46,9 @@ from hystfit.results.measured.magnetic_loop import Correction, MagneticLoop
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_values
 from hystfit.results.measured.measured_value import LoopValue
+from hystfit.results.measured.polarization_values import offset_of, polarization_values
 from hystfit.results.measured.quantities import area_label
-from hystfit.results.measured.values_by_kind import (
-    butterfly_values,
-    offset_of,
-    polarization_values,
-    stiffness_values,
-)
+from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
 _SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named

@@ -1,24 +1,20 @@
-"""Quantities that loops of one kind have beside those of all: ferroelectric ones, forces against displacements, and butterflies."""
+"""Quantities of ferroelectric loops beside those of all: imprint, polarizations at the ends and tips, recoverable energy, leakage."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from hystfit.data.record import Record
-from hystfit.params.units import conversion, is_energy, loop_energy, size_in, stiffness_unit
+from hystfit.params.units import is_energy, loop_energy, size_in
 from hystfit.quality.loops import SAME_LEVEL
-from hystfit.results.measured.loop_branches import GAP, Branch, Pair, combined, loss, range_error
+from hystfit.results.measured.loop_branches import GAP
 from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
-from hystfit.results.measured.steady_loops import CRITICAL
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
 _FEWEST = 3  # samples on each side of a tip
-
-
-# -- ferroelectric loops: imprint, polarizations at the ends and tips, leakage --
 
 
 def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
@@ -97,61 +93,3 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
     value, error = factor * float(np.mean(found)), factor * 0.5 * float(np.hypot(*errors))
     spread = factor * 0.5 * abs(found[0] - found[1])
     yield LoopValue("leakage", "leakage at the tips (upper bound)", value, error, unit, 2, spread=spread)
-
-
-# -- forces against displacements --
-
-
-def stiffness_values(
-    branches: list[Branch], cycles: Sequence[Pair], sigma: float, record: Record
-) -> Iterator[LoopValue]:
-    """Secant stiffness between the ends of the loop, and the damping ratio, or above the critical damping the coefficient, of a damper."""
-    width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    each = sigma * float(np.sqrt(2)) / width
-    longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
-    of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
-    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
-    unit, factor = stiffness_unit(record.y_unit, record.u_unit)
-    yield LoopValue("secant_stiffness", "secant stiffness", factor * stiffness, factor * error, unit, count)
-    if not cycles:
-        return
-    size, uncertain, count = loss(cycles, sigma)
-    ratio = 100 * 2 * size / (np.pi * stiffness * width**2) if stiffness > 0 else np.inf
-    if ratio <= CRITICAL:
-        damping = ratio * float(np.hypot(uncertain / size, error / stiffness)) if size > 0 else None
-        yield LoopValue("equivalent_damping_percent", "equivalent damping", ratio, damping, "%", count)
-    elif record.sampling_interval and (second := conversion(record.t_unit, "s")):
-        samples = float(np.median([one.u.size + other.u.size - 2 for one, other in cycles]))
-        duration = second * record.sampling_interval * samples
-        per_loss = 2 * duration / (np.pi * width) ** 2  # 1 / (pi omega amplitude^2)
-        label = f"equivalent viscous damping coefficient, at {1 / duration:.3g} Hz"
-        of_time = f"{record.y_unit} s/{record.u_unit}" if record.y_unit and record.u_unit else ""
-        yield LoopValue("damping_coefficient", label, per_loss * size, per_loss * uncertain, of_time, count)
-
-
-# -- loops whose branches cross, such as that of a strain over an electric or magnetic field --
-
-_EVEN = 0.5  # of the range of the output, by which both ends of a branch lie beyond its turn: those of an even output lie at its other end
-
-
-def butterfly_values(branches: list[Branch], sigma: float, record: Record) -> Iterator[LoopValue]:
-    """Range of the output of branches that cross, and the inputs at which an even output turns: the coercive fields of a strain."""
-    y = np.concatenate([b.y for b in branches])
-    size = float(np.ptp(y))
-    yield LoopValue("stroke", "range of the output", size, range_error(y, sigma), record.y_unit)
-    for rises, side in ((True, "rising"), (False, "falling")):
-        for sign, word in ((1.0, "smallest"), (-1.0, "largest")):
-            inner = [
-                b
-                for b in branches
-                if b.rises == rises and (sign * b.y[[0, -1]]).min() >= (sign * b.y).min() + _EVEN * size
-            ]
-            at = [int(np.argmin(sign * b.y)) for b in inner]
-            found = [
-                (float(b.u[k]), abs(float(b.u[k + 1] - b.u[k - 1])) / np.sqrt(12))
-                for b, k in zip(inner, at, strict=True)
-            ]
-            if found:
-                value, error, count = combined(found)
-                label = f"input at the {word} output, {side} branch"
-                yield LoopValue(f"turning_input_{side}", label, value, error, record.u_unit, count)
