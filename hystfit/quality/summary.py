@@ -15,7 +15,7 @@ from hystfit.data.circulation import of_rate, trend
 from hystfit.data.preparation import EVEN, CoarseClock
 from hystfit.data.record import Record
 from hystfit.quality import loops as geometry
-from hystfit.quality.degradation import softening_left, stiffness_left, strength_left, unloading_left
+from hystfit.quality.degradation import stiffness_left, strength_left, unloading_left
 from hystfit.quality.delay import PureDelay, estimate_delay
 from hystfit.quality.drift import drift
 from hystfit.quality.faults import (
@@ -30,7 +30,7 @@ from hystfit.quality.faults import (
     spikes,
 )
 from hystfit.quality.flat_ends import flat_ends
-from hystfit.quality.lag import SHORT, estimate_lag, estimate_slow_lag
+from hystfit.quality.lag import estimate_lag
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.record_quality import (
     SOFTER,
@@ -44,6 +44,8 @@ from hystfit.quality.record_quality import (
 )
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import loop_shape, rate_effect
+from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
+from hystfit.quality.softening import softening_left
 
 _TENTHS = 10  # parts of a branch, whose speeds differ along a sinusoid
 _VARIED = 0.1  # decimal logarithm of the ratio of two branches' speeds, above which the speed is no function of the place alone

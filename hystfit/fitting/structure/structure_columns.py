@@ -25,7 +25,7 @@ from hystfit.models.rate import SaturatingRate, Viscous
 from hystfit.models.shared.play_columns import Envelope, element_columns, envelope, fading, rising_columns
 from hystfit.models.shared.starting import fitted_input_range, output_range
 from hystfit.quality.held_out import HeldOut, Scheme
-from hystfit.quality.lag import SHORT
+from hystfit.quality.slow_lag import SHORT
 from hystfit.quality.summary import paces
 
 _DEGREES = (1, 3, 5)
