@@ -544,6 +544,32 @@ def test_the_charge_that_passed_drives_the_voltage_of_a_cell(kind: str, tmp_path
     assert any("half a cycle" in text and "A.csv B.csv" in text for text in warned)
 
 
+def test_files_of_the_steps_between_a_discharge_and_a_charge_are_parts_of_one_loop(tmp_path: Path) -> None:
+    """A test of a cell in four scripts: discharge, rest with pulses of either sign, charge, and the same at the other end."""
+    pulses = 0.02 * np.abs(np.sin(np.linspace(0, 3 * np.pi, 30)))
+
+    def between(level: float, *, charging: bool) -> str:
+        grown, back = (np.cumsum(np.maximum(np.diff(sign * pulses, prepend=0.0), 0.0)) for sign in (1, -1))
+        up, down = (grown, back) if charging else (back, grown)
+        rows = [
+            f"{k + 1},{60.0 * k},1,0.1,{level:.6f},{a:.6f},{b:.6f}\n"
+            for k, (a, b) in enumerate(zip(up, down, strict=True))
+        ]
+        return (
+            "Data_Point,Test_Time(s),Step_Index,Current(A),Voltage(V),Charge_Capacity(Ah),Discharge_Capacity(Ah)\n"
+            + "".join(rows)
+        )
+
+    whole = [cycler("arbin", charging=charging) for charging in (False, True)]
+    pauses = [between(level, charging=charging) for level, charging in ((VOLTS[0], False), (VOLTS[-1], True))]
+    texts = [whole[0], pauses[0], whole[1], pauses[1]]
+    loop = read([written(tmp_path, text, f"cell_S{k}.csv") for k, text in enumerate(texts, 1)])
+    assert isinstance(loop, Record)
+    discharged = -CHARGE[0]
+    parts = [discharged, discharged[-1] - pulses, discharged[-1] - pulses[-1] + CHARGE[0]]
+    np.testing.assert_allclose(loop.u, np.concatenate([*parts, parts[-1][-1] + pulses]), atol=2e-5)
+
+
 # Branches side by side -----------------------------------------------------------------------------------------------------------
 
 DOWN, UP = slice(0, 41), slice(40, 81)

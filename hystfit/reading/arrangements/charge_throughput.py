@@ -213,11 +213,15 @@ def _one_way(passed: np.ndarray) -> str:
 
 
 def cycled(records: Sequence[Record]) -> list[Record]:
-    """The records; a charge and a discharge in files of their own are one loop, and a half-cycle that is left alone is said to be none."""
+    """The records; a charge and a discharge in files of their own are one loop, and a half-cycle that is left alone is said to be none.
+
+    Files of the steps between them, which rest the cell or pass little charge both ways, are parts of that loop.
+    """
     if not records or any(record.u_name != NAME for record in records):
         return [*records]
-    ways = [_one_way(record.u) for record in records]
-    if set(ways) == {"charge", "discharge"}:
+    ways, ranges = [_one_way(record.u) for record in records], [float(np.ptp(record.u)) for record in records]
+    between = [size for size, way in zip(ranges, ways, strict=True) if not way]
+    if {"charge", "discharge"} <= set(ways) and all(size < MAJORITY * max(ranges) for size in between):
         return [joined(records, counted=True)]
     text = "half a cycle, which is no loop; name the file of the other half too (A.csv B.csv)"
     noted = lambda record, way: record.noted(Code.CURVES, f"the cell is only {way}d: {text}", Severity.WARNING)
