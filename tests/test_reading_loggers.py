@@ -74,6 +74,21 @@ def test_branches_by_their_signs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "beside", ["Secondary voltage (V)", "Primary current (A)", "Primary current (A),Secondary voltage (V)"]
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_the_field_and_the_induction_go_before_the_windings(beside: str, first: bool, tmp_path: Path) -> None:
+    phase = np.linspace(0, 2 * np.pi, 200)
+    field, induction = np.round(1000 * np.cos(phase), 3), np.round(np.tanh(2 * np.cos(phase - 0.3)), 5)
+    windings = {"Primary": field / 500, "Secondary": np.round(40 * np.gradient(induction), 5)}
+    more = [windings[name.split()[0]] for name in beside.split(",")]
+    names, columns = ["H (A/m),B (T)", beside], [[field, induction], more]
+    order = (1, 0) if first else (0, 1)
+    text = ",".join(names[k] for k in order) + "\n" + rows(",", *(column for k in order for column in columns[k]))
+    is_pair(one(tmp_path, text), field, induction)
+
+
+@pytest.mark.parametrize(
     ("names", "pair"),
     [
         ("VG,VD,ID,IG", ("VG", "ID")),

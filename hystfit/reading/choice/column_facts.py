@@ -57,6 +57,7 @@ HEATED = 10.0  # degrees over which a temperature must vary to be an input
 _RELATIVE = ("%", "ppm")  # units of changes beside the quantity itself
 _ELEMENT = re.compile(r"\[\d+\]$")  # of an array
 _REFERENCE = re.compile(r"ref(?:erence)?(?![a-z])", re.IGNORECASE)
+_WINDING = re.compile("primary|secondary", re.IGNORECASE)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -334,12 +335,13 @@ def _lock_in(table: Table, kinds: Mapping[int, str]) -> tuple[int, ...]:
 def _roles(table: Table, components: Sequence[int], kinds: Mapping[int, str]) -> dict[int, str]:
     """The role that the name of each column states; "" for the others: for a y that is a length, as a deflection is, or a component.
 
-    A reference is no set value beside another input of its quantity, as that of Sawyer and Tower's capacitor is none beside the drive.
+    A reference is no set value beside another input of its quantity, as that of Sawyer and Tower's capacitor is none beside the drive, nor
+    are windings input and output beside the field that they make.
     """
-    is_length = lambda k, name: (
-        split_unit(name)[0].strip().lower() == "y" and quantity(table.units[k]) == "displacement"
-    )
-    role = lambda k, name: "output" if k in components else "" if is_length(k, name) else column_role(name)
+    is_length = lambda k, base: base.strip().lower() == "y" and quantity(table.units[k]) == "displacement"
+    of_coil = lambda name: "field" in kinds.values() and _WINDING.search(name) is not None
+    no_role = lambda k, name: is_length(k, split_unit(name)[0]) or of_coil(name)
+    role = lambda k, name: "output" if k in components else "" if no_role(k, name) else column_role(name)
     roles = {k: role(k, name) if table.named else "" for k, name in enumerate(table.names)}
     references = {k for k in roles if roles[k] == "input" and _REFERENCE.search(table.names[k])}
     driven = {kinds[k] for k in roles if roles[k] == "input" and k not in references}
