@@ -116,6 +116,24 @@ def test_a_wide_table_with_words_in_front_is_no_table_on_its_side(tmp_path: Path
     np.testing.assert_allclose(record.u, FIELD[:45], atol=6e-5)
 
 
+@pytest.mark.parametrize("date", ["3/2/2020", "2020-02-03", "03-02-2020 14:00:05"])
+def test_the_year_above_a_table_is_no_number_of_samples(date: str, tmp_path: Path) -> None:
+    """505 rows of four columns are 2020 numbers."""
+    phase = np.linspace(0, 10 * np.pi, 505)
+    u, y, count = np.round(np.sin(phase), 4), np.round(np.sin(phase - 0.3), 4), np.floor(phase / np.pi)
+    rows = [f"{0.1 * k:.1f}\t{b:.4f}\t{a:.4f}\t{c:g}" for k, (a, b, c) in enumerate(zip(u, y, count, strict=True))]
+    head = [
+        f"Data Acquisition: Cyclic\t{date}",
+        "Time\tAxial Force\tAxial Displacement\tAxial Count",
+        "sec\tkN\tmm\tsegments",
+    ]
+    path = tmp_path / "cyclic.txt"
+    path.write_text("\n".join([*head, *rows]) + "\n", encoding="utf-8")
+    record = hf.read(path)
+    assert (record.u_unit, record.y_unit) == ("mm", "kN")
+    np.testing.assert_allclose(record.u, u)
+
+
 def test_a_missing_number_of_a_table_on_its_side_loses_no_row(tmp_path: Path) -> None:
     fields, moments = ([row.split()[k] for row in ROWS] for k in (0, 1))
     moments[30] = ""

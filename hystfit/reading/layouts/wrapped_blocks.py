@@ -20,7 +20,7 @@ from hystfit.reading.text.plain_text import plain_text
 from hystfit.reading.text.stated_interval import stated_interval
 
 _NUMBERS = re.compile(r"(?:\s*[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?(?=\s|$))++\s*")
-_WHOLE = re.compile(r"(?<![\d.])\d+(?![\d.])")
+_WHOLE = re.compile(r"(?<![\d.])(?<!\d[/:-])\d+(?![\d.]|[/:-]\d)")  # no part of a date or a time
 _LONGEST = 9  # digits of a number of samples
 
 
