@@ -11,7 +11,11 @@ from jaxtyping import Array, Float
 
 import hystfit as hf
 from hystfit.errors import ModelError
+from hystfit.fitting.comparison.candidate_fits import CandidateFits
 from hystfit.fitting.comparison.compare import SEARCH
+from hystfit.fitting.comparison.contender import Candidate
+from hystfit.fitting.comparison.standings import Standings
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.solvers.convex import Convex
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, solve_normal
 from hystfit.fitting.structure.structure_search import search_structure
@@ -277,3 +281,48 @@ def test_the_number_of_determined_weights_is_the_trace_of_the_matrix_that_predic
     used = X[:, free]
     hat = used @ np.linalg.inv(used.T @ used + ridge[np.ix_(free, free)]) @ used.T
     assert effective_number(X.T @ X, ridge, free) == pytest.approx(np.trace(hat), rel=1e-9)
+
+
+# A relaxation behind plays -------------------------------------------------------------------------------------------------------
+
+
+def relaxing_plays(*periods: float) -> list[hf.Record]:
+    """Plays by hand, whose output follows in part with two time constants, as the solution for an input held over each step."""
+    records = []
+    for number, period in enumerate(periods):
+        dt = period / 200
+        u = np.linspace(1.0, 0.4, 600) * np.sin(2 * np.pi * np.arange(600) / 200)
+        x = plays_by_hand(u, np.array([0.1, 0.25, 0.5])) @ np.array([0.5, 0.3, 0.4]) + 0.6 * u
+        y, lags = x.copy(), np.zeros(2)
+        for k in range(600):
+            lags += -np.expm1(-dt / np.array([0.3, 6.0])) * (x[k] - lags)
+            y[k] -= np.array([0.25, 0.35]) @ (x[k] - lags)
+        y += 0.002 * np.random.default_rng(number).normal(size=600)
+        records.append(hf.Record(u=u, y=y, t=dt * np.arange(600), name=f"{period:g} s"))
+    return records
+
+
+def test_parts_and_times_of_a_relaxation_behind_plays_are_found() -> None:
+    fit = hf.fit("prandtl-ishlinskii+relaxation", relaxing_plays(0.5, 5.0, 50.0))
+    assert fit.usable
+    found = fit.values
+    assert [found["a[0]"], found["a[1]"]] == pytest.approx([0.25, 0.35], abs=0.02)
+    assert [found["tau[0]"], found["tau[1]"]] == pytest.approx([0.3, 6.0], rel=0.1)
+
+
+def test_a_first_fit_finds_a_relaxation_behind_plays() -> None:
+    """Or its model is stopped: where the search ended early, its error was 20 times the noise."""
+    data = hf.Dataset(tuple(relaxing_plays(0.5, 5.0, 50.0)))
+    candidate, standings = (
+        Candidate("prandtl-ishlinskii+relaxation"),
+        Standings(data, "prediction", all_validated=False),
+    )
+    CandidateFits(data, "auto", FitOptions(), {}, standings).first(candidate, lambda _: None)
+    assert candidate.first is not None
+    assert candidate.first.error < 3 * 0.002
+
+
+@pytest.mark.slow  # 20 models
+def test_a_relaxation_behind_plays_wins_the_comparison() -> None:
+    comparison = hf.compare(relaxing_plays(0.5, 5.0, 50.0))
+    assert comparison.rows[0].asked == "prandtl-ishlinskii+relaxation"

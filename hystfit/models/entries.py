@@ -235,7 +235,7 @@ MODELS: dict[str, Entry] = {
     ),
     "relaxation": Entry(
         "relaxation:Relaxation", "after", "a part of the output follows slowly (curved actuators); needs time",
-        tried=("bouc-wen+relaxation", "bouc-wen-force+relaxation"),
+        tried=("bouc-wen+relaxation", "bouc-wen-force+relaxation", "prandtl-ishlinskii+relaxation"),
     ),
     "second-order": Entry(
         "dynamics:SecondOrder", "after", "a resonance; needs time", tried=("bouc-wen+second-order", "prandtl-ishlinskii+second-order"),

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
-import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
 
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.solvers.ridge import STRENGTHS, LinearSystem, RidgeFit, fit_ridge, linear_positions, penalized
+from hystfit.fitting.solvers.ridge import STRENGTHS, LinearSystem, RidgeFit, fit_ridge, linear_positions, projected
+from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
 
 _WEAK = 1e-6  # strength at which a ridge moves no lag
+# Relative decrease of the sum of squares at which the search ends: with 1e-6 it took up to a half more evaluations on four measured files,
+# and the error on held-out samples changed by at most 4e-4 of it.
+_GAIN = 1e-4
 
 
 class Convex(AbstractEstimator):
-    """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
+    """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by variable projection.
 
     For plays, relays and creep weights: dozens of unknowns, of which many end on zero. With nonlinear parameters free (a lag, a
     bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end. At a wrong lag
@@ -29,15 +31,12 @@ class Convex(AbstractEstimator):
 
     Attributes:
         strengths: of the ridge, among which held-out groups choose.
-        max_evaluations: of an outer search.
+        steps: of a search over nonlinear parameters.
     """
 
     needs_starts: ClassVar[bool] = False
     strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
-    max_evaluations: int = eqx.field(static=True, default=80)
-
-    def quick(self) -> Convex:
-        return dataclasses.replace(self, max_evaluations=15)
+    steps: int = eqx.field(static=True, default=40)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
@@ -78,46 +77,18 @@ class Convex(AbstractEstimator):
             effective=float(fit.effective) + x.size - at.size,
         )
 
-    def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, int, bool, str]:
+    def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> Searched:
         """Where the nonlinear parameters end: with the ridge of the start or, if that is strong, with a weak one, by left-out error."""
 
-        def search(strength: float) -> tuple[np.ndarray, int, bool, str]:
-            cost = lambda x: float(np.log(penalized(LinearSystem.of(problem, x), strength) + 1e-300))
-            limits = {"maxfev": self.max_evaluations, "xatol": 1e-2, "fatol": 1e-4}
-            return search_nonlinear(problem, cost, z, others, **limits)
+        def search(strength: float) -> Searched:
+            left = lambda x: projected(LinearSystem.of(problem, x), strength)
+            return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
 
         first = float(fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength)
         weak = min(self.strengths, key=lambda strength: abs(np.log(strength / _WEAK)))
         ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
-        scores = [fit_ridge(LinearSystem.of(problem, x), self.strengths).score for x, *_ in ended] if ended[1:] else [0]
-        x, _, converged, message = ended[int(np.argmin(scores))]
-        return x, sum(evaluations for _, evaluations, _, _ in ended), converged, message
-
-
-def search_nonlinear(
-    problem: Problem, cost: Callable[[np.ndarray], float], z: np.ndarray, others: np.ndarray, **options: Any
-) -> tuple[np.ndarray, int, bool, str]:
-    """Search over the nonlinear parameters of a model whose weights are solved for inside (variable projection).
-
-    From unconstrained z, to the lowest cost of physical parameters: these, the number of evaluations, whether it converged, and a message.
-    """
-
-    def at(inner: np.ndarray) -> np.ndarray:
-        trial = z.copy()
-        trial[others] = inner
-        return np.array(problem.space.physical(trial))
-
-    if others.size == 1:  # by parabolas: a sixth of the evaluations of a simplex
-        bracket, limits = (
-            (z[others[0]], z[others[0]] + 0.2),  # of its natural scale
-            {"maxiter": options["maxfev"], "xtol": options["xatol"]},
+        scores = (
+            [fit_ridge(LinearSystem.of(problem, one.x), self.strengths).score for one in ended] if ended[1:] else [0]
         )
-        of_number = lambda v: cost(at(np.atleast_1d(v)))
-        solution = scipy.optimize.minimize_scalar(of_number, bracket, method="brent", options=limits)
-    else:
-        solution = scipy.optimize.minimize(lambda v: cost(at(v)), z[others], method="Nelder-Mead", options=options)
-    # Along a direction that the data do not determine a simplex moves on without end, at costs that no longer differ.
-    level = others.size > 1 and bool(np.ptp(solution.final_simplex[1]) <= options["fatol"])
-    stopped = f"the search over nonlinear parameters stopped after {solution.nfev} evaluations"
-    converged = bool(solution.success) or level
-    return at(np.atleast_1d(solution.x)), int(solution.nfev), converged, "converged" if converged else stopped
+        best = ended[int(np.argmin(scores))]
+        return best._replace(evaluations=sum(one.evaluations for one in ended))

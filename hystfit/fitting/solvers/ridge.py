@@ -211,10 +211,11 @@ def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths:
     return out
 
 
-def penalized(system: LinearSystem, strength: float) -> float:
-    """Least sum of squares and ridge that the weights reach at a given strength: what nonlinear parameters minimize."""
+def projected(system: LinearSystem, strength: float) -> Float[np.ndarray, " n1"]:
+    """Residuals that the weights leave at a given strength, then the roots of what the ridge adds, for `search_nonlinear`."""
     normal = system.normal()
     total, b = normal.A.sum(axis=0), normal.b.sum(axis=1)
     ridge = (system.ridged | normal.dead) * strength * normal.counts.sum() + normal.dead
-    w, _ = solve_normal(total, b, system.free, ridge[None])
-    return float(_squares(total, b, normal.squares.sum(axis=1), w)[0]) + float(ridge @ w[0] ** 2)
+    w = solve_normal(total, b, system.free, ridge[None])[0][0]
+    weights = np.where(normal.dead, 0.0, w / normal.scale) + normal.origins[0]
+    return np.concatenate([system.columns @ weights - system.target, np.sqrt(ridge) * w])

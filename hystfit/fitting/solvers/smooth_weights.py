@@ -10,8 +10,8 @@ import equinox as eqx
 import numpy as np
 
 from hystfit.errors import ModelError
-from hystfit.fitting.solvers.convex import search_nonlinear
 from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
+from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
 from hystfit.models.preisach.smooth import (
@@ -26,23 +26,24 @@ from hystfit.outcome import Code, Note
 from hystfit.quality.reversal_curves import reversal_curves
 
 _FEW = 6  # free parameters besides the weights that the search serves
+_GAIN = 1e-7  # relative decrease of the sum of squares at which it ends
 
 
 class SmoothWeights(AbstractEstimator):
-    """Weights that are smooth, and >= 0 as their bounds say, given the other free parameters; those by a simplex outside.
+    """Weights that are smooth, and >= 0 as their bounds say, given the other free parameters; those by variable projection.
 
     For models with the method `design_matrix`: `Preisach`, solved on distinct states, and its compositions with a lag, creep or a
     resonance, whose parameters move to lower the cost at the smoothness found at the start; it is chosen again at the end.
 
     Attributes:
         smoothness: strengths of the penalty among which held-out groups choose.
-        max_evaluations: of the search.
+        steps: of a search over other parameters.
         most: error where samples are held out [y], above which with the weakest smoothness no other is tried.
     """
 
     needs_starts: ClassVar[bool] = False
     smoothness: tuple[float, ...] = eqx.field(static=True, default=SMOOTHNESS)
-    max_evaluations: int = eqx.field(static=True, default=120)
+    steps: int = eqx.field(static=True, default=40)
     most: float = eqx.field(static=True, default=np.inf)
 
     def up_to(self, most: float) -> SmoothWeights:
@@ -103,8 +104,8 @@ class SmoothWeights(AbstractEstimator):
 
     def _search(
         self, problem: Problem, split: Callable[[np.ndarray], Split], first: Split, z: np.ndarray, others: np.ndarray
-    ) -> tuple[np.ndarray, int, bool, str]:
-        """Physical parameters at the lowest penalized cost, number of evaluations, whether it converged, and a message."""
+    ) -> Searched:
+        """Where the other parameters end, with the smoothness of the start."""
         if others.size > _FEW:
             names = ", ".join(problem.space.names[k] for k in others[:_FEW])
             raise ModelError(
@@ -113,12 +114,17 @@ class SmoothWeights(AbstractEstimator):
             )
         strength = fit_smooth(first.system, self.smoothness, fixed=first.fixed).smoothness
 
-        def cost(x: np.ndarray) -> float:
-            now = split(x)
-            return float(np.log(fit_smooth(now.system, (strength,), fixed=now.fixed).cost + 1e-300))
+        at = np.flatnonzero(first.place >= 0)
 
-        # The tolerances are small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
-        return search_nonlinear(problem, cost, z, others, maxfev=self.max_evaluations, xatol=1e-5, fatol=1e-7)
+        def left(x: np.ndarray) -> np.ndarray:
+            now = split(x)
+            fit = fit_smooth(now.system, (strength,), fixed=now.fixed)
+            x = x.copy()
+            x[at] = fit.weights[now.place[at]]
+            return np.append(problem.misfit(x), np.sqrt(max(fit.cost - fit.rss, 0.0)) / problem.scales.y)
+
+        # The gain is small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
+        return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
 
 
 def left_out_scores(
