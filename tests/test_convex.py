@@ -1,5 +1,6 @@
 """The convex solve against scipy, the ridge's choice, and the search for structure on records whose terms are known."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -18,8 +19,11 @@ from hystfit.fitting.comparison.standings import Standings
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.solvers.convex import Convex
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, solve_normal
+from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
 from hystfit.fitting.structure.structure_search import search_structure
+from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.registry import make_model
 from hystfit.models.shared import nonnegative
 from hystfit.models.shared.design import effective_number
 from hystfit.models.shared.nonnegative import solve_nonnegative, solve_several
@@ -326,3 +330,34 @@ def test_a_first_fit_finds_a_relaxation_behind_plays() -> None:
 def test_a_relaxation_behind_plays_wins_the_comparison() -> None:
     comparison = hf.compare(relaxing_plays(0.5, 5.0, 50.0))
     assert comparison.rows[0].asked == "prandtl-ishlinskii+relaxation"
+
+
+def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float) -> Searched:
+    """A search over the time constant of a lag."""
+    u = np.sin(np.arange(100) / 5)
+    problem = Problem(make_model("lag+linear"), hf.Dataset.of(hf.Record(u=u, y=u, t=0.1 * np.arange(100))))
+    z = problem.space.unconstrained(np.array([start, 1.0]))
+    return search_nonlinear(problem, lambda x: residuals(x[0]), z, np.array([0]), steps=40, gain=1e-8)
+
+
+def test_a_search_ends_where_a_parameter_has_no_effect() -> None:
+    assert _searched(lambda _: np.ones(5), 0.3).converged
+
+
+def test_a_search_turns_back_from_parameters_that_are_not_finite() -> None:
+    """And from equations that cannot be solved there."""
+
+    def residuals(tau: float) -> np.ndarray:
+        if tau > 0.5:
+            raise np.linalg.LinAlgError
+        return np.append(10 * (tau - 0.45), np.nan if tau > 0.48 else 0.0)
+
+    found = _searched(residuals, 0.1)
+    assert found.converged
+    assert found.x[0] == pytest.approx(0.45, rel=1e-3)
+
+
+def test_a_search_from_parameters_that_are_not_finite_says_so() -> None:
+    found = _searched(lambda _: np.full(5, np.nan), 0.3)
+    assert not found.converged
+    assert "not finite" in found.message

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from hystfit.inference.problem import Problem
 
 _STEP = 1e-3  # of forward differences, in the natural scales of the parameters: weights at a bound make derivatives of smaller ones uneven
-_LEVEL = 1e-15  # cosine between the residuals and their derivatives at which nothing can be gained: only the gain ends a search
+_LEVEL = 1e-15  # of the largest derivative of the sum of squares: where the parameters have no effect, which else divides by zero in SciPy
 
 
 class Searched(NamedTuple):
@@ -33,35 +33,42 @@ def search_nonlinear(
     steps: int,
     gain: float,
 ) -> Searched:
-    """Minimize the sum of squares that the weights leave, from unconstrained z, shape (p,), by the steps of Levenberg and Marquardt.
+    """Minimize the sum of squares that the weights leave, from unconstrained z, shape (p,), by Gauss-Newton steps in a trust region.
 
     Args:
         problem: has the coordinates of the parameters.
         residuals: of physical parameters, shape (p,), with the weights that suit them best; the roots of what a penalty adds come last.
         others: positions of the nonlinear parameters, shape (q,).
-        steps: at most, those that are refused included.
+        steps: at most, those that are refused included, such as into parameters at which a simulation is not finite.
         gain: relative decrease of the sum of squares at which the search ends.
     """
     evaluations, last = 0, (b"", np.empty(0))
 
-    def at(inner: np.ndarray) -> np.ndarray:
+    def at(moved: np.ndarray) -> np.ndarray:
         trial = z.copy()
-        trial[others] = inner
+        trial[others] += moved
         return np.array(problem.space.physical(trial))
 
-    def left(inner: np.ndarray) -> np.ndarray:
+    def left(moved: np.ndarray) -> np.ndarray:
         nonlocal evaluations, last
-        if inner.tobytes() != last[0]:
-            evaluations, last = evaluations + 1, (inner.tobytes(), residuals(at(inner)))
+        if moved.tobytes() != last[0]:
+            try:
+                with np.errstate(all="ignore"):
+                    found = residuals(at(moved))
+            except np.linalg.LinAlgError:  # of equations that are not finite
+                found = np.full(last[1].shape, np.nan)
+            evaluations, last = evaluations + 1, (moved.tobytes(), found)
         return last[1]
 
-    def slopes(inner: np.ndarray) -> np.ndarray:
-        before = left(inner)
-        return np.stack([(left(inner + _STEP * unit) - before) / _STEP for unit in np.eye(others.size)], axis=1)
+    def slopes(moved: np.ndarray) -> np.ndarray:
+        before = left(moved)
+        columns = [(left(moved + _STEP * unit) - before) / _STEP for unit in np.eye(others.size)]
+        return np.stack([column if np.isfinite(column).all() else np.zeros_like(column) for column in columns], axis=1)
 
-    # MINPACK: the trust region of SciPy divides by zero where a parameter has no effect.
-    settings: dict[str, Any] = {"method": "lm", "ftol": gain, "xtol": _STEP, "gtol": _LEVEL, "max_nfev": steps}
-    solution = scipy.optimize.least_squares(left, z[others], slopes, **settings)
+    still = np.zeros(others.size)  # from zero the first steps are at most one natural scale long
+    if not np.isfinite(left(still)).all():
+        return Searched(at(still), 1, False, "the model is not finite at its starting values")
+    solution = scipy.optimize.least_squares(left, still, slopes, ftol=gain, xtol=_STEP, gtol=_LEVEL, max_nfev=steps)
     converged = solution.status > 0
     stopped = f"the search over nonlinear parameters stopped after {evaluations} evaluations"
     return Searched(at(solution.x), evaluations, converged, "converged" if converged else stopped)
