@@ -83,9 +83,9 @@ class CandidateFits:
             one.first = one.first._replace(handicap=handicap)
 
     def _descended(self, model: AbstractHysteresis) -> tuple[First, tuple[AbstractHysteresis, ...]]:
-        """The first fit of a model without elements, by few starting points and steps that end early, and what its fit starts from.
+        """The first fit of a model without elements, by few starting points and steps that end early, and what it started from.
 
-        The latter is where this one ended for estimators that need no starts, else where it began; empty where those have more samples.
+        The latter is empty where the fit starts from more samples.
         """
         fitted = thinned(self.data) if model.allows_thinning else self.data
         problem, points = started_problem(model, fitted)
@@ -97,10 +97,7 @@ class CandidateFits:
         estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
         weight = np.asarray(problem.objective.batch.weight)
         rms = problem.scales.y * float(np.nan_to_num(np.sqrt(2 * estimate.cost / weight.sum()), nan=np.inf))
-        first = First(rms, estimate.x.size, lowered=lowered)
-        if not method.needs_starts:
-            return first, (problem.space.assembled(estimate.x),)
-        return first, points if fitted is self.data else ()
+        return First(rms, estimate.x.size, lowered=lowered), points if fitted is self.data else ()
 
     def excluded(self, one: Candidate) -> Row | None:
         """The row of a model whose first fit is far from the error above which it cannot win; None for a model that may win."""
