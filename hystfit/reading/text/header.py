@@ -139,6 +139,16 @@ def _is_header(parts: list[str], decimal: str) -> bool:
     return not any(_is_setting(part) for part in parts)
 
 
+def _has_numbered_channels(parts: Sequence[str], decimal: str, below: Sequence[str]) -> bool:
+    """Whether a row names most of its columns and a few by the number of a sensor: "Weg", "Kraft", "1281068" over mm, kN, mm.
+
+    Args:
+        below: cells of the only row of the header below it.
+    """
+    words = sum(cells.kind(part, decimal) == cells.TEXT for part in parts)
+    return 2 * words > len(parts) and all(parts) and "=" not in "".join(parts) and _mostly_units(_bare(below))
+
+
 def _is_setting(cell: str) -> bool:
     """Whether a cell is no name of a column but a setting, or the word before one: "T=300 K", "Time:"; not "N=10 strain (%)"."""
     rest = _VALUE.sub("", cell).strip()
@@ -308,7 +318,10 @@ def read_header(
         # Channels of an oscilloscope
         if parts and headers and parts[0] == "x-axis" and all(part.isdigit() for part in parts[1:]):
             parts = ["x-axis", *(f"CH{number}" for number in parts[1:])]
-        if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
+        if parts is None or len(parts) != width:
+            break
+        channels = len(headers) == 1 and _has_numbered_channels(parts, decimal, headers[0][1])
+        if not _is_header(parts := _named(parts), decimal) and not channels:
             break
         alike = len(set(parts)) == 1 and not _are_units(_bare(parts), parts)
         if width > 2 and (alike or all(map(_FORMAT.fullmatch, parts))):  # the format of each column
