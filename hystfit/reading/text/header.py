@@ -78,7 +78,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
                 parts.pop()
             if len(parts) == width and any(parts):
                 units = parts[0] in ("%", "#") and _are_units(_bare(parts), parts)
-                if units or mark in (",", ";") or not re.fullmatch(_COMMENT, parts[0]):
+                if units or mark in (",", ";", "\t") or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None
 
