@@ -259,5 +259,5 @@ def test_the_question_about_columns_without_names_begins_with_the_pair_that_belo
     force = np.round(49 + 6 * np.sign(np.gradient(stroke)) + 0.05 * stroke + 0.05 * noise[1], 3)
     path = tmp_path / "friction.txt"
     np.savetxt(path, np.column_stack([pressure, stroke, force]), fmt="%.3f", delimiter="\t")
-    with pytest.raises(DataError, match="choose, such as --input 1 --output 2 or "):
+    with pytest.raises(DataError, match="choose, such as --input 1 --output 2 or --input 2 --output 1"):
         read(path)

@@ -24,7 +24,7 @@ from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.column_names import column_role
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import computed, explained, proportional, rounded, same_loop
+from hystfit.reading.table.signal_evidence import computed, explained, overtones, proportional, rounded, same_loop
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
@@ -224,7 +224,10 @@ def _guess_pair(
         unsure = (
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
-        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+        kind, unit = kinds[best.output], table.units[best.output]
+        alike = [k for k in others if table.named and kinds[k] == kind != "" and table.units[k] == unit]
+        more = f"; --output {_as_option(table, alike[0])} (output=) reads another {kind}" if alike else ""
+        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{more}{unsure}"))
 
 
 def _runs_both_ways(values: np.ndarray) -> bool:
@@ -293,10 +296,14 @@ def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
 
 
 def _clearest(table: Table, equal: Sequence[Reading]) -> list[Reading]:
-    """Equally likely readings, of columns without names those first whose input and its direction explain most of the output."""
+    """Equally likely readings; of columns without names first a clean wave and the output that it explains, and then the two exchanged."""
+    if table.named:
+        return [*equal]
     columns = table.columns
-    share = lambda one: explained(columns[one.input], columns[one.output], table.curve)
-    return [*equal] if table.named else sorted(equal, key=lambda one: -round(share(one), 2))
+    power = lambda one: overtones(columns[one.input]) - explained(columns[one.input], columns[one.output], table.curve)
+    first = min(equal, key=power)
+    swapped = [one for one in equal if (one.input, one.output) == (first.output, first.input)]
+    return [first, *swapped, *(one for one in equal if not _same_loop(table, first, one))]
 
 
 def _undecided(table: Table, *equal: Reading) -> DataError:
