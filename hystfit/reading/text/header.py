@@ -29,6 +29,7 @@ _SETTINGS = (
     ),
 )
 MOST_METADATA = 40
+_NEXT = re.compile(r"(?:^|\s{3,})\w+\.?(?: \w+\.?){0,3}:(?:\s|$)")  # a further setting in the same line
 _LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
@@ -63,6 +64,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
         if not _SAMPLE.match(key) or "sampl" in text.lower():
             continue
         value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
+        value = _NEXT.split(value, maxsplit=1)[0].strip()
         column = {key, value}.intersection(names)
         if not column and value.lower() not in _NO_VALUE and len(known) < MOST_METADATA:
             known.setdefault(key, value)
