@@ -551,3 +551,20 @@ def test_the_range_of_a_force_is_that_of_all_cycles() -> None:
         force.append(f)
     found = values_of(hf.Record(u, np.array(force), u_unit="mm", y_unit="kN", u_name="Displacement", y_name="Force"))
     assert found["stroke"].value == pytest.approx(16.0)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_small_loop_on_a_steep_branch_does_not_move_where_the_branch_crosses(mirrored: bool) -> None:
+    """A scanning loop of 4 % of the input passes the middle of the output on its way to and fro, at 1.3 instead of 2."""
+    rises, falls = (lambda u, at=at: 1 / (1 + np.exp((at - u) / 0.2)) for at in (2.0, 1.0))
+    before, after = np.linspace(0, 2.4, 60), np.append(np.linspace(2.4, 5, 60), np.linspace(5, 50, 20)[1:])
+    back = np.linspace(2.4, 0.6, 40)
+    scan = 0.3 + (rises(2.4) - 0.3) * (back - 0.6) / 1.8
+    down = after[::-1].tolist() + np.linspace(2.4, 0, 60)[1:].tolist()
+    u = np.concatenate([before, back[1:], back[::-1][1:], after[1:], down[1:]])
+    y = np.concatenate([rises(before), scan[1:], scan[::-1][1:], rises(after[1:]), falls(np.array(down[1:]))])
+    found = values_of(hf.Record(-u if mirrored else u, -y if mirrored else y))
+    sides = ("falling", "rising") if mirrored else ("rising", "falling")
+    for side, at in zip(sides, (2.0, 1.0), strict=True):
+        assert found[f"coercive_input_{side}"].value == pytest.approx(-at if mirrored else at, abs=0.02)
+    assert found["coercive_input"].value == pytest.approx(0.5, abs=0.02)

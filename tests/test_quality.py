@@ -1359,3 +1359,24 @@ def test_a_spike_is_no_strength_that_is_lost_later():
     clean, off = ({one.name: one.value for one in loop_quantities(one).rows["record"]} for one in (record, spoiled))
     assert off["stroke"] == clean["stroke"]
     assert off["loop_area"] == pytest.approx(clean["loop_area"], rel=0.01)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("rest", [0, 60])
+def test_a_cycle_from_rest_is_a_loop_with_the_gap_between_its_ends(gap: float, rest: int) -> None:
+    """An ellipse driven from the middle of its input to both ends and back, and a charge that leaks over the cycle.
+
+    Its first quarter, on which the input comes back to where it began, is no loop that does not close.
+    """
+    phase = np.concatenate([np.zeros(rest), 2 * np.pi * np.linspace(0, 1, 401), np.full(rest, 2 * np.pi)])
+    leak = -2.2 * gap * phase / (2 * np.pi)
+    noise = 0.0004 * np.random.default_rng(2).normal(size=(2, phase.size))
+    u = 3 * np.sin(phase) + noise[0]
+    y = np.sin(phase - 0.4) + leak + noise[1]
+    report = examined(Record(u=u, y=y))
+    (shape,) = (one.shape for one in report.records)
+    assert shape is not None
+    assert shape.circulation == "counter-clockwise"
+    assert shape.width_percent == pytest.approx(100 * np.sin(0.4), abs=2 + 50 * gap)
+    assert shape.closure_percent == pytest.approx(-100 * 2.2 * gap / np.ptp(y), abs=1)
+    assert has(report.findings, Code.NOT_CLOSED) == (gap > 0)

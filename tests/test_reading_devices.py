@@ -814,3 +814,34 @@ def test_of_two_signals_without_a_role_the_smooth_one_is_the_command(noisy_first
 def test_the_container_of_a_message_is_no_magnetic_field(name: str, meant: str) -> None:
     """Messages of robots are written as field.NAME; a direction has the meaning of the vector that it belongs to."""
     assert column_quantity(name) == meant
+
+
+# Several devices and files ---------------------------------------------------------------------------------------------------------
+
+
+def test_further_outputs_of_one_drive_are_named_with_their_option(tmp_path: Path) -> None:
+    record = one(
+        tmp_path,
+        "Drive (V),Actuator A (um),Actuator B (um),Room (degC)\n" + rows(",", U, Y, 2 * Y**2, 0 * U + 21 + 0.1 * Y),
+    )
+    is_pair(record)
+    (note,) = (note.text for note in record.notes if note.text.startswith("columns not used"))
+    assert "--output 'Actuator B (um)'" in note
+
+
+def test_files_of_two_branches_are_no_input_and_output(tmp_path: Path) -> None:
+    """Each has a field and a magnetization; joined as a pair, the field of one would drive the magnetization of the other."""
+    half = N // 2
+    for name, part in (("up", slice(half)), ("down", slice(half, 2 * half))):
+        written(tmp_path, "H (Oe),M (emu)\n" + rows(",", U[part], Y[part]), f"{name}.csv")
+    with pytest.raises(DataError, match="each is a curve of its own"):
+        read(f"{tmp_path}/up.csv+{tmp_path}/down.csv")
+    chosen = read(f"{tmp_path}/up.csv+{tmp_path}/down.csv", input="H (Oe)", output="M (emu)")
+    assert isinstance(chosen, Record)
+
+
+def test_files_of_signals_of_one_name_are_an_input_and_an_output(tmp_path: Path) -> None:
+    clock = np.arange(N) / 10
+    for name, values in (("u", U), ("y", Y)):
+        written(tmp_path, "t (s),value\n" + rows(",", clock, values), f"{name}.csv")
+    is_pair(read(f"{tmp_path}/u.csv+{tmp_path}/y.csv"))

@@ -158,3 +158,16 @@ def test_files_of_programs_name_the_export(tmp_path: Path) -> None:
     xml = "<doc>" + "".join(f"<part>{part}</part>" for part in parts) + "</doc>"
     with pytest.raises(DataError, match="export"):
         read(written(tmp_path, xml, "isotherm.jwgbt"))
+
+
+def test_the_numbers_of_the_rows_are_called_by_their_sign(tmp_path: Path) -> None:
+    """ "#" and a tab before the names is the name of the first column where every column has one, and else the mark of a comment."""
+    u = np.round(10 * np.sin(np.linspace(0, 12, 90)), 3)
+    y = np.round(0.4 * u + 0.5 * np.sign(np.gradient(u)), 3)
+    for head, columns in (("#\tangle_deg\ttorque_Nm", (np.arange(1, 91), u, y)), ("#\tangle_deg\ttorque_Nm", (u, y))):
+        path = tmp_path / f"drive{len(columns)}.tsv"
+        rows = ("\t".join(map(str, row)) for row in zip(*columns, strict=True))
+        path.write_text(head + "\n" + "\n".join(rows) + "\n", encoding="utf-8")
+        record = read(path)
+        assert (record.u_name, record.y_name) == ("angle_deg", "torque_Nm")
+        np.testing.assert_allclose(record.u, u)

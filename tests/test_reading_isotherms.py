@@ -213,3 +213,28 @@ def test_a_short_sheet_that_cannot_be_read_beside_the_measurement(tmp_path: Path
 def test_a_second_time_is_no_output(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="found 1 column"):
         one(tmp_path, "time/s,Voltage,I Range,Time\n" + rows(",", T, U, np.full(N, 14), T))
+
+
+def test_names_in_two_lines_are_no_properties_of_the_sample(tmp_path: Path) -> None:
+    """The second line of the names, "Density  Weight", is no density of "Weight"."""
+    pressure = np.append(np.linspace(20, 900, 12), np.linspace(850, 20, 11))
+    loading = np.append(np.linspace(0.1, 2.2, 12), np.linspace(2.15, 0.3, 11))
+    head = "Sample Dry Mass               8.9674 mg\n\n"
+    head += "Pressure   Gas        Total      Excess       \n           Density    Weight     Adsorption   \n"
+    head += "(mbar)     (g/cc)     (mg)       (mmol/g)     \n" + 45 * "-" + "\n"
+    rows = [
+        f"{p:<11.1f}{p * 1e-6:<11.6f}{8.97 + a / 100:<11.4f}{a:<13.4f}" for p, a in zip(pressure, loading, strict=True)
+    ]
+    path = tmp_path / "isotherm.txt"
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    record = read(path)
+    assert record.metadata == {"Sample Dry Mass": "8.9674 mg"}
+    assert (record.u_unit, record.y_unit) == ("mbar", "mmol/g")
+
+
+def test_two_settings_in_a_line_are_one_property_of_the_sample(tmp_path: Path) -> None:
+    head = "Sample ID:     BF1_N2_77           Filename:      BF1.QPS\nSample Desc:                       Comment:\n"
+    head += "Sample weight: 0.0101 g\n\n"
+    path = tmp_path / "isotherm.txt"
+    path.write_text(f"{head}Press (mmHg)\tVolume (cc)\n{rows(chr(9), P, V)}", encoding="utf-8")
+    assert read(path).metadata == {"Sample ID": "BF1_N2_77", "Sample weight": "0.0101 g"}

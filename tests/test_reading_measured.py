@@ -13,6 +13,7 @@ from hystfit.data import Dataset, Record
 from hystfit.errors import DataError
 from hystfit.params.units import conversion, quantity
 from hystfit.reading import read
+from hystfit.results.measured.loop_values import quantities
 
 N = 60
 TOP = 33  # samples of the branch that rises
@@ -157,3 +158,30 @@ def test_counters_and_clocks_are_no_levels(tmp_path: Path) -> None:
     record = one(tmp_path, [names, *rows(np.arange(600) / 100, cycle, 2 * cycle, x, force)])
     assert not any("levels" in note.text for note in record.notes)
     assert (record.u_unit, record.y_unit) == ("mm", "N")
+
+
+@pytest.mark.parametrize("specimens", [1, 2])
+def test_the_results_of_specimens_in_a_magic_file_stand_beside_ours(specimens: int, tmp_path: Path) -> None:
+    """tanh loops of known coercivity and moment over a paramagnet, of which the results of another table are without its slope."""
+    chi, field = 2e-7, np.r_[np.linspace(1, -1, 201), np.linspace(-0.99, 1, 200)]
+    head = "specimen\tmethod_codes\thyst_ms_mass\thyst_mr_mass\thyst_bcr\thyst_bc\thyst_xhf\n"
+    results, rows = f"tab\tspecimens\n{head}", "specimen\tmethod_codes\tmeas_field_dc\tmagn_mass\tmeas_temp\n"
+    truth = {}
+    for k in range(specimens):
+        name, ms, bc = f"S{k + 1}", 0.1 * (k + 1), 0.02 + 0.01 * k
+        side = np.where(np.arange(field.size) <= 200, 1, -1)
+        moment = ms * np.tanh((field + side * bc) / 0.1) + chi * field / (4e-7 * np.pi)
+        truth[name] = {"saturation": ms, "remanence": ms * np.tanh(bc / 0.1), "coercive_input": bc}
+        results += f"{name}\tLP-BCR-BF\t\t{0.5 * ms}\t{2 * bc}\t\t\n"
+        results += f"{name}\tLP-HYS:SM-SLOPE\t{ms}\t{truth[name]['remanence']:.6g}\t\t{bc}\t{chi}\n"
+        rows += "".join(f"{name}\tLP-HYS\t{b:.5f}\t{m:.8g}\t300\n" for b, m in zip(field, moment, strict=True))
+    path = tmp_path / "contribution.txt"
+    path.write_text(f"{results}>>>>>>>>>>\ntab\tmeasurements\n{rows}>>>>>>>>>>\n", encoding="utf-8")
+    data = Dataset.of(read(path))
+    assert len(data) == specimens
+    for record, expected, values in zip(data, truth.values(), quantities(data).rows.values(), strict=True):
+        assert {one.quantity: one.value for one in record.stated if one.quantity} == pytest.approx(expected, rel=1e-5)
+        corrected = {one.name: one for one in values if one.name.endswith("_corrected") and one.stated is not None}
+        assert len(corrected) == 3
+        for one in corrected.values():
+            assert one.value == pytest.approx(one.stated, rel=0.01)

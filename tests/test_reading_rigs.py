@@ -248,3 +248,16 @@ def test_torques_of_both_directions_of_a_speed_are_a_curve_and_no_loop(tmp_path:
     loop = read_table(tmp_path, "Speed (rpm),Torque up (Nm),Torque down (Nm)\n", speed, forth, forth + 0.1)
     assert isinstance(loop, Record)
     np.testing.assert_allclose(loop.u, np.concatenate([speed, speed[::-1]]))
+
+
+def test_the_question_about_columns_without_names_begins_with_the_pair_that_belongs_together(tmp_path: Path) -> None:
+    """Regulated pressure, stroke and friction of a cylinder: the stroke and its direction explain the force, but not the pressure."""
+    count = 600
+    stroke = np.round(39 - 39 * np.cos(np.linspace(0, 8 * np.pi, count)), 3)
+    noise = np.random.default_rng(5).normal(size=(2, count))
+    pressure = np.round(1.02 + 0.003 * noise[0], 3)
+    force = np.round(49 + 6 * np.sign(np.gradient(stroke)) + 0.05 * stroke + 0.05 * noise[1], 3)
+    path = tmp_path / "friction.txt"
+    np.savetxt(path, np.column_stack([pressure, stroke, force]), fmt="%.3f", delimiter="\t")
+    with pytest.raises(DataError, match="choose, such as --input 1 --output 2 or --input 2 --output 1"):
+        read(path)

@@ -130,3 +130,40 @@ def test_a_diagram_of_points_that_are_printed_twice_is_driven_by_its_coordinate(
     record = one(tmp_path, "", np.round(place, 6), np.round(moment, 2))
     assert np.ptp(record.u) == pytest.approx(8)
     assert np.ptp(record.y) > 1e5
+
+
+@pytest.mark.parametrize("mark", MARKS)
+def test_a_transducer_is_named_by_its_number(mark: str, tmp_path: Path) -> None:
+    """The rows above the numbers have names, some of them serial numbers, and units; a day is no unit of the software."""
+    names, units = mark.join(["Day", "Force", "Disp", "128106", "215"]), mark.join(["d", "kN", "mm", "mm", "mm"])
+    columns = (np.full(N, 42032), Y, U, np.round(0.01 * Y, 4), np.round(0.02 * Y, 4))
+    record = one(tmp_path, f"{names}\n{units}\n", *columns, mark=mark)
+    is_pair(record, ("mm", "kN"))
+    assert (record.u_name, record.y_name) == ("Disp", "Force")
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_the_largest_values_below_a_test_in_other_columns_are_no_record(decimal: str, tmp_path: Path) -> None:
+    """A testing machine writes its acquisition and then the largest and smallest values, with the channels in another order."""
+    head = "Acquisition\t\tTime:\t%s\ts\n"
+    rows = [f"{k / 5}\t{y}\t{u}\t{0.01 * y:.3f}" for k, (y, u) in enumerate(zip(Y, U, strict=True))]
+    test = f"{head % 12.5}Time\tForce\tPosition\tGauge A\ns\tkN\tmm\tmm\n" + "\n".join(rows)
+    peaks = f"{head % 24.5}Time\tPosition\tForce\tGauge A\tGauge B\ns\tmm\tkN\tmm\tmm\n"
+    peaks += "23.8\t0.0\t24.0\t0.1\t0.2\n11.8\t4.0\t56.0\t0.3\t0.4\n"
+    path = tmp_path / "specimen.dat"
+    path.write_text(f"{test}\n\n{peaks}".replace(".", decimal), encoding="utf-8")
+    data = read(path)
+    assert isinstance(data, Record), [record.name for record in data]
+    is_pair(data, ("mm", "kN"))
+    np.testing.assert_allclose(data.t, np.arange(N) / 5)
+
+
+def test_the_titles_of_tables_have_no_tabs(tmp_path: Path) -> None:
+    names = "Time\tPosition\tForce\ns\tmm\tkN\n"
+    text = ""
+    for run in (5, 6):
+        rows = "\n".join(f"{k / 5}\t{u}\t{run * y:.2f}" for k, (u, y) in enumerate(zip(U, Y, strict=True)))
+        text += f"Run\t\tForce:\t{run}\tkN\n{names}{rows}\n\n"
+    path = tmp_path / "runs.dat"
+    path.write_text(text, encoding="utf-8")
+    assert [record.name for record in read(path)] == ["Run Force: 5 kN", "Run Force: 6 kN"]

@@ -36,6 +36,20 @@ def test_a_thermostat_is_a_relay_however_often_it_is_logged(noise: float) -> Non
     assert float(found.model.down) == pytest.approx(LOW, abs=0.1)
 
 
+def test_plays_are_no_other_family_for_a_switch_that_is_logged_seldom() -> None:
+    """A temperature a minute, eight between the thresholds: each switch is logged a sample late, and values between the levels err less."""
+    warm, on, temperature, state = 21.0, False, [], []
+    for noise in 0.01 * NOISE[0, :600]:
+        on = warm < LOW if not on else warm < LOW + 1
+        warm += (0.12 if on else -0.08) + noise
+        temperature.append(warm)
+        state.append(float(on))
+    found = hf.fit("auto", hf.Record(np.array(temperature), np.array(state)))
+    assert isinstance(found.model, Relay)
+    assert found.status is Status.OK
+    assert not has(found.notes, Code.OTHER_FAMILY)
+
+
 def test_a_switch_of_another_input_is_no_relay_of_this_one() -> None:
     """It switches at other times than the thresholds of this temperature would."""
     temperature, power = logged(0.03)

@@ -74,7 +74,9 @@ def loop_shape(u: np.ndarray, y: np.ndarray, loops: list[Loop], cycles: np.ndarr
     """
     begun = None if len(cycles) else _from_its_end(u, y)
     if begun is not None:
-        return loop_shape(*begun, closed_loops(begun[0], SAME_LEVEL * float(np.ptp(u))), cycles, noise)
+        shape = loop_shape(*begun, closed_loops(begun[0], SAME_LEVEL * float(np.ptp(u))), cycles, noise)
+        gap = None if _returns(y) else _closure(u, y, 0, u.size - 1)
+        return shape if shape is None or gap is None else dataclasses.replace(shape, closure_percent=gap)
     spans, closed = _spans(u, loops, cycles)
     usable = [span for span in spans if _is_loop(u, y, *span[:2])]
     if not usable:
@@ -185,18 +187,18 @@ def _turn(u: np.ndarray) -> int:
 
 
 def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """One cycle that begins and ends in the middle of its loop, from its lowest input on; None for other records.
-
-    Cycles that a testing machine stores end a sample before they would begin again.
-    """
+    """One cycle of the input that begins and ends in its middle, from its lowest input on; None for other records."""
     lowest = int(np.argmin(u))
-    if not SEVERAL <= lowest < u.size - SEVERAL:
-        return None
-    step = lambda values: _ONE_STEP * 0.5 * (abs(values[1] - values[0]) + abs(values[-1] - values[-2]))
-    if any(abs(one[-1] - one[0]) > max(SAME_LEVEL * float(np.ptp(one)), step(one)) for one in (u, y)):
+    if not (SEVERAL <= lowest < u.size - SEVERAL and _returns(u)):
         return None
     turned = lambda values: np.concatenate([values[lowest:], values[: lowest + 1]])
     return turned(u), turned(y)
+
+
+def _returns(values: np.ndarray) -> bool:
+    """Whether a signal ends where it began, or a sample before, as in cycles that a testing machine stores."""
+    step = _ONE_STEP * 0.5 * (abs(values[1] - values[0]) + abs(values[-1] - values[-2]))
+    return bool(abs(values[-1] - values[0]) <= max(SAME_LEVEL * float(np.ptp(values)), step))
 
 
 class _Measures(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import glob
 import re
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,8 @@ def pair_table(
         return dataclasses.replace(loops, notes=(*loops.notes, taken)), {"time": False, "input": 0, "output": 1}
     drive = one_sided(first, "output", time=clocks[0], input=columns.get("input"))
     sensor = one_sided(second, "input", time=clocks[1], output=columns.get("output"))
+    if not chosen:
+        _check_halves(paths, tables, drive.input, sensor.output)
     time, shift = drive.time, len(first.names)
     if time is None and sensor.time is not None:
         time = shift + sensor.time
@@ -167,6 +170,18 @@ def pair_table(
         _check_clocks(paths, tables, (time, sensor.time))
     both = dataclasses.replace(both, notes=tuple(dict.fromkeys([*both.notes, *drive.notes, *sensor.notes, taken])))
     return both, {"time": False if time is None else time, "input": drive.input, "output": shift + sensor.output}
+
+
+def _check_halves(paths: tuple[str, str], tables: tuple[Table, Table], drive: int, sensor: int) -> None:
+    """Refuse two files that each have both columns, as branches of a loop do: the output of one belongs to no input of the other."""
+    names = tables[0].names[drive], tables[1].names[sensor]
+    whole = all(table.named and {*names} <= {*table.names} for table in tables) and names[0] != names[1]
+    if whole and not np.array_equal(tables[0].columns[drive], tables[1].columns[tables[1].names.index(names[0])]):
+        raise DataError(
+            f"{paths[0]!r} and {paths[1]!r} both have {names[0]!r} and {names[1]!r}, with other values of {names[0]!r}: each is a curve of "
+            f"its own; hystfit check {shlex.join(paths)} reads both (read([...])), and --input and --output (input=, output=) name columns "
+            "that belong together"
+        )
 
 
 def _side_by_side(tables: tuple[Table, Table], paths: tuple[str, str]) -> Table:

@@ -10,6 +10,7 @@ import numpy as np
 from hystfit.data.circulation import of_rate
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
+from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
@@ -33,9 +34,11 @@ _TURNS = 5  # reversals of three cycles, without which a drift cannot be told fr
 
 def warnings_of(fitted: Fitted) -> list[Note]:
     """Warnings of a fit that the status does not carry: another family or pair, an end of the record, samples left out, a delay."""
+    # Plays, whose output takes every value, are no other family for one that is switched.
+    switches = fitted.model.jumps and all(has_two_levels(record.y[record.used]) for record in fitted.data)
     found = (
         _of_time_alone(fitted),
-        better_family_warning(fitted.train, fitted.baselines),
+        None if switches else better_family_warning(fitted.train, fitted.baselines),
         CONTROLLED if any(controls_output(r.u, r.y, clear_reversals(r.u)) for r in fitted.data) else None,
         _failed(fitted),
         _at_an_end(fitted),

@@ -24,7 +24,7 @@ from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.column_names import column_role
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import computed, proportional, rounded, same_loop
+from hystfit.reading.table.signal_evidence import computed, explained, overtones, proportional, rounded, same_loop
 
 _MANY_SIGNALS = (
     30  # columns without names above which they are likely samples of loops: instruments have fewer channels
@@ -204,7 +204,7 @@ def _guess_pair(
     if other := next((reading for reading in near if not _same_loop(table, best, reading)), None):
         equal = [best, other, *(one for one in near if one is not other)]
         apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
-        raise _undecided(table, *(apart if len(apart) > 1 else equal)[:2])
+        raise _undecided(table, *_clearest(table, apart if len(apart) > 1 else equal)[:2])
     nameless = not (table.named or given or (kinds[best.input] and kinds[best.output]))
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
@@ -224,7 +224,10 @@ def _guess_pair(
         unsure = (
             "" if table.named else "; the columns have no names: set --input and --output (input=, output=) to be sure"
         )
-        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{unsure}"))
+        kind, unit = kinds[best.output], table.units[best.output]
+        alike = [k for k in others if table.named and kinds[k] == kind != "" and table.units[k] == unit]
+        more = f"; --output {_as_option(table, alike[0])} (output=) reads another {kind}" if alike else ""
+        notes.append(Note(Code.LEFT_OUT, f"columns not used: {shown}{more}{unsure}"))
 
 
 def _runs_both_ways(values: np.ndarray) -> bool:
@@ -290,6 +293,17 @@ def _same_loop(table: Table, one: Reading, other: Reading) -> bool:
         return all(a == b or proportional(columns[a], columns[b]) for a, b in pairs)
     outputs = columns[one.output], columns[other.output]
     return proportional(*outputs) or same_loop(columns[one.input], *outputs)
+
+
+def _clearest(table: Table, equal: Sequence[Reading]) -> list[Reading]:
+    """Equally likely readings; of columns without names first a clean wave and the output that it explains, and then the two exchanged."""
+    if table.named:
+        return [*equal]
+    columns = table.columns
+    power = lambda one: overtones(columns[one.input]) - explained(columns[one.input], columns[one.output], table.curve)
+    first = min(equal, key=power)
+    swapped = [one for one in equal if (one.input, one.output) == (first.output, first.input)]
+    return [first, *swapped, *(one for one in equal if not _same_loop(table, first, one))]
 
 
 def _undecided(table: Table, *equal: Reading) -> DataError:

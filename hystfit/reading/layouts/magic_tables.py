@@ -6,13 +6,18 @@ Numbers are in SI units. Source: MagIC data models 2.5 and 3.0, https://earthref
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
+from collections.abc import Iterator
 
 import numpy as np
 
+from hystfit.data.record import SLOPE, Stated
 from hystfit.outcome import Code, Note
+from hystfit.reading.arrangements.specimens import divided
 from hystfit.reading.files.text_file import TextFile
 from hystfit.reading.table.raw_table import Table
+from hystfit.reading.text import cells
 from hystfit.reading.text.plain_text import plain_text
 
 _FIRST_LINE = re.compile(r"\s*(?:tab(?: delimited)?)\s*\t\s*(\w+)\s*", re.IGNORECASE)
@@ -30,7 +35,17 @@ _MOMENTS = {
 }
 _TEMPERATURES = {"meas_temp": "K", "measurement_temp": "K"}  # the input where the field is held
 _EXPERIMENTS = ("experiment", "magic_experiment_names")
+_SPECIMENS = ("specimen", "er_specimen_name")
 _LOOPS = re.compile(r"\bLP-HYS\b")  # method code of hysteresis loops; others are remanence in zero field
+# Results in the rows of a specimen by their quantity; Ms and Mr have the ending of the moment (per mass, per volume) in their names.
+_RESULTS = {
+    "coercive_input": r"hyst(?:eresis)?_bc",
+    "remanence": r"hyst(?:eresis)?_mr_{}",
+    "saturation": r"hyst(?:eresis)?_ms_{}",
+}
+_SUSCEPTIBILITY = re.compile(
+    r"hyst(?:eresis)?_xhf(?:_mass)?"
+)  # of high fields per mass [m3/kg], which Ms, Mr and Bc are without
 
 
 def read_magic(text: TextFile) -> Table | None:
@@ -51,7 +66,50 @@ def read_magic(text: TextFile) -> Table | None:
     units = [known.get(name, unit) for name, unit in zip(table.names, table.units, strict=True)]
     drive = temperature if drive is None else drive
     pair = None if drive is None or moment is None else (drive, moment)
-    return dataclasses.replace(table, units=tuple(units), pair=pair)
+    table = dataclasses.replace(table, units=tuple(units), pair=pair)
+    return table if pair is None or pair[0] == temperature else _with_results(table, text, tables, table.names[pair[1]])
+
+
+def _with_results(table: Table, text: TextFile, tables: list[tuple[str, range]], moment: str) -> Table:
+    """The loops of the specimens with the results that other tables of the file state of them.
+
+    Args:
+        moment: name of the column that is the output.
+    """
+    position = next((k for k in table.labels if table.names[k] in _SPECIMENS), None)
+    found: dict[str, dict[str, str]] = {}
+    for title, rows in tables:
+        lines = [text.lines[k].split("\t") for k in rows]
+        names = lines[0] if lines else []
+        column = next((k for k, name in enumerate(names) if name in _SPECIMENS), None)
+        if column is None or "measurements" in title:
+            continue
+        for line in lines[1:]:
+            row = {name: cell for name, cell in zip(names, line, strict=False) if cell}
+            loops = any(_LOOPS.search(cell) for name, cell in row.items() if "method" in name)
+            if loops and names[column] in row:
+                found.setdefault(row[names[column]], {}).update(row)
+    if position is None or not found:
+        return table
+    table = divided(table) or table
+    named = [part.name for part in table.parts] if table.part is not None else [str(table.labels[position][0])]
+    parts = table.parts if table.part is not None else (table.whole,)
+    stated = [tuple(_stated(found.get(name, {}), moment)) for name in named]
+    return dataclasses.replace(
+        table, parts=tuple(dataclasses.replace(p, stated=s) for p, s in zip(parts, stated, strict=True))
+    )
+
+
+def _stated(row: dict[str, str], moment: str) -> Iterator[Stated]:
+    """The results of a loop in the row of a specimen, in the units of the field and of the moment."""
+    ending = moment.rpartition("_")[2]
+    for quantity, pattern in _RESULTS.items():
+        for name, cell in row.items():
+            if re.fullmatch(pattern.format(ending), name) and (value := cells.number(cell, ".")) is not None:
+                yield Stated(name, value, "T" if quantity == "coercive_input" else _MOMENTS[moment], quantity)
+    for name, cell in row.items():
+        if ending == "mass" and _SUSCEPTIBILITY.fullmatch(name) and (value := cells.number(cell, ".")) is not None:
+            yield Stated(SLOPE, -value / (4e-7 * math.pi), "")
 
 
 def _tables(text: TextFile) -> list[tuple[str, range]]:

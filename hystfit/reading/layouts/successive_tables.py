@@ -66,7 +66,7 @@ def read_tables(text: TextFile) -> Table | None:
         notes.append(Note(Code.CURVES, f"{len(chosen)} tables of the same columns after each other, each a record"))
     if rest:
         lines = listed([f"line {piece.first + 1}" for piece in rest])
-        notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns: {lines}"))
+        notes.append(Note(Code.LEFT_OUT, f"left out: tables of other columns or of a few rows: {lines}"))
     top = [line for line in text.lines[: pieces[0].first] if line.strip() not in pieces[0].header]
     common = sample_properties(top, tables[chosen[0]].names)
     if loop is not None:
@@ -76,12 +76,17 @@ def read_tables(text: TextFile) -> Table | None:
 
 
 def _alike(tables: dict[int, Table]) -> list[int]:
-    """Which tables have most of their names in common with those that hold most rows; they keep the names that all of them have."""
+    """Which tables have most of their names in common with those that hold most rows; they keep the names that all of them have.
+
+    A table of a few rows, such as the largest and smallest values, is no record.
+    """
     groups: dict[frozenset[str], list[int]] = {}
     for k, table in tables.items():
         groups.setdefault(frozenset(table.names), []).append(k)
     main = max(groups, key=lambda names: sum(tables[k].rows for k in groups[names]))
-    chosen = [k for k, table in tables.items() if len(main & {*table.names}) > MAJORITY * len(main | {*table.names})]
+    least = min(FEWEST, max(tables[k].rows for k in groups[main]))
+    of_main = lambda names: len(main & names) > MAJORITY * len(main | names)
+    chosen = [k for k, table in tables.items() if table.rows >= least and of_main({*table.names})]
     common = frozenset.intersection(*(frozenset(tables[k].names) for k in chosen))
     if len(common) < 2 or any(len(common) < len({*tables[k].names}) < len(tables[k].names) for k in chosen):
         return groups[main]
@@ -195,7 +200,8 @@ def _lines_above(text: TextFile, piece: _Piece) -> list[str]:
     """The short lines above the header of a table, without marks around them."""
     above = [line.strip() for line in text.lines[piece.above : piece.first] if line.strip()]
     short = [line for line in above[: len(above) - len(piece.header)] if len(line) <= _TITLE]
-    return [title for line in short if (title := re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line))]
+    bare = [re.sub(r"^[#%*<>=\s-]+|[*<>=:\s-]+$", "", line) for line in short]
+    return [re.sub(r"\s+", " ", title) for title in bare if title]
 
 
 def _with_names(parts: Sequence[Part], above: Sequence[Sequence[str]]) -> list[Part]:

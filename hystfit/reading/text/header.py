@@ -29,6 +29,7 @@ _SETTINGS = (
     ),
 )
 MOST_METADATA = 40
+_NEXT = re.compile(r"(?:^|\s{3,})\w+\.?(?: \w+\.?){0,3}:(?:\s|$)")  # a further setting in the same line
 _LABEL = re.compile(r"^\s*<\w+>:\s*")  # <data>: before the names of columns
 
 # "TraceName", "CH1", "CH2": names behind a cell that says so, and "単位(sec)", "kN", "mm": units behind one.
@@ -63,6 +64,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
         if not _SAMPLE.match(key) or "sampl" in text.lower():
             continue
         value = re.sub(r"\s*,\s*(?=[\[\"])", " ", cells.clean(text)).replace('"', "")  # 0.0813,[g]
+        value = _NEXT.split(value, maxsplit=1)[0].strip()
         column = {key, value}.intersection(names)
         if not column and value.lower() not in _NO_VALUE and len(known) < MOST_METADATA:
             known.setdefault(key, value)
@@ -78,7 +80,7 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
                 parts.pop()
             if len(parts) == width and any(parts):
                 units = parts[0] in ("%", "#") and _are_units(_bare(parts), parts)
-                if units or mark in (",", ";") or not re.fullmatch(_COMMENT, parts[0]):
+                if units or mark in (",", ";", "\t") or not re.fullmatch(_COMMENT, parts[0]):
                     return parts
     return None
 
@@ -137,6 +139,16 @@ def _is_header(parts: list[str], decimal: str) -> bool:
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
         return False
     return not any(_is_setting(part) for part in parts)
+
+
+def _has_numbered_channels(parts: Sequence[str], decimal: str, below: Sequence[str]) -> bool:
+    """Whether a row names most of its columns and a few by the number of a sensor: "Weg", "Kraft", "1281068" over mm, kN, mm.
+
+    Args:
+        below: cells of the only row of the header below it.
+    """
+    words = sum(cells.kind(part, decimal) == cells.TEXT for part in parts)
+    return 2 * words > len(parts) and all(parts) and "=" not in "".join(parts) and _mostly_units(_bare(below))
 
 
 def _is_setting(cell: str) -> bool:
@@ -308,7 +320,10 @@ def read_header(
         # Channels of an oscilloscope
         if parts and headers and parts[0] == "x-axis" and all(part.isdigit() for part in parts[1:]):
             parts = ["x-axis", *(f"CH{number}" for number in parts[1:])]
-        if parts is None or len(parts) != width or not _is_header(parts := _named(parts), decimal):
+        if parts is None or len(parts) != width:
+            break
+        channels = len(headers) == 1 and _has_numbered_channels(parts, decimal, headers[0][1])
+        if not _is_header(parts := _named(parts), decimal) and not channels:
             break
         alike = len(set(parts)) == 1 and not _are_units(_bare(parts), parts)
         if width > 2 and (alike or all(map(_FORMAT.fullmatch, parts))):  # the format of each column

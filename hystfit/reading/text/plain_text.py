@@ -129,7 +129,7 @@ def table_of_block(
         header = header_of(text, block, [k for extra in clocks.values() for k in extra])
     names, units, named = header.names, header.units, any(header.names)
     above = lines[: int(index[0])]
-    metadata = sample_properties(above, names)
+    metadata = sample_properties(above if header.apart else above[: len(above) - header.used], names)
     stated = stated_in(above, decimal=dialect.decimal)
     others = left_out(text, block, header)
     notes += others.notes

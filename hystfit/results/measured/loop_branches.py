@@ -57,7 +57,21 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
         joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
         if np.ptp(joined.u) >= LARGEST * span:
             large.append(joined)
-    return large
+    return [*map(_without_inner_loops, large)]
+
+
+def _without_inner_loops(branch: Branch) -> Branch:
+    """The branch without the small loops inside it, from a reversal to where the input passes it again.
+
+    The output goes to and fro on these loops, and crosses levels that the branch itself crosses elsewhere.
+    """
+    u = branch.u if branch.rises else -branch.u
+    kept = np.ones(u.size, dtype=bool)
+    turns = reversals(u, SAME_LEVEL * float(np.ptp(u)))
+    for top in turns[u[turns] > np.append(u[turns][1:], u[-1])]:
+        beyond = np.flatnonzero(u[top:] > u[top])
+        kept[top + 1 : top + beyond[0] if beyond.size else u.size] = False
+    return Branch(branch.u[kept], branch.y[kept])
 
 
 def turns_of(u: np.ndarray) -> np.ndarray:

@@ -144,7 +144,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
             without = q.value == 0 and read.value != 0  # a curve, which has no loop
             if differs or without or q.vaguer_than(read.stderr):
                 text = f"{seen} in the measured loops; {text} by the model"
-        elif q.value == 0:
+        elif q.value == 0 and not unseen:
             text = f"{text} by the model"
         rows.append((_capital(one.label_on(result.data)), text))
     alone = (one for one in measured.values() if one.name in _OF_NO_MODEL)
