@@ -15,6 +15,8 @@ from hystfit.quality.host_operators import play_positions
 DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
 USABLE = 3.0  # percent of the range: largest rms error of a usable description
+VISIBLE = 1.0  # percent of the range, below which an error, drift, damage or asymmetry does not matter
+MOST_OF = 0.7  # of an rms error: half of its square
 BLOCK = 2**16  # samples looked at together
 _SCATTERED = 2**14  # samples of a record that are compared with a curve of any shape: their scatter is known to 0.6 %
 _Part = tuple[np.ndarray, np.ndarray]

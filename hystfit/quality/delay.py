@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hystfit.quality.baselines import MOST_OF
 from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
 
 MOST = 4000  # samples used; longer records are thinned
@@ -20,7 +21,6 @@ _LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 _VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y: one of 12 samples at 100 a branch leaves 0.004
-REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,10 +73,10 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < SHORTEST or remaining > REMAINS * without:
+    if samples * stride < SHORTEST or remaining > MOST_OF * without:
         return None
     fine = columns_of(_FINE)  # a delay makes up for plays too coarse for a steep loop
-    if _error(fine, samples) > REMAINS * fine.error_behind((0.0,), lags):
+    if _error(fine, samples) > MOST_OF * fine.error_behind((0.0,), lags):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

@@ -7,13 +7,12 @@ import enum
 from collections.abc import Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, Severity
+from hystfit.quality.baselines import USABLE, VISIBLE
 from hystfit.quality.faults import FEWEST_SAMPLES
 from hystfit.quality.loops import SEVERAL, distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import LONG_HOLD, SPEEDS_APART, RecordQuality
 
-ASYMMETRIC = 3.0  # percent of the stroke above which a loop is asymmetric
-_SYMMETRIC = 1.0  # percent below which terms for asymmetry are not determined
 _SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
 _FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
 _MIRROR = ", unless negate in front reverses the sign of the input"
@@ -205,7 +204,8 @@ def _outnumbered(facts: _Facts, needs: Needs) -> str:
 def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
     """Needs that the data do not meet, and remarks that do not change the verdict."""
     lacking, remarks = [], []
-    one_amplitude, asymmetric = facts.amplitudes < needs.amplitudes, facts.asymmetry > ASYMMETRIC
+    # The asymmetry is the least rms error of a symmetric model.
+    one_amplitude, asymmetric = facts.amplitudes < needs.amplitudes, facts.asymmetry > USABLE
     consequence = f": {needs.too_few}" if needs.too_few else ""
     some, enough = needs.turning_pairs
     if one_amplitude and (needs.symmetry != "generalized" or asymmetric):
@@ -229,7 +229,7 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
         )
     if needs.symmetry == "symmetric" and asymmetric:
         lacking.append(f"the loop is {facts.asymmetry:.1f} % asymmetric, and the model is symmetric")
-    if needs.symmetry == "asymmetric" and not one_amplitude and facts.asymmetry < _SYMMETRIC:
+    if needs.symmetry == "asymmetric" and not one_amplitude and facts.asymmetry < VISIBLE:
         lacking.append(
             f"the loop is symmetric within {max(facts.asymmetry, 0.1):.1f} %: the terms for asymmetry stay near 0"
         )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.delay import MOST, REMAINS
+from hystfit.quality.baselines import MOST_OF
+from hystfit.quality.delay import MOST
 from hystfit.quality.host_operators import lagged, play_positions
 from hystfit.quality.resonance import FEWEST, explains, unexplained
 
@@ -44,7 +45,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     lags = np.geomspace(SHORT, longest, 10)
     errors = np.array([error(lag) for lag in lags])
     best = int(np.argmin(errors))
-    found = explains(errors[best], without) and errors[best] < REMAINS * errors[0]
+    found = explains(errors[best], without) and errors[best] < MOST_OF * errors[0]
     return float(lags[best]) if found else None
 
 

@@ -13,7 +13,7 @@ from hystfit.data.record import Record
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
-from hystfit.quality.baselines import BLOCK, plays_residuals
+from hystfit.quality.baselines import BLOCK, VISIBLE, plays_residuals
 from hystfit.quality.check import conditions_of
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
@@ -25,7 +25,7 @@ from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import APART, clear_reversals, cycles
 from hystfit.quality.record_quality import is_rate
 from hystfit.quality.summary import delay_of, outliers_of, paces
-from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
+from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
 _TURNS = 5  # reversals of three cycles, without which a drift cannot be told from a loop that does not close

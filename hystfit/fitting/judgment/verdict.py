@@ -16,7 +16,7 @@ from hystfit.inference.autocorrelation import is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.params.relative_size import ROUNDED
-from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resolved
+from hystfit.quality.baselines import MOST_OF, USABLE, VISIBLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note, option_of
@@ -27,8 +27,6 @@ from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
     NOISY,
     POOR,
-    SHARE,
-    VISIBLE,
     accuracy_note,
     exceeded_limits,
     is_noise,
@@ -42,7 +40,6 @@ _ENOUGH = 30  # residuals of a record needed to call them white
 # Part of the shortest time at a level, by which a switch and its model may be apart: a thermostat that is logged 27 times meanwhile, with
 # noise of half a step of the temperature, has 0.11.
 _MISTIMED = 0.25
-_MOST_OF = 0.7  # of the error of a fit: half of its square
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
@@ -234,14 +231,14 @@ def _differ(fitted: Fitted) -> list[Note]:
     """A warning where most of a visible error is that of any one model on records that differ at equal inputs, as at two temperatures."""
     if not fitted.thorough or fitted.percent <= VISIBLE:
         return []
-    apart = apart_note(fitted.parts, _MOST_OF * fitted.percent) or scale_note(fitted, _MOST_OF)
+    apart = apart_note(fitted.parts, MOST_OF * fitted.percent) or scale_note(fitted)
     return [] if apart is None else [apart]
 
 
 def _branches_coincide(fitted: Fitted) -> bool:
     """Whether no loop is open beyond the noise, and the error of the fit is as large as the scatter of the samples about a smooth curve."""
     scatter = curve_scatter(fitted.parts)
-    if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
+    if not fitted.thorough or fitted.train.rmse < MOST_OF * scatter:
         return False
     if fitted.percent > POOR and not is_noise(scatter, fitted.baselines):
         return False
