@@ -7,13 +7,12 @@ import enum
 from collections.abc import Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, Severity
-from hystfit.quality.baselines import USABLE, VISIBLE
+from hystfit.quality.baselines import SPARE, USABLE, VISIBLE
 from hystfit.quality.faults import FEWEST_SAMPLES
-from hystfit.quality.loops import SEVERAL, distinct
+from hystfit.quality.loops import SEVERAL, SPEEDS_APART, distinct
 from hystfit.quality.needs import Needs
-from hystfit.quality.record_quality import LONG_HOLD, SPEEDS_APART, RecordQuality
+from hystfit.quality.record_quality import LONG_HOLD, RecordQuality
 
-_SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
 _FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
 _MIRROR = ", unless negate in front reverses the sign of the input"
 _FEW_PER_BRANCH = 6  # samples below which branches have a coarse shape; below `SEVERAL` they have none
@@ -216,8 +215,8 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
         lacking.append(f"no response that changes with frequency{consequence}")
     if facts.samples <= needs.parameters:
         lacking.append(f"{_outnumbered(facts, needs)}: the smoothing penalty decides between the weights")
-    elif facts.samples < _SAMPLES_PER_PARAMETER * needs.parameters and not needs.regularized:
-        lacking.append(f"{_outnumbered(facts, needs)}, at least {_SAMPLES_PER_PARAMETER} for each are needed")
+    elif facts.samples < SPARE * needs.parameters and not needs.regularized:
+        lacking.append(f"{_outnumbered(facts, needs)}, at least {SPARE} for each are needed")
     if facts.per_branch < _FEW_PER_BRANCH:
         lacking.append(f"{facts.per_branch:.3g} samples between reversals")
     if facts.turning_pairs < some:

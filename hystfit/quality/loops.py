@@ -16,6 +16,7 @@ from hystfit.data.record import Record
 SEVERAL = 3  # branches, cycles, records, levels or samples of a branch, from which they show a trend or a repetition
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ; smaller reversals end no branch
+SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 LARGEST = 0.9  # of the input's range, which a branch of the largest loops covers
 _CROWDED = 0.25  # of the samples in one bin; even steps have 0.02, and ten a decade over four decades 0.3
 _BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples

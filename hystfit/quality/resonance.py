@@ -21,7 +21,6 @@ _BANDS = 6  # bands of the frequency response per octave
 _APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
-_UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
 _EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
 VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
@@ -82,8 +81,8 @@ class Dynamics:
 
     @property
     def underdamped(self) -> bool:
-        """Whether a resonance explains most of what hysteresis, lag and velocity terms leave."""
-        return explains(self.error_with, self.error_without) and self.damping_ratio < _UNDERDAMPED
+        """Whether a resonance whose amplitude exceeds the static one explains most of what hysteresis, lag and velocity terms leave."""
+        return explains(self.error_with, self.error_without) and 2 * self.damping_ratio**2 < 1
 
     @property
     def resonant(self) -> bool:

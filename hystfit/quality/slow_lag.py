@@ -10,7 +10,6 @@ from hystfit.quality.host_operators import lagged, play_positions
 from hystfit.quality.resonance import FEWEST, explains, unexplained
 
 SHORT = 6.0  # samples up to which a lag is short
-_LONGEST = 0.25  # of a branch
 _RADII = np.geomspace(0.03, 1.0, 8)  # of plays, for an input from -1 to 1
 
 
@@ -28,7 +27,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     if turns.size < 3 or used.sum() < FEWEST or np.ptp(u) == 0:
         return None
     stride = -(-u.size // MOST)
-    longest = _LONGEST * float(np.median(np.diff(turns)))
+    longest = float(np.median(np.diff(turns))) / 4
     if longest <= SHORT:
         return None
     span = float(np.ptp(y[used]))

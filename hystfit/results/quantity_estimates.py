@@ -21,7 +21,7 @@ from hystfit.models.negate import Negate
 from hystfit.models.preisach.model import Preisach
 from hystfit.outcome.table import or_none
 from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
-from hystfit.quality.record_quality import SPEEDS_APART
+from hystfit.quality.loops import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
