@@ -6,10 +6,9 @@ import dataclasses
 
 import numpy as np
 
+from hystfit.outcome.table import ROUNDED
 from hystfit.quality.faults import CLEAR, SIGNIFICANCE
 from hystfit.quality.loops import SAME_LEVEL
-
-_VISIBLE = 1e-4  # least drift, as a fraction of the range of y
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,8 +21,8 @@ class Drift:
         r2_linear: share of the variance of the means that this line explains.
         per_decade: slope against log10 of the time since the record began [unit of y per decade]; None without time.
         r2_log: share of the variance that it explains.
-        law: "linear", "logarithmic" or "none" (neither explains half of the variance, or chance may explain it, or the drift is below
-            a ten-thousandth of the range of y or within the noise).
+        law: "linear", "logarithmic" or "none" (neither explains half of the variance, or chance may explain it, or the drift is
+            within the noise or rounding errors).
         skipped: cycles omitted at the start, as a transient, in both fits.
         total: change of the fitted law over the cycles compared [unit of y].
     """
@@ -85,7 +84,7 @@ def drift(u: np.ndarray, y: np.ndarray, t: np.ndarray | None, cycles: np.ndarray
         log = None if moment is None else _line(np.log10(moment[skip:]), means[skip:])
         fits.append((max(linear[1], log[1] if log else 0.0), -skip, linear, log))
     samples = float(np.median(cycles[:, 2] - cycles[:, 0]))
-    least = max(_VISIBLE * float(np.nanmax(y) - np.nanmin(y)), CLEAR * noise / np.sqrt(samples))
+    least = max(ROUNDED * float(np.nanmax(y) - np.nanmin(y)), CLEAR * noise / np.sqrt(samples))
     best, minus_skip, linear, log = max(fits)
     skip = -minus_skip
     law, total = "none", 0.0

@@ -12,10 +12,10 @@ from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.fitting.judgment.record_scales import scale_note
-from hystfit.inference.autocorrelation import is_correlated
+from hystfit.inference.autocorrelation import FEWEST, is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.params.relative_size import ROUNDED
+from hystfit.outcome.table import ROUNDED
 from hystfit.quality.baselines import MOST_OF, USABLE, VISIBLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
@@ -36,7 +36,6 @@ from hystfit.results.measured.loop_kinds import may_be_force
 from hystfit.results.measured.loop_values import quantities
 
 _LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
-_ENOUGH = 30  # residuals of a record needed to call them white
 # Part of the shortest time at a level, by which a switch and its model may be apart: a thermostat that is logged 27 times meanwhile, with
 # noise of half a step of the temperature, has 0.11.
 _MISTIMED = 0.25
@@ -61,8 +60,8 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: fl
 
 
 def are_white(rows: Sequence[np.ndarray]) -> bool:
-    """Whether enough residuals of each record are uncorrelated."""
-    return min(row.size for row in rows) >= _ENOUGH and not any(is_correlated(row) for row in rows)
+    """Whether enough residuals of each record to test them are uncorrelated."""
+    return min(row.size for row in rows) >= FEWEST and not any(is_correlated(row) for row in rows)
 
 
 def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
