@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from hystfit.quality.baselines import MOST_OF
-from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
+from hystfit.quality.resonance import DECIDES, Regressors, delayed, scaled
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
@@ -52,15 +52,15 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
         None with fewer than 200 samples or two reversals among the outputs, or where a delay does not explain most of what a lag and
         velocity terms leave.
     """
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    used = np.isfinite(y)
-    known = np.flatnonzero(used)
-    reversals = reversals[(reversals > known.min(initial=0)) & (reversals < known.max(initial=0))]
-    if used.sum() < max(FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+    signals = scaled(u, y)
+    if signals is None:
         return None
-    x = 2 * (u - u.min()) / np.ptp(u) - 1
-    y = (y - y[used].mean()) / np.ptp(y[used])
-    stride = -(-u.size // MOST)
+    x, y, used = signals
+    known = np.flatnonzero(used)
+    reversals = reversals[(reversals > known[0]) & (reversals < known[-1])]
+    if reversals.size < 2:
+        return None
+    stride = -(-x.size // MOST)
     columns_of = lambda radii: Regressors.of(x[::stride], y[::stride], used[::stride], radii)
     branch = float(np.median(np.diff(reversals))) / stride
     lags = np.geomspace(0.02 * branch, branch, _LAGS)

@@ -13,7 +13,6 @@ from hystfit.quality.loops import SEVERAL, SPEEDS_APART, distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import LONG_HOLD, RecordQuality
 
-_FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
 _MIRROR = ", unless negate in front reverses the sign of the input"
 _FEW_PER_BRANCH = 6  # samples below which branches have a coarse shape; below `SEVERAL` they have none
 
@@ -132,10 +131,10 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
 
 
 def _drift_logarithmically(records: Sequence[RecordQuality]) -> bool:
-    """Whether drift is logarithmic in most records in which it is measured, and these are not a few of many by chance."""
+    """Whether drift is logarithmic in most records in which it is measured."""
     drifts = [r.drift for r in records if r.drift is not None]
     logarithmic = sum(one.law == "logarithmic" for one in drifts)
-    return 2 * logarithmic > len(drifts) and logarithmic >= _FEW_RECORDS * len(records)
+    return 2 * logarithmic > len(drifts)
 
 
 def determine(records: Sequence[RecordQuality], needs: Mapping[str, Needs]) -> tuple[Determination, ...]:

@@ -20,11 +20,12 @@ CLEAR = 5.0
 SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
-# Times the largest step within so many samples, that an outlier stands out.
-_FAR, _STEPS = 4.0, 6
-_JUMP = 2.0  # the same of an input that jumps there, which the output follows
-_BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
+_FAR, _STEPS = (
+    4.0,
+    6,
+)  # times the largest step within so many samples, that an outlier, or an input that jumps, stands out
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
+_BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
 
@@ -263,14 +264,14 @@ def spikes(y: np.ndarray, noise: float | None, u: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore"):
         least = np.minimum(np.abs(before), np.abs(after))
         out = np.flatnonzero((np.sign(before) == np.sign(after)) & (least > limit)) + 1
-    return np.array([k for k in out if _stands_out(y, k, _FAR) and not _stands_out(u, k, _JUMP)], dtype=int)
+    return np.array([k for k in out if _stands_out(y, k) and not _stands_out(u, k)], dtype=int)
 
 
-def _stands_out(values: np.ndarray, k: int, factor: float) -> bool:
-    """Whether the smaller step to a neighbor of sample k is larger by a factor than all steps about it."""
+def _stands_out(values: np.ndarray, k: int) -> bool:
+    """Whether the smaller step to a neighbor of sample k is far larger than all steps about it."""
     steps = np.abs(np.concatenate([np.diff(values[max(k - _STEPS, 0) : k]), np.diff(values[k + 1 : k + _STEPS + 1])]))
     least = min(abs(values[k] - values[k - 1]), abs(values[k] - values[k + 1]))
-    return bool(least > factor * np.nanmax(steps, initial=0.0))
+    return bool(least > _FAR * np.nanmax(steps, initial=0.0))
 
 
 MOST = 5.0  # percent of the steps that may go backward

@@ -20,7 +20,6 @@ GAIN = 0.98  # another term or size is taken only if it lowers the error on held
 # duration, so that the speed is a function of amplitude and place, which those describe too: such a term leaves 0.88 to 0.98 of it in
 # simulated static loops, 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
 AT_ONE_PACE = 0.8
-_RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
 
 
 class Scheme(enum.StrEnum):
@@ -229,7 +228,8 @@ def _fifths(record: Record, turns: np.ndarray) -> np.ndarray:
 def _scattered(record: Record, spacing: int) -> np.ndarray:
     """Runs of samples, every fifth in the same group."""
     used = np.flatnonzero(record.used)
-    length = max(1, min(spacing, used.size // (FOLDS * _RUNS)))
+    # Ten runs at least, so that a group covers all parts of a loop.
+    length = max(1, min(spacing, used.size // (10 * FOLDS)))
     fold = np.full(len(record), -1)
     fold[used] = np.arange(used.size) // length % FOLDS
     return fold
