@@ -22,13 +22,12 @@ from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, co
 from hystfit.quality.flat_ends import flat_ends
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
-from hystfit.quality.loops import APART, clear_reversals, cycles
+from hystfit.quality.loops import APART, SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import is_rate
 from hystfit.quality.summary import delay_of, outliers_of, paces
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_TURNS = 5  # reversals of three cycles, without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -194,7 +193,9 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
     No model includes it. Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
     """
     for row, record in zip(rows, data, strict=True):
-        if clear_reversals(record.u).size < _TURNS:
+        if (
+            clear_reversals(record.u).size < 2 * SEVERAL - 1
+        ):  # fewer cycles do not tell a drift from a loop that does not close
             continue
         t = np.arange(len(record)) if record.t is None else record.t
         passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row

@@ -16,8 +16,6 @@ from hystfit.fitting.solvers.ridge import STRENGTHS, LinearSystem, RidgeFit, fit
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
 
-_WEAK = 1e-6  # strength at which a ridge moves no lag
-
 
 class Convex(AbstractEstimator):
     """The weights of a model that is linear in them, given its other parameters; the nonlinear ones by a simplex outside.
@@ -87,7 +85,7 @@ class Convex(AbstractEstimator):
             return search_nonlinear(problem, cost, z, others, **limits)
 
         first = float(fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength)
-        weak = min(self.strengths, key=lambda strength: abs(np.log(strength / _WEAK)))
+        weak = min(self.strengths, key=lambda strength: abs(np.log(strength / 1e-6)))  # moves no lag
         ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
         scores = [fit_ridge(LinearSystem.of(problem, x), self.strengths).score for x, *_ in ended] if ended[1:] else [0]
         x, _, converged, message = ended[int(np.argmin(scores))]
