@@ -13,6 +13,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hystfit.outcome.table import ROUNDED
 from hystfit.quality.host_operators import lagged, play_positions, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
@@ -30,7 +31,6 @@ _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis with
 # 1.7 on two stages that ring, at most 1.02 on steep transitions without a resonance; and of two delays (half a period and a change of
 # sign look alike), of which the shorter is taken otherwise.
 DECIDES = 1.1
-_SINGULAR = 1e-7  # of the largest singular value of columns, below which a combination of them is none
 
 
 def scaled(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -45,7 +45,7 @@ def scaled(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 def unexplained(design: np.ndarray, y: np.ndarray) -> float:
     """Root mean square of what columns of any scale, shape (T, K), leave of y by least squares."""
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=_SINGULAR)[0]
+    solution = np.linalg.lstsq(design, y, rcond=ROUNDED)[0]
     return float(np.sqrt(np.mean((y - design @ solution) ** 2)))
 
 

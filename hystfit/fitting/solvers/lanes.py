@@ -40,6 +40,8 @@ BESIDE = (
 _PAYS = 2**18  # total samples of all lanes from which linearizing several together repays its compilation
 _FEW = 64  # the CPU takes over the last 1/64 of the lanes of a GPU: a smaller GPU program would take longer to compile
 _SAMPLES = 2**19  # most samples of all lanes of a call on the host
+_UNROLL = 8  # samples per iteration of the scan: 4096 lanes took 5 ms per pass on an H100, and 22 ms with one sample per iteration
+_ROUND = 6  # steps per round on a GPU
 
 
 class Stack(eqx.Module):
@@ -250,7 +252,7 @@ def _together(stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: i
         capacity = next(size for size in sizes if size >= going.size)
         at = going[np.minimum(np.arange(capacity), going.size - 1)]
         arguments = placed((place[at], lane.rows(at)), device)
-        new = _advance_all(data, *arguments, gain, min(6, steps))
+        new = _advance_all(data, *arguments, gain, min(_ROUND, steps), _UNROLL)
         new = _first(new, going.size)
         lane.put(going, new)
         going = going[~new.ended & (new.steps < steps)]
@@ -272,11 +274,10 @@ def placed(tree: Any, device: Any) -> Any:
     return jax.device_put(tree, device)
 
 
-@functools.partial(jax.jit, static_argnums=4)
-def _advance_all(stack: Stack, records: Array, lane: Lane, gain: Array, most: int) -> Lane:
+@functools.partial(jax.jit, static_argnums=(4, 5))
+def _advance_all(stack: Stack, records: Array, lane: Lane, gain: Array, most: int, unroll: int) -> Lane:
     """All lanes after at most `most` steps."""
-    # Eight samples per iteration: 4096 lanes took 5 ms per pass on an H100, and 22 ms with one.
-    in_scan = functools.partial(normal_in_scan, unroll=8)
+    in_scan = functools.partial(normal_in_scan, unroll=unroll)
     normal = in_scan if suits_one_scan(stack.at(0)) else normal_at
     samples, bounded = stack.samples, stack.bounded
 
