@@ -21,7 +21,6 @@ EXCITED = 1e-3  # power of the input in a band that counts as excited, as a frac
 _APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
-_EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
 VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
@@ -50,12 +49,12 @@ def unexplained(design: np.ndarray, y: np.ndarray) -> float:
 
 
 def explains(error: float, without: float) -> bool:
-    """Whether a term explains most of what is left without it.
+    """Whether a term explains most of what is left without it: it halves the error.
 
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
     """
-    return without > VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
+    return without > VISIBLE and error < without / 2
 
 
 @dataclasses.dataclass(frozen=True)
