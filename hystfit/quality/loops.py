@@ -50,9 +50,6 @@ def _turns(at: Mapping[int, float], threshold: float) -> np.ndarray:
             high = corner if value > at[high] else high
             if at[high] - at[low] > threshold:
                 rising, extreme = (1, high) if high > low else (-1, low)
-                first = low if rising > 0 else high
-                if first > 0 and abs(at[first] - at[0]) > threshold:
-                    turns.append(first)
         elif rising * (value - at[extreme]) > 0:
             extreme = corner
         elif rising * (at[extreme] - value) > threshold:

@@ -288,9 +288,7 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         if first == 0 or last - first + 1 > SHORT * row.size:
             continue
         others = float(np.sqrt(np.mean(np.delete(row, slice(first, last + 1)) ** 2)))
-        ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)
-        if ratio < CLEAR:
-            continue
+        ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)  # at least sqrt(0.97 / 0.03)
         far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
         # Counted from the first measured sample, which a cycle before the record may precede.
