@@ -20,10 +20,8 @@ CLEAR = 5.0
 SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
-_FAR, _STEPS = (
-    4.0,
-    6,
-)  # times the largest step within so many samples, that an outlier, or an input that jumps, stands out
+# Times the largest step within so many samples, that an outlier, or an input that jumps, stands out.
+_FAR, _STEPS = 4.0, 6
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
 _BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.

@@ -84,6 +84,7 @@ def _cubic_spline(values: np.ndarray) -> Spline:
 
 
 def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
+    """The usable turning points, forty at most, which tell as much as all."""
     knots = np.concatenate([[0], reversals, [u.size - 1]])
     found = []
     for before, turn, after in zip(knots[:-2], knots[1:-1], knots[2:], strict=True):
@@ -102,9 +103,7 @@ def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, nea
         grid = np.linspace(turn - 1, turn + 1, 41)
         at = float(grid[np.argmax(spline(grid) * (1 if upper else -1))])
         found.append(_Turn(index, at, upper, far))
-    keep = np.unique(
-        np.linspace(0, len(found) - 1, min(len(found), 40)).round().astype(int)
-    )  # a few tell as much as all
+    keep = np.unique(np.linspace(0, len(found) - 1, min(len(found), 40)).round().astype(int))
     return [found[k] for k in keep]
 
 

@@ -74,7 +74,7 @@ class WeightEquations(eqx.Module):
 
     @property
     def inside(self) -> Float[Array, " p"]:
-        """The estimate, moved inside its bounds, shape (p,)."""
+        """The estimate, moved inside its bounds by a tenth of the mean weight, shape (p,)."""
         w, bounded = self.estimate, self.bounded
         mean = jnp.sum(jnp.where(bounded, w, 0.0)) / jnp.maximum(jnp.sum(bounded), 1)
         return jnp.where(bounded, jnp.maximum(w, 0.1 * mean), w)

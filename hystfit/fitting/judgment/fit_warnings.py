@@ -193,9 +193,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
     No model includes it. Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
     """
     for row, record in zip(rows, data, strict=True):
-        if (
-            clear_reversals(record.u).size < 2 * SEVERAL - 1
-        ):  # fewer cycles do not tell a drift from a loop that does not close
+        if clear_reversals(record.u).size < 2 * SEVERAL - 1:  # else a drift is a loop that does not close
             continue
         t = np.arange(len(record)) if record.t is None else record.t
         passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row

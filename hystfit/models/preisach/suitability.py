@@ -71,7 +71,7 @@ def higher_order(record: Record) -> HigherOrder | None:
 
 
 def _fitted(model: Preisach, record: Record) -> Preisach:
-    """The model with the weights that fit the record."""
+    """The model with the weights that fit the record, under a weak penalty."""
     weights = fit_smooth(SmoothSystem.of([model.design_matrix(record.u)], [record]), (1e-6,)).weights
     cells, slopes = np.split(weights[:-1], [model.w.size])
     return dataclasses.replace(model, w=cells, slopes=slopes, offset=weights[-1])
