@@ -32,9 +32,9 @@ from hystfit.outcome import Code, Note, Severity
 from hystfit.params.coordinates import BOTH
 from hystfit.params.host_arrays import NUMBERS, compiled
 from hystfit.params.relative_size import OPEN, relative_size
+from hystfit.quality.baselines import VISIBLE
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.loops import largest_step
-from hystfit.results.accuracy import VISIBLE
 
 
 def slow_information(

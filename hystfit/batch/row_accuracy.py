@@ -23,10 +23,10 @@ from hystfit.inference.autocorrelation import correlated_rows
 from hystfit.inference.blocks import chosen
 from hystfit.inference.residuals import TAILS
 from hystfit.params.coordinates import Coordinates
-from hystfit.quality.baselines import DEGREE, USABLE
+from hystfit.quality.baselines import DEGREE, USABLE, VISIBLE
 from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.loops import clear_reversals, turns_back
-from hystfit.results.accuracy import NOISY, VISIBLE, persistent_error
+from hystfit.results.accuracy import NOISY, persistent_error
 
 _ON_CURVE = 2**9  # samples on which a curve is fitted: its error is known to 3 %
 _ENOUGH = 2**11  # differences whose median is taken: it is known to 3 %

@@ -36,7 +36,7 @@ from hystfit.inference.weights import Split, free_columns, weighted_columns
 from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.outcome import Code, Note
 from hystfit.params.relative_size import relative_size
-from hystfit.results.accuracy import VISIBLE
+from hystfit.quality.baselines import VISIBLE
 
 
 class Weights(NamedTuple):

@@ -29,8 +29,6 @@ from hystfit.params.host_arrays import compiled
 from hystfit.params.space import ParameterSpace
 
 _STARTS = (0.2, 1.0, 5.0)  # correlation times tried, relative to that of the residuals
-_NEGLIGIBLE = 1e-6  # decrease of half the whitened sum of squares at which its descent stops
-_INSIDE = 0.05  # how far inside a released bound, in the parameter's scale or the width between two bounds
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +69,7 @@ def refine(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoise]) ->
     if not released.any():
         return refine_moving(problem, x, noise, ~on_bound)
     space = problem.space
-    edge = _INSIDE * space.width
+    edge = 0.05 * space.width  # of the parameter's scale, or of the way between two bounds
     inside = np.where(released, np.clip(x, space.lower + edge, space.upper - edge), x)
     refined = refine_moving(problem, inside, noise, ~weights)
     returned = problem.on_bound(refined.x) & released
@@ -100,7 +98,7 @@ def refine_moving(problem: Problem, x: np.ndarray, noise: str | type[AbstractNoi
         best, noise_settled = _fit_noise(criterion, starts)
         values = space.tree(best)
         newton = BoundedNewton(problem, problem.whitened(values), x)
-        end = newton.descend(newton.coordinates(x), moving, tolerance=_NEGLIGIBLE)
+        end = newton.descend(newton.coordinates(x), moving, tolerance=1e-6)
         new = np.where(moving, newton.physical(end.v), x)
         shift = float(np.max(np.abs(new - x) / scale))
         x, starts = new, best[None]

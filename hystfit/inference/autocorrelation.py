@@ -7,31 +7,27 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-_FEW = 20  # lags for which direct sums are faster than Fourier transforms
+FEWEST = 30  # values of a series below which no test shows that it is autocorrelated
 
 
 def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
     """Autocorrelation of a series about its mean at lags 0..lags, shape (lags + 1,)."""
     x = np.asarray(x, float) - np.mean(x)
-    if lags <= _FEW:
-        sums = np.array([x[: x.size - lag] @ x[lag:] for lag in range(min(lags + 1, x.size))])
-        sums = np.pad(sums, (0, lags + 1 - sums.size))
-    else:
-        size = 1 << (2 * x.size - 1).bit_length()
-        spectrum = np.fft.rfft(x, size)
-        sums = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
+    size = 1 << (2 * x.size - 1).bit_length()
+    spectrum = np.fft.rfft(x, size)
+    sums = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
     return sums / sums[0] if sums[0] > 0 else np.eye(lags + 1)[0]
 
 
 def is_correlated(x: np.ndarray) -> bool:
-    """Whether a series is autocorrelated, by the Ljung-Box test of its first ten lags at 1 %; never below 30 samples."""
+    """Whether a series is autocorrelated, by the Ljung-Box test of its first ten lags at 1 %; never below `FEWEST` samples."""
     return bool(correlated_rows(np.asarray(x, float)[None])[0])
 
 
 def correlated_rows(x: Float[Any, "N T"], xp: Any = np) -> Any:
     """`is_correlated` of each row, shape (N,), bool; `xp` is the module of the arrays, NumPy or jax.numpy."""
     n = x.shape[1]
-    if n < 30:
+    if n < FEWEST:
         return xp.zeros(len(x), bool)
     x = x - x.mean(axis=1, keepdims=True)
     power = xp.vecdot(x, x)[:, None]

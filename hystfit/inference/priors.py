@@ -23,6 +23,7 @@ WIDE = 10.0  # standard deviation of an unbounded parameter's prior, in its natu
 # Standard deviation of the logarithm of a positive parameter over its natural size: a factor of 20 either way.
 LOG_WIDE = 3.0
 _INSIDE = 0.01  # of the natural size, by which a value on its bound is moved off it
+LITTLE = 0.5  # width of a posterior over that of its prior, above which the data add little
 SEEN = 2000  # draws of a prior, to see where it lies
 _NUMBERS = ("mean", "sd", "median", "spread", "edge", "lower", "upper")
 _LOG_ROOT = float(0.5 * np.log(2 * np.pi))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
-from hystfit.models.shared.bracketed import Root, solve_rising
+from hystfit.models.shared.bracketed import Root, implicit_root, solve_rising
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.reported import Derived
 from hystfit.models.shared.shapes import Scalar, State
@@ -36,8 +36,6 @@ from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs
 
 FIRST_CURVE = 64  # steps from the demagnetized state to the first input
-STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
-_SERIES = 1e-2  # argument below which the Langevin function is its series
 CURVES = {"langevin": 1.0 / 3.0, "tanh": 1.0}  # anhysteretic curves, and their slope at zero
 # Shapes of the anhysteretic curve, coupling, pinning and reversible part over the scales of a record, from which a fit starts.
 _GRID = ((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))
@@ -144,12 +142,10 @@ class JilesAtherton(AbstractHysteresis):
 
     @jax.jit  # traced once for the first curve and the samples, and once for each derivative
     def _moved(self, state: State, u0: Scalar, u1: Scalar) -> State:
-        """The state at u1, where He - alpha M = u1: differentiable by the implicit function theorem."""
+        """The state at u1, where He - alpha M = u1."""
         s = jnp.sign(u1 - u0)
-        search = lambda function, start: solve_rising(function, start, *self.span(state, u1, u1)).x
-        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), STEEPEST)
         miss = lambda field: field - self.mean_field * self.total(self.at_field(state, s, field)) - u1
-        return self.at_field(state, s, jax.lax.custom_root(miss, state[0], search, steep))
+        return self.at_field(state, s, implicit_root(miss, state[0], *self.span(state, u1, u1)))
 
     def span(self, state: State, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
         """Lowest and highest effective field on the way from a state to inputs between two limits [u].
@@ -269,7 +265,7 @@ def on_first_curve(moved: Callable[[State, Scalar, Scalar], State], u0: Scalar) 
 
 def langevin(x: Array) -> Array:
     """coth x - 1 / x of numbers of any shape, by its series near zero."""
-    near = jnp.abs(x) < _SERIES
+    near = jnp.abs(x) < 1e-2
     far = jnp.where(near, 1.0, x)
     square = jnp.where(near, x, 0.0) ** 2
     series = x * (1.0 / 3.0 - square * (1.0 / 45.0 - square * (2.0 / 945.0 - square / 4725.0)))

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.jiles_atherton import STEEPEST, JilesAtherton, JilesAthertonStep, search_in_c
-from hystfit.models.shared.bracketed import Root, solve_rising
+from hystfit.models.jiles_atherton import JilesAtherton, JilesAthertonStep, search_in_c
+from hystfit.models.shared.bracketed import Root, implicit_root
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import run
@@ -86,7 +86,7 @@ class JilesAthertonDynamic(JilesAtherton):
         return self.eddy * rate + self.excess * rate / (rate**2 + self.e**2) ** 0.25
 
     def _driven(self, state: State, u1: Scalar, dt: Scalar) -> State:
-        """The state a time dt later under the field u1: differentiable by the implicit function theorem."""
+        """The state a time dt later under the field u1."""
         inside, before = self.inner(state), self.flux(state)
         s = jnp.sign(u1 - inside)  # the input rises with the field inside, which moves towards it
 
@@ -95,9 +95,7 @@ class JilesAthertonDynamic(JilesAtherton):
             return self.inner(new) + self.dynamic((self.flux(new) - before) / dt) - u1
 
         span = self.span(state, jnp.minimum(u1, inside), jnp.maximum(u1, inside))
-        search = lambda function, start: solve_rising(function, start, *span).x
-        steep = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), STEEPEST)
-        moved = self.at_field(state, s, jax.lax.custom_root(miss, state[0], search, steep))
+        moved = self.at_field(state, s, implicit_root(miss, state[0], *span))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 
     def start(self, records: Sequence[Record]) -> JilesAthertonDynamic:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -15,12 +14,11 @@ from jaxtyping import Array, Float
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.jiles_atherton import CURVES, JilesAtherton, on_first_curve, search_in_c
-from hystfit.models.shared.bracketed import solve_rising
+from hystfit.models.shared.bracketed import implicit_root
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.reported import Derived
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.params.param import param
-from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.needs import Needs
 
 _SHARED = ("Ms", "a", "coupling", "k", "c", "q", "slope")  # fields of the law in both forms
@@ -88,9 +86,7 @@ class JilesAthertonField(AbstractHysteresis):
         miss = lambda field: (flux(field) - u1) / steepest
         width = jnp.abs(rest) / jnp.maximum(self.slope, jnp.finfo(u1.dtype).tiny)
         low, high = jnp.minimum(u1 / self.slope - width, state[0]), jnp.maximum(u1 / self.slope + width, state[0])
-        search = lambda function, start: solve_rising(function, start, low, high).x
-        divided = lambda function, y: y / jnp.maximum(function(jnp.ones_like(y)), ROUNDED)
-        moved = law.at_field(state, s, jax.lax.custom_root(miss, state[0], search, divided))
+        moved = law.at_field(state, s, implicit_root(miss, state[0], low, high))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 
     def derived(self) -> tuple[Derived, ...]:

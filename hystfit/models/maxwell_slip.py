@@ -14,6 +14,7 @@ from hystfit.data.record import Record
 from hystfit.errors import ModelError
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.sample_rate import rate_over
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.simulation import states_over
 from hystfit.models.shared.starting import TYPICAL, input_range, output_range, speed
@@ -93,7 +94,7 @@ class MaxwellSlip(AbstractHysteresis):
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Stops with the limits of this velocity."""
-        v = jnp.where(dt > 0, (u1 - u0) / jnp.where(dt > 0, dt, 1.0), state[-1])
+        v = rate_over(u0, u1, dt, state[-1])
         limit = self.r * (1.0 + self.excess * jnp.exp(-((v / self.vs) ** 2)))
         e = jnp.clip(state[:-1] + (u1 - u0) / self.half, -limit, limit)
         x = (u1 - self.center) / self.half

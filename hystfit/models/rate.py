@@ -14,6 +14,7 @@ from jaxtyping import Array
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shared.c_code import CPart
+from hystfit.models.shared.sample_rate import rate_over
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.slopes import Slopes
@@ -38,7 +39,7 @@ class _AbstractRate(AbstractHysteresis):
 
     def step(self, state: State, u0: Scalar, u1: Scalar, dt: Scalar) -> tuple[State, Scalar]:
         """Rate over the sample."""
-        rate = _rate(state[0], u0, u1, dt)
+        rate = rate_over(u0, u1, dt, state[0])
         return rate[None], self.force(rate)
 
     def sweep(self, state: State, u0: Scalar, u: Signal, dt: Signal) -> tuple[State, Signal]:
@@ -48,7 +49,7 @@ class _AbstractRate(AbstractHysteresis):
 
         def at_once() -> tuple[Array, Array]:
             before = jnp.concatenate([u0[None], u[:-1]])
-            rates = _rate(state[0], before, u, dt)
+            rates = rate_over(before, u, dt, state[0])
             rates = jnp.where(jnp.arange(u.shape[0]) > count, rates[count], rates)
             return rates[-1:], self.force(rates)
 
@@ -138,7 +139,3 @@ class Excess(_AbstractRate):
 
     def c_part(self) -> CPart:
         return CPart.of(self, "rate", force=self.g, v0=self.e, saturates=2)
-
-
-def _rate(last: Array, u0: Array, u1: Array, dt: Array) -> Array:
-    return jnp.where(dt > 0, (u1 - u0) / jnp.where(dt > 0, dt, 1.0), last)

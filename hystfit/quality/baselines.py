@@ -15,10 +15,11 @@ from hystfit.quality.host_operators import play_positions
 DEGREE = 7  # of the single-valued curve
 _PLAYS = 10
 USABLE = 3.0  # percent of the range: largest rms error of a usable description
+VISIBLE = 1.0  # percent of the range, below which an error, drift, damage or asymmetry does not matter
+MOST_OF = 0.7  # of an rms error: half of its square
 BLOCK = 2**16  # samples looked at together
-_SCATTERED = 2**14  # samples of a record that are compared with a curve of any shape: their scatter is known to 0.6 %
 _Part = tuple[np.ndarray, np.ndarray]
-_SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
+SPARE = 3  # samples for each unknown, below which a fit follows its noise
 
 # Rows that the descriptions share (see `_rows`), and which of them each one takes beside the offsets.
 _ROWS = 1 + DEGREE + _PLAYS
@@ -57,7 +58,7 @@ class Baselines:
         fitted = frame.parts_of(train)
 
         samples = sum(int(record.used.sum()) for record in train)
-        enough = samples >= _SPARE * (len(_PLAYED) + len(own))
+        enough = samples >= SPARE * (len(_PLAYED) + len(own))
         chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
         theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
 
@@ -180,7 +181,7 @@ def curve_scatter(records: Iterable[Record]) -> float:
     """
     squares, count = 0.0, 0
     for record in records:
-        every = max(1, -(-np.count_nonzero(record.used) // _SCATTERED))
+        every = max(1, -(-np.count_nonzero(record.used) // BLOCK))
         u, y = record.u[record.used][::every], record.y[record.used][::every]
         step = np.sign(np.diff(u, prepend=u[0]))
         moved = np.maximum.accumulate(np.where(step != 0, np.arange(u.size), 0))

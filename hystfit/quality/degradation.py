@@ -10,9 +10,6 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL
 
 LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
-# Samples by which a recorded turning point may be late: one between samples, and one by which the output leads.
-_LATE_BY = 2
-_UNLOADING = 0.25  # of the shortest branch, over which the slope after a reversal is measured
 _LATE = 4  # late branches, whose median shows damage
 
 
@@ -73,7 +70,8 @@ def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> n
     follows = (u[every] - u[every].mean()) @ y[every]
     for k, (a, b) in enumerate(itertools.pairwise([0, *turns])):
         apart = np.flatnonzero(np.abs(u[a : b + 1] - u[b]) > noise)
-        near = y[max(a + 1, min(b - _LATE_BY, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
+        # Two samples before a turning point: it may lie between samples, and the output may lead by one.
+        near = y[max(a + 1, min(b - 2, a + int(apart[-1]) + 1 if apart.size else a)) : b + 1]
         near = near[np.isfinite(near)]
         if near.size:
             reached[k] = near.max() if follows * (u[b] - u[a]) > 0 else near.min()
@@ -116,7 +114,7 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: floa
     if stroke.size <= _LATE:
         return None
     growing = (stroke > SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
-    reach = _UNLOADING * stroke[growing].min()
+    reach = stroke[growing].min() / 4
     reached = dict(zip(turns, _reached(u, y, turns, noise), strict=True))
     slopes = []
     for a, b in itertools.compress(branches, growing):

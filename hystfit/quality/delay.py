@@ -11,16 +11,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hystfit.quality.resonance import DECIDES, FEWEST, Regressors, delayed
+from hystfit.quality.baselines import MOST_OF
+from hystfit.quality.resonance import DECIDES, Regressors, delayed, scaled
 
 MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _FINE = np.linspace(0.02, 1.2, 60)  # a loop that switches within 6 % of the half range is left to no delay
-_LONGEST = 0.9  # of the median branch
 _GRID, _LAGS = 48, 7  # delays and time constants tried
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 _VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y: one of 12 samples at 100 a branch leaves 0.004
-REMAINS = 0.7  # largest error with a delay or a long lag, as a part of that without
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,15 +52,15 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
         None with fewer than 200 samples or two reversals among the outputs, or where a delay does not explain most of what a lag and
         velocity terms leave.
     """
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    used = np.isfinite(y)
-    known = np.flatnonzero(used)
-    reversals = reversals[(reversals > known.min(initial=0)) & (reversals < known.max(initial=0))]
-    if used.sum() < max(FEWEST, 0.5 * y.size) or reversals.size < 2 or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+    signals = scaled(u, y)
+    if signals is None:
         return None
-    x = 2 * (u - u.min()) / np.ptp(u) - 1
-    y = (y - y[used].mean()) / np.ptp(y[used])
-    stride = -(-u.size // MOST)
+    x, y, used = signals
+    known = np.flatnonzero(used)
+    reversals = reversals[(reversals > known[0]) & (reversals < known[-1])]
+    if reversals.size < 2:
+        return None
+    stride = -(-x.size // MOST)
     columns_of = lambda radii: Regressors.of(x[::stride], y[::stride], used[::stride], radii)
     branch = float(np.median(np.diff(reversals))) / stride
     lags = np.geomspace(0.02 * branch, branch, _LAGS)
@@ -69,14 +68,14 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     without = columns.error_behind((0.0,), lags)
     if without < _VISIBLE:
         return None
-    found = _best(lambda delay: _error(columns, delay), _LONGEST * branch)
+    found = _best(lambda delay: _error(columns, delay), branch)
     if found is None:
         return None
     samples, remaining = found
-    if samples * stride < SHORTEST or remaining > REMAINS * without:
+    if samples * stride < SHORTEST or remaining > MOST_OF * without:
         return None
     fine = columns_of(_FINE)  # a delay makes up for plays too coarse for a steep loop
-    if _error(fine, samples) > REMAINS * fine.error_behind((0.0,), lags):
+    if _error(fine, samples) > MOST_OF * fine.error_behind((0.0,), lags):
         return None
     return PureDelay(samples * stride, samples * stride * interval, without, remaining)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hystfit.data.preparation import smooth
 from hystfit.data.two_levels import has_two_levels
+from hystfit.quality.loops import SAME_LEVEL
 
 FEWEST_SAMPLES = 16  # below which no noise is known and no loop is described
 MAD_TO_RMS = 1.4826  # of a normal distribution
@@ -18,13 +19,12 @@ CLEAR = 5.0
 # reach 2e-5, second points 0.13, and those of simulated curves stay above 0.4.
 SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
-_COARSE = 0.02  # part of the range from which levels are those of a signal with steps
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
 # Times the largest step within so many samples, that an outlier stands out.
 _FAR, _STEPS = 4.0, 6
 _JUMP = 2.0  # the same of an input that jumps there, which the output follows
-_BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 _MOST_CLIPPED = 0.4  # part of the samples above which the limit is that of the device
+_BRIDGED, _SHORTEST_HOLD = 3, 10  # samples
 # Samples before a limit, and their least slope relative to the usual one, where a sensor is clipped.
 _ARRIVING, _STEEP = 6, 0.3
 
@@ -57,7 +57,7 @@ def noise_rms(values: np.ndarray) -> tuple[float | None, bool]:
         moves = np.concatenate([[False], np.diff(values) != 0, [False]])
         isolated = moves[1:-1] & ~moves[:-2] & ~moves[2:]
         rounded = sizes[-1] > floor or (isolated.sum() > 0.5 * moves.sum() and moves.mean() < 0.75)
-        if rounded and step < _COARSE * np.ptp(values):
+        if rounded and step < SAME_LEVEL * np.ptp(values):  # else the levels are those of a signal with steps
             return step / math.sqrt(12), False
         return (least if least > precision else 0.0), False  # below: that of the arithmetic
     return least, sizes[-1] < 0.8 * sizes[1]
@@ -72,7 +72,7 @@ def rounding_rms(values: np.ndarray) -> float:
     noise, is_bound = noise_rms(values)
     step = resolution(values) or 0.0
     error = step / math.sqrt(12)
-    if noise is None or is_bound or step >= _COARSE * np.ptp(values[np.isfinite(values)]):
+    if noise is None or is_bound or step >= SAME_LEVEL * np.ptp(values[np.isfinite(values)]):
         return 0.0
     return error if _ROUNDING[0] * error <= noise <= _ROUNDING[1] * error else 0.0
 
@@ -215,7 +215,10 @@ def _at_a_limit(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     for end in (np.nanmax(y), np.nanmin(y)):
         for start, stop in runs(y == end):
             onward = np.sign(u[start] - u[start - 1]) if start else np.sign(u[stop - 1] - u[0])
-            if stop - start >= max(4, 2 * (usual + 1)) and np.max(onward * (u[start:stop] - u[start])) > 0.02 * span:
+            if (
+                stop - start >= max(4, 2 * (usual + 1))
+                and np.max(onward * (u[start:stop] - u[start])) > SAME_LEVEL * span
+            ):
                 found[start:stop] = True
     return found
 

@@ -12,10 +12,10 @@ from hystfit.params.units import quantity
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR, MOST
+from hystfit.quality.loops import SEVERAL
 from hystfit.quality.record_quality import OF_CHARGE, RecordQuality
 from hystfit.quality.resonance import Dynamics
 
-_MANY = 3  # notes that differ in their numbers alone, beyond which one stands for all
 # Decades over which three quarters of a column extend, from which its logarithm is the quantity to fit: suctions of soils, resistances of a
 # transition and currents of a transistor have 2.0 to 6, loads, fields and the pressures of most isotherms less than 1.8.
 _DECADES = 2.0
@@ -68,7 +68,9 @@ def _alike(notes: Iterable[Note]) -> list[list[Note]]:
     groups: dict[tuple[Code, str], list[Note]] = {}
     for note in notes:
         groups.setdefault((note.code, _NUMBER.sub("#", note.text)), []).append(note)
-    return [part for group in groups.values() for part in ([group] if len(group) > _MANY else [[one] for one in group])]
+    return [
+        part for group in groups.values() for part in ([group] if len(group) > SEVERAL else [[one] for one in group])
+    ]
 
 
 def _faults(record: RecordQuality) -> Iterator[Note]:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.faults import MAD_TO_RMS, runs
+from hystfit.quality.faults import CLEAR, FEWEST_SAMPLES, MAD_TO_RMS, runs
+from hystfit.quality.loops import SAME_LEVEL
 
-_WITHIN = 5.0  # times the noise, within which the output is level
 _LEVEL = 1.5  # times the noise: the median deviation over a level end; slopes across the width of the noise have 2 to 3
-_SHORTEST = 16  # samples of a level end
-_ONWARD = 0.02  # part of the input's range over which the output is level before the input turns there, and after
 # Part of the output's range below the level over which it arrives, and the least slope of the last quarter of it over that of the rest:
 # a corner has 1, tanh 0.2, and approaches to saturation less.
 _ARRIVAL, _CORNER = 0.2, 0.5
 # Times the width of the noise that the last quarter has at least: under more noise, Preisach models of steps have corners too.
 _SEEN = 3.0
-_FEWEST = 2  # samples of each of these two parts
 
 
 def flat_ends(u: np.ndarray, y: np.ndarray, noise: float | None) -> np.ndarray:
@@ -30,13 +27,13 @@ def flat_ends(u: np.ndarray, y: np.ndarray, noise: float | None) -> np.ndarray:
     """
     found = np.zeros(y.size, dtype=bool)
     span = float(np.nanmax(y) - np.nanmin(y)) if np.isfinite(y).any() else 0.0
-    if noise is None or not 0 < _SEEN * _WITHIN * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
+    if noise is None or not 0 < _SEEN * CLEAR * noise < 0.25 * _ARRIVAL * span or not np.ptp(u) > 0:
         return found
-    width = _WITHIN * noise
+    width = CLEAR * noise
     for sign, near_end in ((1.0, y > np.nanmax(y) - 2 * width), (-1.0, y < np.nanmin(y) + 2 * width)):
         level = float(np.median(y[near_end]))
         for start, stop in runs((y >= level - width) & (y <= level + width)):
-            if stop - start >= _SHORTEST and _is_end(u, y, (start, stop), level, sign, noise):
+            if stop - start >= FEWEST_SAMPLES and _is_end(u, y, (start, stop), level, sign, noise):
                 found[start:stop] = True
     return found
 
@@ -56,7 +53,7 @@ def _is_end(u: np.ndarray, y: np.ndarray, part: tuple[int, int], level: float, s
     onward = min(abs(drive[turn] - drive[0]), abs(drive[turn] - drive[-1]))
     gap = _ARRIVAL * float(np.nanmax(y) - np.nanmin(y))
     sides = (slice(start - 1, None, -1), slice(stop, None))
-    return bool(onward > _ONWARD * np.ptp(u)) and all(_has_corner(u[k], sign * (level - y[k]), gap) for k in sides)
+    return bool(onward > SAME_LEVEL * np.ptp(u)) and all(_has_corner(u[k], sign * (level - y[k]), gap) for k in sides)
 
 
 def _has_corner(u: np.ndarray, below: np.ndarray, gap: float) -> bool:
@@ -70,7 +67,7 @@ def _has_corner(u: np.ndarray, below: np.ndarray, gap: float) -> bool:
         return False
     end = int(np.argmax(below >= gap))
     near = int(np.argmax(below >= 0.25 * gap))
-    if near < _FEWEST or end - near < _FEWEST:
+    if min(near, end - near) < 2:
         return False
     slope = lambda first, last: (below[last] - below[first]) / max(abs(u[last] - u[first]), np.finfo(float).tiny)
     return bool(slope(0, near) > _CORNER * slope(near, end))

@@ -20,8 +20,6 @@ GAIN = 0.98  # another term or size is taken only if it lowers the error on held
 # duration, so that the speed is a function of amplitude and place, which those describe too: such a term leaves 0.88 to 0.98 of it in
 # simulated static loops, 0.74 in another, and 0.2 to 0.78 where there is a force or a lag (three simulated and three measured devices).
 AT_ONE_PACE = 0.8
-_PER_LEVEL = 2  # cycles of each level
-_RUNS = 10  # runs of samples in each scattered group at least, so that a group covers all parts of a loop
 
 
 class Scheme(enum.StrEnum):
@@ -199,14 +197,14 @@ def _whole_records(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
 def _levels(record: Record, turns: np.ndarray) -> np.ndarray:
     """Groups by amplitude, the largest in none; no groups where there are too few levels, or these are not repeated."""
     none = np.full(len(record), -1)
-    if turns.size < 2 * SEVERAL * _PER_LEVEL:
+    if not turns.size:
         return none
     span = float(np.ptp(record.u))
     edges = np.array([0, *turns, len(record)])
     strokes = extents(record.u, edges) / span
     values = distinct(strokes[1:-1])
     count = len(values)
-    if count < SEVERAL or turns.size < 2 * _PER_LEVEL * count:
+    if count < SEVERAL or turns.size < 4 * count:  # two cycles of each
         return none
     level = np.abs(strokes[:, None] - np.array(values)).argmin(axis=1)
     group = np.where(level == 0, -1, (level - 1) % min(count - 1, FOLDS))
@@ -230,7 +228,8 @@ def _fifths(record: Record, turns: np.ndarray) -> np.ndarray:
 def _scattered(record: Record, spacing: int) -> np.ndarray:
     """Runs of samples, every fifth in the same group."""
     used = np.flatnonzero(record.used)
-    length = max(1, min(spacing, used.size // (FOLDS * _RUNS)))
+    # Ten runs at least, so that a group covers all parts of a loop.
+    length = max(1, min(spacing, used.size // (10 * FOLDS)))
     fold = np.full(len(record), -1)
     fold[used] = np.arange(used.size) // length % FOLDS
     return fold

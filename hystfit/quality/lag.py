@@ -21,7 +21,6 @@ Spline = Callable[[Any], Any]  # of positions, numbers of samples, with any shap
 SIDES = (2, 3)  # degree of the polynomial before and after a turn: branches curve most just after it
 # Range of a fit as a fraction of the shorter neighboring branch; the first with enough samples.
 NEAR = 0.12, 0.2, 0.35
-MOST_TURNS = 40
 # How far the output goes on after a turn within the lag, over how far it came within a lag before: a lag gives a third behind a sine and 1
 # behind a triangle, a play or a valve that sticks 0. Half of the least.
 _GOES_ON = 1 / 6
@@ -85,6 +84,7 @@ def _cubic_spline(values: np.ndarray) -> Spline:
 
 
 def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, near: float) -> list[_Turn]:
+    """The usable turning points, forty at most, which tell as much as all."""
     knots = np.concatenate([[0], reversals, [u.size - 1]])
     found = []
     for before, turn, after in zip(knots[:-2], knots[1:-1], knots[2:], strict=True):
@@ -103,7 +103,7 @@ def _turns(u: np.ndarray, spline: Spline, reversals: np.ndarray, reach: int, nea
         grid = np.linspace(turn - 1, turn + 1, 41)
         at = float(grid[np.argmax(spline(grid) * (1 if upper else -1))])
         found.append(_Turn(index, at, upper, far))
-    keep = np.unique(np.linspace(0, len(found) - 1, min(len(found), MOST_TURNS)).round().astype(int))
+    keep = np.unique(np.linspace(0, len(found) - 1, min(len(found), 40)).round().astype(int))
     return [found[k] for k in keep]
 
 

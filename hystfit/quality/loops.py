@@ -16,9 +16,9 @@ from hystfit.data.record import Record
 SEVERAL = 3  # branches, cycles, records, levels or samples of a branch, from which they show a trend or a repetition
 SAME_LEVEL = 0.02  # of the input's range: smaller reversals are noise, and turning levels closer than this are one
 APART = 0.05  # of the largest amplitude, by which amplitudes that count as different differ; smaller reversals end no branch
+SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 LARGEST = 0.9  # of the input's range, which a branch of the largest loops covers
 _CROWDED = 0.25  # of the samples in one bin; even steps have 0.02, and ten a decade over four decades 0.3
-_BINS = 50  # over the range of the input, of the branches of a loop; fewer where these have fewer samples
 
 
 def reversals(u: np.ndarray, threshold: float = 0.0) -> np.ndarray:
@@ -50,9 +50,6 @@ def _turns(at: Mapping[int, float], threshold: float) -> np.ndarray:
             high = corner if value > at[high] else high
             if at[high] - at[low] > threshold:
                 rising, extreme = (1, high) if high > low else (-1, low)
-                first = low if rising > 0 else high
-                if first > 0 and abs(at[first] - at[0]) > threshold:
-                    turns.append(first)
         elif rising * (value - at[extreme]) > 0:
             extreme = corner
         elif rising * (at[extreme] - value) > threshold:
@@ -263,15 +260,15 @@ def loop_branches(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray,
         y: output, shape (T,).
 
     Returns:
-        (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,). The bins are even where the samples are
-        nearly so, and else have equally many.
+        (centers [unit of u], rising [unit of y], falling [unit of y]), each of shape (B,). There are fifty bins, or fewer where a
+        branch has fewer samples; they are even where the samples are nearly so, and else have equally many.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     begins_low = u[0] < 0.5 * (u.min() + u.max())
     turn = int(np.argmax(u)) if begins_low else int(np.argmin(u))
     parts = slice(0, turn + 1), slice(turn, None)
     rising, falling = parts if begins_low else parts[::-1]
-    count = int(np.clip(min(turn, u.size - turn), 4, _BINS))
+    count = int(np.clip(min(turn, u.size - turn), 4, 50))
     edges = np.linspace(u.min(), u.max(), count + 1)
     inside = np.histogram(u, edges)[0][1:-1].max()
     if inside > max(_CROWDED, 3.0 / count) * u.size:  # logarithmic steps, or a last point far in saturation

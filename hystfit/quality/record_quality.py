@@ -12,15 +12,15 @@ from hystfit.quality.delay import SHORTEST, PureDelay
 from hystfit.quality.drift import Drift
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import Lag
+from hystfit.quality.loops import APART
 from hystfit.quality.resonance import Dynamics
 from hystfit.quality.shape import Shape
 
 LONG_HOLD = 50  # samples of a hold in which creep would show
 SOFTER = 0.7  # part of the first stiffness after a reversal below which the later one shows damage
-WHOLE = 0.95  # part of the stiffness from which a device is whole
+WHOLE = 1 - APART  # part of the stiffness from which a device is whole
 # Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
 WEAKER = 0.88
-SPEEDS_APART = 0.5  # decimal logarithm of the ratio of two speeds that differ
 # Pairs of which the output may be the rate of a charge or of a flux, and the part of its size from which it is the latter with the other
 # sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))

@@ -13,16 +13,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from hystfit.outcome.table import ROUNDED
 from hystfit.quality.host_operators import lagged, play_positions, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
 EXCITED = 1e-3  # power of the input in a band that counts as excited, as a fraction of the strongest band
-_BANDS = 6  # bands of the frequency response per octave
 _APART = 1.5  # least ratio of excited frequencies between which a change of the response is visible
 _DELAYS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 20.0)  # samples
 _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
-_UNDERDAMPED = 0.7  # damping ratio below which the amplitude of a resonance exceeds its static value
-_EXPLAINED = 0.75  # least share of the unexplained variance that a lag or a resonance explains
 VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
@@ -32,24 +30,31 @@ _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis with
 # 1.7 on two stages that ring, at most 1.02 on steep transitions without a resonance; and of two delays (half a period and a change of
 # sign look alike), of which the shorter is taken otherwise.
 DECIDES = 1.1
-_SINGULAR = 1e-7  # of the largest singular value of columns, below which a combination of them is none
-_FINE = 40  # samples in a period of the highest excited frequency that suffice; finer records are thinned
+
+
+def scaled(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Input from -1 to 1, output over its range without its mean, and which outputs are known; None where few are, or one is constant."""
+    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
+    used = np.isfinite(y)
+    if used.sum() < max(FEWEST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+        return None
+    return 2 * (u - u.min()) / np.ptp(u) - 1, (y - y[used].mean()) / np.ptp(y[used]), used
 
 
 def unexplained(design: np.ndarray, y: np.ndarray) -> float:
     """Root mean square of what columns of any scale, shape (T, K), leave of y by least squares."""
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=_SINGULAR)[0]
+    solution = np.linalg.lstsq(design, y, rcond=ROUNDED)[0]
     return float(np.sqrt(np.mean((y - design @ solution) ** 2)))
 
 
 def explains(error: float, without: float) -> bool:
-    """Whether a term explains most of what is left without it.
+    """Whether a term explains most of what is left without it: it halves the error.
 
     Args:
         error, without: rms errors with and without the term, as fractions of the range of y.
     """
-    return without > VISIBLE and 1 - (error / without) ** 2 > _EXPLAINED
+    return without > VISIBLE and error < without / 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,8 +87,8 @@ class Dynamics:
 
     @property
     def underdamped(self) -> bool:
-        """Whether a resonance explains most of what hysteresis, lag and velocity terms leave."""
-        return explains(self.error_with, self.error_without) and self.damping_ratio < _UNDERDAMPED
+        """Whether a resonance whose amplitude exceeds the static one explains most of what hysteresis, lag and velocity terms leave."""
+        return explains(self.error_with, self.error_without) and 2 * self.damping_ratio**2 < 1
 
     @property
     def resonant(self) -> bool:
@@ -117,17 +122,16 @@ def estimate_dynamics(u: np.ndarray, y: np.ndarray, interval: float) -> Dynamics
         None with fewer than 200 samples, where the input excites a single frequency only, and where hysteresis, a delay, a lag and
         velocity terms leave nothing to explain.
     """
-    u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
-    used = np.isfinite(y)
-    if used.sum() < max(FEWEST, 0.5 * y.size) or np.ptp(u) == 0 or np.ptp(y[used]) == 0:
+    signals = scaled(u, y)
+    if signals is None:
         return None
-    x = 2 * (u - u.min()) / np.ptp(u) - 1
-    y = (y - y[used].mean()) / np.ptp(y[used])
+    x, y, used = signals
     bridged = np.interp(np.arange(y.size), np.flatnonzero(used), y[used])
     response = _frequency_response(x, bridged)
     if response.frequency.size < 2 or response.frequency[-1] < _APART * response.frequency[0]:
         return None
-    stride = max(1, min(int(1 / (_FINE * response.frequency[-1])), x.size // FEWEST))
+    # 40 samples in a period of the highest excited frequency suffice.
+    stride = max(1, min(int(1 / (40 * response.frequency[-1])), x.size // FEWEST))
     coarse = dataclasses.replace(response, frequency=response.frequency * stride)
     thinned = (part[::stride][:_MOST].tobytes() for part in (x, bridged, used))
     found = _described(*thinned, *(part.tobytes() for part in coarse.parts))
@@ -187,7 +191,7 @@ def _frequency_response(x: np.ndarray, y: np.ndarray) -> _Response:
     level = lambda values: (values - values.mean()) * taper
     spectrum, answer = np.fft.rfft(level(x))[2:], np.fft.rfft(level(y))[2:]
     number = np.arange(2, spectrum.size + 2)
-    band = np.floor(_BANDS * np.log2(number)).astype(int)
+    band = np.floor(6 * np.log2(number)).astype(int)
     power = np.bincount(band, np.abs(spectrum) ** 2)
     cross = answer * np.conj(spectrum)
     total = np.bincount(band, cross.real) + 1j * np.bincount(band, cross.imag)

@@ -135,7 +135,6 @@ def at_inputs(record: Record, u: np.ndarray) -> np.ndarray:
 
 
 _FIT = 5  # points after a point from which a parabola is continued to it
-_MOST = 3  # first points that are left out of each curve at most
 _WIDTHS = (3, 5, 9, 17, 33)  # calibration points in the running mean of the drift, chosen by points left out
 
 
@@ -199,7 +198,7 @@ def _without_unsettled_points(data: Dataset) -> tuple[Dataset, list[Note]]:
     from scipy.stats import wilcoxon
 
     count = 0
-    while count < _MOST:
+    while count < 3:
         first, second = (np.array([_distance(r, count + k) for r in data]) for k in range(2))
         both = np.isfinite(first) & np.isfinite(second) & (first != second)
         if both.sum() < FEWEST:

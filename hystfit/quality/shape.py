@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hystfit.data.circulation import RESOLVED
+from hystfit.data.circulation import RESOLVED, SLACK
 from hystfit.quality.degradation import LIKE_DURATION, SMALL
 from hystfit.quality.drift import like_cycles
 from hystfit.quality.faults import CLEAR
@@ -18,9 +18,6 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL, Loop, closed_loops
 NARROWEST = 1e-3
 _PINCHED = 0.6  # width in the middle of the input over the largest width, below which a loop is pinched
 _CROSSING = 0.3  # net area over that between the branches below which these cross
-_LEAST_LOBES = 0.01  # area between branches that cross, over that of the box around the loop
-_LOBES = 2.3  # mean distance of crossing branches over the noise: twice that of two noisy samples
-_ONE_STEP = 1.5  # steps between the samples at the ends of a cycle, by which its end may miss its start
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,11 +164,13 @@ def _late_pinching(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, spans: list
 def has_lobes(area: Any, between: Any, box: Any, noise: Any = 0.0) -> Any:
     """Whether branches cross, so that lobes of a loop (a butterfly) run in opposite directions.
 
+    The branches are apart by more than slack, and by more than twice the mean distance of two noisy samples, 2 / sqrt(pi) of their noise.
+
     Args:
         between: of the branches, whichever is above.
         noise: of the output times the range of the input.
     """
-    return (abs(area) < _CROSSING * between) & (between > np.maximum(_LEAST_LOBES * box, _LOBES * noise))
+    return (abs(area) < _CROSSING * between) & (between > np.maximum(SLACK * box, 4 / np.sqrt(np.pi) * noise))
 
 
 def area_between(u: np.ndarray, y: np.ndarray) -> float:
@@ -196,8 +195,8 @@ def _from_its_end(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _returns(values: np.ndarray) -> bool:
-    """Whether a signal ends where it began, or a sample before, as in cycles that a testing machine stores."""
-    step = _ONE_STEP * 0.5 * (abs(values[1] - values[0]) + abs(values[-1] - values[-2]))
+    """Whether a signal ends where it began, or a step and a half before: cycles of a testing machine end before they would begin again."""
+    step = 0.75 * (abs(values[1] - values[0]) + abs(values[-1] - values[-2]))
     return bool(abs(values[-1] - values[0]) <= max(SAME_LEVEL * float(np.ptp(values)), step))
 
 

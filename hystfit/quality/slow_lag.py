@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hystfit.quality.delay import MOST, REMAINS
+from hystfit.quality.baselines import MOST_OF
+from hystfit.quality.delay import MOST
 from hystfit.quality.host_operators import lagged, play_positions
 from hystfit.quality.resonance import FEWEST, explains, unexplained
 
 SHORT = 6.0  # samples up to which a lag is short
-_LONGEST = 0.25  # of a branch
 _RADII = np.geomspace(0.03, 1.0, 8)  # of plays, for an input from -1 to 1
 
 
@@ -27,7 +27,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     if turns.size < 3 or used.sum() < FEWEST or np.ptp(u) == 0:
         return None
     stride = -(-u.size // MOST)
-    longest = _LONGEST * float(np.median(np.diff(turns)))
+    longest = float(np.median(np.diff(turns))) / 4
     if longest <= SHORT:
         return None
     span = float(np.ptp(y[used]))
@@ -44,7 +44,7 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
     lags = np.geomspace(SHORT, longest, 10)
     errors = np.array([error(lag) for lag in lags])
     best = int(np.argmin(errors))
-    found = explains(errors[best], without) and errors[best] < REMAINS * errors[0]
+    found = explains(errors[best], without) and errors[best] < MOST_OF * errors[0]
     return float(lags[best]) if found else None
 
 

@@ -34,7 +34,6 @@ from hystfit.quality.lag import estimate_lag
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.record_quality import (
     SOFTER,
-    SPEEDS_APART,
     WEAKER,
     WHOLE,
     Column,
@@ -47,7 +46,6 @@ from hystfit.quality.shape import loop_shape, rate_effect
 from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
 from hystfit.quality.softening import softening_left
 
-_TENTHS = 10  # parts of a branch, whose speeds differ along a sinusoid
 _VARIED = 0.1  # decimal logarithm of the ratio of two branches' speeds, above which the speed is no function of the place alone
 _WAY = 0.2  # of the input's range: shortest branch whose speed counts
 _MOST_OUTLIERS = 0.02  # part of the samples up to which isolated outliers are faults
@@ -280,11 +278,12 @@ def speeds_within(records: Iterable[Record]) -> int:
         if record.t is not None:
             ends = record.t[geometry.branches(record.u, _threshold(_column(record.u)))]
             whole.append(_log_speeds(record, ends.T))
-            parts.append(_log_speeds(record, np.linspace(ends[:, 0], ends[:, 1], _TENTHS + 1)))
+            tenths = np.linspace(ends[:, 0], ends[:, 1], 11)  # of branches, whose speeds differ along a sinusoid
+            parts.append(_log_speeds(record, tenths))
     if not whole:
         return 0
     varied = len(geometry.distinct(np.concatenate(whole), _VARIED)) > 1
-    return len(geometry.distinct(np.concatenate(parts), SPEEDS_APART)) if varied else 1
+    return len(geometry.distinct(np.concatenate(parts), geometry.SPEEDS_APART)) if varied else 1
 
 
 def _log_speeds(record: Record, times: np.ndarray) -> np.ndarray:
@@ -299,7 +298,7 @@ def _speeds(record: Record, branches: np.ndarray) -> tuple[float, ...]:
     if record.t is None:
         return ()
     long = np.abs(np.diff(record.u[branches]).ravel()) > _WAY * np.ptp(record.u)
-    return geometry.distinct(_log_speeds(record, record.t[branches[long]].T), SPEEDS_APART)
+    return geometry.distinct(_log_speeds(record, record.t[branches[long]].T), geometry.SPEEDS_APART)
 
 
 def paces(records: Iterable[Record]) -> int:
@@ -309,7 +308,7 @@ def paces(records: Iterable[Record]) -> int:
         for record in records
         if record.t is not None and np.diff(record.t).min() > 0 and (at := geometry.clear_reversals(record.u)).size > 1
     ]
-    return len(geometry.distinct(np.concatenate(durations), SPEEDS_APART)) if durations else 0
+    return len(geometry.distinct(np.concatenate(durations), geometry.SPEEDS_APART)) if durations else 0
 
 
 def _change(y: np.ndarray) -> float:

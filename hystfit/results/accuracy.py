@@ -10,8 +10,8 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import ROUNDING, number
-from hystfit.quality.baselines import DEGREE, USABLE, Baselines
+from hystfit.outcome.table import ROUNDED, number
+from hystfit.quality.baselines import DEGREE, MOST_OF, USABLE, VISIBLE, Baselines
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,15 +60,13 @@ def _sum_of_squares(values: np.ndarray) -> float:
     return float(np.sum(np.multiply(values, values, out=values)))
 
 
-VISIBLE = 1.0  # percent of range, below which drift or damage does not matter: least limit of the rms error (`USABLE` the largest)
-_TIMES_PLAYS = 5.0  # it is this many times the error of ten plays
-POOR = 10.0  # percent of range above which no fit is called usable, unless the residuals are noise
-_LARGEST = 10.0  # percent of range: limit of an error that persists over three samples
-_LASTING = 3  # samples; a shorter one is an outlier of the measurement
+_TIMES_PLAYS = 5.0  # the limit of the rms error, from `VISIBLE` to `USABLE`, is this many times the error of ten plays
+# Percent of range above which no fit is called usable, unless the residuals are noise: of the rms error, and of one that persists over
+# three samples (a shorter one is an outlier of the measurement).
+POOR = 10.0
 _BETTER = 2.0  # times the error of ten plays, above which another family of models is worth a try
 NEGLIGIBLE = 0.1  # percent of range, below which no other model is worth a try
 NOISY, _PEAKS = 2.0, 6.0  # times the noise: rms error and largest error that noise alone explains
-SHARE = 0.7  # of the error of a single-valued curve, above which the loop itself is not described
 
 
 class Limits(NamedTuple):
@@ -85,7 +83,7 @@ class Limits(NamedTuple):
         usable = USABLE
         if baselines.plays is not None:
             usable = float(np.clip(_TIMES_PLAYS * percent(baselines.plays), VISIBLE, USABLE))
-        return cls(max(usable, NOISY * noise), max(_LARGEST, _PEAKS * noise))
+        return cls(max(usable, NOISY * noise), max(POOR, _PEAKS * noise))
 
 
 def two_digits(percent: float) -> str:
@@ -99,14 +97,14 @@ def is_noise(rmse: float, baselines: Baselines) -> bool:
 
 
 def is_single_valued_error(rmse: float, baselines: Baselines) -> bool:
-    """Whether an rms error [y] is that of a single-valued curve, or nearly so."""
-    return rmse > SHARE * baselines.curve
+    """Whether an rms error [y] is most of that of a single-valued curve: the loop itself is not described."""
+    return rmse > MOST_OF * baselines.curve
 
 
 def persistent_error(errors: Any, xp: Any = np) -> Any:
     """Size of the error that three successive samples, shape (..., T), have in common: the smallest of each and its neighbors."""
     size = xp.abs(errors)
-    if size.shape[-1] < _LASTING:
+    if size.shape[-1] < 3:
         return size
     inner = xp.minimum(xp.minimum(size[..., :-2], size[..., 1:-1]), size[..., 2:])
     return xp.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
@@ -141,7 +139,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
 
 def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
     """The rms error over noise, straight line, single-valued curve and ten plays; None where one is unknown or a rounding error."""
-    over = lambda value: metrics.rmse / value if value and value > ROUNDING * baselines.span else None
+    over = lambda value: metrics.rmse / value if value and value > ROUNDED * baselines.span else None
     return {name: over(getattr(baselines, name)) for name in ("noise", "line", "curve", "plays")}
 
 

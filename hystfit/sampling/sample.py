@@ -20,7 +20,7 @@ from hystfit.errors import ParameterError
 from hystfit.inference.correlated_priors import CorrelatedPriors, Dependence
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
-from hystfit.inference.priors import SEEN, AbstractPrior, HalfNormal, LogNormal, Normal
+from hystfit.inference.priors import LITTLE, SEEN, AbstractPrior, HalfNormal, LogNormal, Normal
 from hystfit.inference.residuals import analyze, diagnose
 from hystfit.models.storage import to_json
 from hystfit.outcome import Code, Note, Severity, Status
@@ -40,7 +40,6 @@ from hystfit.sampling.setup import MOST, Prepared
 from hystfit.sampling.weight_equations import are_free_or_positive
 
 _SLOW = 0.15  # fraction of the record over which noise is correlated, above which it is an error of the model
-_AS_WIDE = 0.5  # width of a posterior relative to its prior above which the data add little information
 
 
 @verb
@@ -207,7 +206,7 @@ def prior_dominated_notes(setup: Prepared, draws: Float[np.ndarray, "chains draw
             notes.append(warn(Code.PRIOR, text))
             continue
         ratio = _spread(prior, draws[:, :, k]) / _spread(prior, expected)
-        if ratio > _AS_WIDE:
+        if ratio > LITTLE:
             wide.setdefault(str(prior), []).append((name, 100 * ratio))
     return [*notes, *(warn(Code.PRIOR, _as_wide_words(prior, rows)) for prior, rows in wide.items())]
 

@@ -19,7 +19,7 @@ from hystfit.errors import ParameterError
 from hystfit.fitting.judgment.covariance import describe
 from hystfit.inference.fittable import check_smooth
 from hystfit.inference.information import Moments
-from hystfit.inference.priors import LOG_WIDE
+from hystfit.inference.priors import LITTLE, LOG_WIDE
 from hystfit.models.shared.simulation import simulate
 from hystfit.outcome import Code, Column, Note, Severity, Status, Table, WithStatus
 from hystfit.outcome.note import warn
@@ -32,7 +32,6 @@ from hystfit.uncertainty.predicted_errors import Plan, covariance_with
 
 _TURNS = 14  # turning levels of the optimized input
 _LOOSE = 0.5  # relative error above which a combination counts as undetermined
-_UNKNOWN = 0.5  # fraction of that prior above which a standard error comes from the prior, not from the data
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,7 +213,7 @@ def design(
 def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) -> dict[str, float | None]:
     """Standard errors in physical units from a covariance in relative size; None where the error is that of the prior."""
     relative = np.sqrt(np.diag(np.asarray(covariance)))[: len(names)]
-    known = np.where(relative < _UNKNOWN * LOG_WIDE, relative * np.asarray(plan.size), np.nan)
+    known = np.where(relative < LITTLE * LOG_WIDE, relative * np.asarray(plan.size), np.nan)
     return {name: or_none(error) for name, error in zip(names, known, strict=True)}
 
 

@@ -17,9 +17,8 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import MODELS, SEARCH, make_model, tried
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.faults import CLEAR, noise_rms
-from hystfit.quality.loops import distinct, turns_back
+from hystfit.quality.loops import SPEEDS_APART, distinct, turns_back
 from hystfit.quality.needs import Needs
-from hystfit.quality.record_quality import SPEEDS_APART
 from hystfit.quality.shape import NARROWEST
 from hystfit.quality.summary import speeds_of, speeds_within
 from hystfit.results.measured.loop_kinds import LoopKind, may_be_force

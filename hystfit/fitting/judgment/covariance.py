@@ -64,7 +64,6 @@ def _log_ratios(root: np.ndarray, J: np.ndarray, variance: float) -> np.ndarray:
 
 _TOUCHED = 0.05  # component in an undetermined direction above which a parameter has no error bar
 _MOVED = 0.5  # the same for a direction limited by two bounds: standard error that it adds, over the parameter's size
-_PART = 0.25  # smallest component in the description of a direction, relative to the largest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -365,6 +364,6 @@ def describe(direction: np.ndarray, names: list[str]) -> str:
 
 
 def _main(direction: np.ndarray) -> list[int]:
-    """The parameters with large components, largest first."""
+    """The parameters with components of a quarter of the largest and more, largest first."""
     order = np.argsort(-np.abs(direction))
-    return [int(k) for k in order if abs(direction[k]) > _PART * abs(direction[order[0]])]
+    return [int(k) for k in order if 4 * abs(direction[k]) > abs(direction[order[0]])]

@@ -14,7 +14,7 @@ from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
-from hystfit.quality.baselines import BLOCK, plays_residuals
+from hystfit.quality.baselines import BLOCK, VISIBLE, plays_residuals
 from hystfit.quality.check import conditions_of
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
@@ -23,13 +23,12 @@ from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, co
 from hystfit.quality.flat_ends import flat_ends
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
-from hystfit.quality.loops import APART, clear_reversals, cycles
+from hystfit.quality.loops import APART, SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import is_rate
 from hystfit.quality.summary import delay_of, outliers_of, paces
-from hystfit.results.accuracy import VISIBLE, better_family_warning, is_noise, persistent_error
+from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
-_TURNS = 5  # reversals of three cycles, without which a drift cannot be told from a loop that does not close
 
 
 def warnings_of(fitted: Fitted) -> list[Note]:
@@ -197,7 +196,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
     No model includes it. Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
     """
     for row, record in zip(rows, data, strict=True):
-        if clear_reversals(record.u).size < _TURNS:
+        if clear_reversals(record.u).size < 2 * SEVERAL - 1:  # else a drift is a loop that does not close
             continue
         t = np.arange(len(record)) if record.t is None else record.t
         passed, missed = t[record.used] - t[record.used].mean(), row.mean() - row
@@ -290,9 +289,7 @@ def disturbance_note(rows: Sequence[np.ndarray], data: Dataset, *, robust: bool 
         if first == 0 or last - first + 1 > SHORT * row.size:
             continue
         others = float(np.sqrt(np.mean(np.delete(row, slice(first, last + 1)) ** 2)))
-        ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)
-        if ratio < CLEAR:
-            continue
+        ratio = float(np.sqrt(np.mean(row[first : last + 1] ** 2))) / max(others, 1e-300)  # at least sqrt(0.97 / 0.03)
         far = np.flatnonzero(np.abs(row) > _OUTSIDE * others)
         stretch = next(part for part in np.split(far, np.flatnonzero(np.diff(far) > _GAP) + 1) if part[-1] >= first)
         # Counted from the first measured sample, which a cycle before the record may precede.

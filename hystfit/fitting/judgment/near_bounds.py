@@ -14,8 +14,6 @@ from hystfit.inference.linearization import Linearization
 from hystfit.inference.residuals import FEW
 from hystfit.params.space import ParameterSpace
 
-# Weights without a bound nearby, from which their ridge counts in full: its share takes inverses of that size.
-_MANY = 500
 _REST = 1e-11  # part of a column that an offset does not explain, below which it is rounding errors
 _ROUNDS, _SETTLED = 100, 1e-3  # of the share of a ridge that is known
 
@@ -70,7 +68,8 @@ class NearBounds(NamedTuple):
         room = np.where(space.linear, np.minimum(below, above), np.inf)
         room = np.where(on_bound, 0.0, room)[:, acts]
         near = np.isfinite(room[0]).sum()
-        if near > FEW or not (near or penalty.any()) or (not near and room.shape[1] > _MANY):
+        # The share of a ridge takes inverses of as many weights: of more than 500 without a bound nearby it counts in full.
+        if near > FEW or not (near or penalty.any()) or (not near and room.shape[1] > 500):
             return None
         columns, back = centered(rows[:, acts], space.offsets[acts])
         size = np.linalg.norm(columns, axis=0)

@@ -12,11 +12,11 @@ from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fit_warnings import warnings_of
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.fitting.judgment.record_scales import scale_note
-from hystfit.inference.autocorrelation import is_correlated
+from hystfit.inference.autocorrelation import FEWEST, is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.params.relative_size import ROUNDED
-from hystfit.quality.baselines import USABLE, Baselines, curve_scatter, is_resolved
+from hystfit.outcome.table import ROUNDED
+from hystfit.quality.baselines import MOST_OF, USABLE, VISIBLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note, option_of
@@ -27,8 +27,6 @@ from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
     NOISY,
     POOR,
-    SHARE,
-    VISIBLE,
     accuracy_note,
     exceeded_limits,
     is_noise,
@@ -38,11 +36,9 @@ from hystfit.results.measured.loop_kinds import may_be_force
 from hystfit.results.measured.loop_values import quantities
 
 _LEAST_SHARE = 0.01  # share of hysteresis in the dissipated energy below which its parameters follow the noise
-_ENOUGH = 30  # residuals of a record needed to call them white
 # Part of the shortest time at a level, by which a switch and its model may be apart: a thermostat that is logged 27 times meanwhile, with
 # noise of half a step of the temperature, has 0.11.
 _MISTIMED = 0.25
-_MOST_OF = 0.7  # of the error of a fit: half of its square
 _CYCLED = 4  # reversals from which the first half cycle is left out of the largest error
 
 
@@ -64,8 +60,8 @@ def residuals_are_white(rows: Sequence[np.ndarray], plain: float, parameters: fl
 
 
 def are_white(rows: Sequence[np.ndarray]) -> bool:
-    """Whether enough residuals of each record are uncorrelated."""
-    return min(row.size for row in rows) >= _ENOUGH and not any(is_correlated(row) for row in rows)
+    """Whether enough residuals of each record to test them are uncorrelated."""
+    return min(row.size for row in rows) >= FEWEST and not any(is_correlated(row) for row in rows)
 
 
 def stands_out(rows: Sequence[np.ndarray], plain: float, parameters: float) -> bool:
@@ -234,14 +230,14 @@ def _differ(fitted: Fitted) -> list[Note]:
     """A warning where most of a visible error is that of any one model on records that differ at equal inputs, as at two temperatures."""
     if not fitted.thorough or fitted.percent <= VISIBLE:
         return []
-    apart = apart_note(fitted.parts, _MOST_OF * fitted.percent) or scale_note(fitted, _MOST_OF)
+    apart = apart_note(fitted.parts, MOST_OF * fitted.percent) or scale_note(fitted)
     return [] if apart is None else [apart]
 
 
 def _branches_coincide(fitted: Fitted) -> bool:
     """Whether no loop is open beyond the noise, and the error of the fit is as large as the scatter of the samples about a smooth curve."""
     scatter = curve_scatter(fitted.parts)
-    if not fitted.thorough or fitted.train.rmse < SHARE * scatter:
+    if not fitted.thorough or fitted.train.rmse < MOST_OF * scatter:
         return False
     if fitted.percent > POOR and not is_noise(scatter, fitted.baselines):
         return False

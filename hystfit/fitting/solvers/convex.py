@@ -15,7 +15,6 @@ from hystfit.fitting.solvers.variable_projection import Searched, search_nonline
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
 
-_WEAK = 1e-6  # strength at which a ridge moves no lag
 # Relative decrease of the sum of squares at which the search ends: with 1e-6 it took up to a half more evaluations on four measured files,
 # and the error on held-out samples changed by at most 4e-4 of it.
 _GAIN = 1e-4
@@ -85,10 +84,8 @@ class Convex(AbstractEstimator):
             return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
 
         first = float(fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength)
-        weak = min(self.strengths, key=lambda strength: abs(np.log(strength / _WEAK)))
+        weak = min(self.strengths, key=lambda strength: abs(np.log(strength / 1e-6)))  # moves no lag
         ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
-        scores = (
-            [fit_ridge(LinearSystem.of(problem, one.x), self.strengths).score for one in ended] if ended[1:] else [0]
-        )
-        best = ended[int(np.argmin(scores))]
+        score = lambda one: float(fit_ridge(LinearSystem.of(problem, one.x), self.strengths).score)
+        best = min(ended, key=score) if ended[1:] else ended[0]
         return best._replace(evaluations=sum(one.evaluations for one in ended))

@@ -27,18 +27,15 @@ NOTHING = 1e-8
 # cost, among 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
 _LITTLE = 0.1
 ON_BOUND = 1e-6  # relative distance from a bound below which a bounded solver takes over, because z does not converge
-_FIRST = 1e-3  # damping of the first step
 _EQUAL = 1e-12  # relative difference of two costs that rounding errors may cause; below it the linear model decides
-# At a kink of the cost, such as the limits of a branch cause, even a short step does not achieve the predicted decrease. The descent then
-# ends if that decrease, times the number of samples and relative to the cost, is at most 1e-4: a hundredth of a standard error.
-_KINK, _SHORT_STEP = 1e-4, 1.0  # and the damping from which a step counts as short
 _CLOSE = 0.5  # relative excess over the cost of a converged lane, within which the linear model shows whether a lane can do better
 # The last step is taken without evaluating the cost if the decrease expected to remain after it is below this fraction of the tolerance.
 # Steps of Bouc-Wen left up to 0.06 of the tolerance where 0.01 was expected.
 _EXPECTED = 0.01
-# The most standard errors from the minimum at which such a step starts: the normal matrix there, from which standard errors follow, is
-# within 1e-3 of that at the minimum where the relative errors are up to 10 %.
-_SURE_WITHIN = 0.01
+# Standard errors from the minimum within which such a step starts: the normal matrix there, from which standard errors follow, is
+# within 1e-3 of that at the minimum where the relative errors are up to 10 %. So near a kink of the cost, such as the limits of a branch
+# cause, a descent ends: even a short step, with a damping of 1 and more, does not achieve the predicted decrease.
+_WITHIN = 0.01
 # The longest such step. In a direction that only noise determines, the linear model predicts a tiny decrease for a step of any length: a
 # step of 100 took the slope of a loop to 1e116.
 _SURE_STEP = 0.02
@@ -66,7 +63,7 @@ class Lane(NamedTuple):
         count, p = z.shape
         none, no = np.zeros(count), np.zeros(count, bool)
         best = Normal(z.copy(), none + np.inf, np.zeros((count, p)), np.zeros((count, p, p)))
-        damping = none + _FIRST if damping is None else damping.copy()
+        damping = none + 1e-3 if damping is None else damping.copy()
         return cls(best, z.copy(), damping, none + np.inf, no, no.copy(), none.astype(int))
 
     def rows(self, at: Any) -> Lane:
@@ -102,10 +99,10 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     promised = -((best.gradient * whole).sum(-1) + 0.5 * xp.einsum("...i,...ij,...j->...", whole, best.matrix, whole))
     near = promised <= xp.maximum(gain, _EQUAL) * best.cost + floor
     settled = ~better | (promised <= gain * best.cost + floor)
-    kink = ~better & (damping >= _SHORT_STEP) & (promised <= _KINK / samples * best.cost)
+    kink = ~better & (damping >= 1.0) & (promised <= _WITHIN**2 / samples * best.cost)
     # The next step reduces the predicted decrease by at least the same factor as the last one, because damping falls.
     expected = promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised)
-    sure = better & expected & (promised <= _SURE_WITHIN**2 / samples * best.cost + floor)
+    sure = better & expected & (promised <= _WITHIN**2 / samples * best.cost + floor)
     sure &= _longest(whole, bounded, xp) <= _SURE_STEP
     z, cost = xp.where(sure[..., None], best.z + whole, best.z), xp.where(sure, best.cost - promised, best.cost)
     best = best._replace(z=z, cost=cost)

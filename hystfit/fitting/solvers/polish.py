@@ -20,7 +20,6 @@ NEAR, EXACT = 1e-3, 3e-7
 # Most linearizations of a fit. Refits of `steel-02` to five parts of a coupon needed 120 to 207. Stopped at 40, they were still near their
 # start, which had been fitted to the held-out samples too, so that the cross-validation error was 2.5 % instead of 3.1 %.
 STEPS = 250
-_BLUR = 0.01  # rounding error of an output, relative to ROUNDING
 
 
 class Polished(NamedTuple):
@@ -74,9 +73,7 @@ def polish(
             break
         at, linearized = at._replace(linearized=None), None  # two linearizations of a long record may not fit in memory
         new, evaluations = _linearize(problem, at.z + step, order, samples, held), evaluations + 1
-        blurred = _BLUR * np.sqrt(
-            2 * at.cost * floor
-        )  # smaller decreases are lost in rounding: the linear model decides
+        blurred = 0.01 * np.sqrt(2 * at.cost * floor)  # smaller decreases are lost: the linear model decides
         if new.cost < at.cost + (blurred if decrease < blurred else 0.0):
             at, linearized = new, new.linearized
             damping = max(0.1 * damping, LEAST_DAMPING)

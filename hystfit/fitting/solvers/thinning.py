@@ -20,7 +20,6 @@ from hystfit.quality.loops import clear_reversals
 
 SAMPLES = 1024  # of all records together
 LEAST = 256  # of each record; those on which starts, and loops, are compared
-_A_BRANCH = 12  # samples between two reversals of the input, on average
 PAYS = 2  # times as many samples make the short form worth its compilation
 _ENOUGH = 30_000  # samples of all records together on which models are compared: errors of 1 % are told apart, see `equal_errors`
 _TIP = 100  # samples of a branch, of which the mean of the last ones is 0.25 % of the range short of a sharp tip
@@ -122,7 +121,7 @@ def _plan(data: Iterable[Record], samples: int = SAMPLES) -> tuple[list[np.ndarr
     """Reversals of the input of every record, and the number of samples to keep of each."""
     turns = [clear_reversals(record.u) for record in data]
     most = max(turn.size for turn in turns)
-    return turns, bucket(max(samples // len(turns), LEAST, _A_BRANCH * most))
+    return turns, bucket(max(samples // len(turns), LEAST, 12 * most))  # twelve between two reversals, on average
 
 
 def _kept_samples(samples: int, turns: np.ndarray, most: int) -> np.ndarray:

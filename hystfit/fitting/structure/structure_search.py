@@ -25,18 +25,13 @@ from hystfit.models.series import Series
 from hystfit.outcome import Code, Note
 from hystfit.quality.baselines import rounding_error
 from hystfit.quality.held_out import AT_ONE_PACE, GAIN, HeldOut, equal_errors, held_out
-from hystfit.quality.loops import turns_back
+from hystfit.quality.loops import SEVERAL, turns_back
 from hystfit.quality.summary import delay_of, slow_lag_of
 from hystfit.results.accuracy import POOR
 
 _CLEARLY = 0.8  # of the error at a lag, below which a finer lag is taken before any other term
 _BESIDE_CURVE = ("rest", "lag", "order", "rate")  # creep opens loops at every rate, as hysteresis does
 _PLAYS, _OTHER_PLAYS = 20, (10, 40, 80)  # of the search for terms; numbers tried with the terms found
-# Times as many plays, tried before each term: they lower the error of three clipped loops of a stop by 33 to 43 %, and creep, which is not
-# there, by 4 %; that of a loop of 13 plays by 68 %, and three envelopes by 12 %.
-_FINER = 2
-_FEWEST = 3  # plays, however few the samples are
-_LEVELS = 200  # inputs closer than this fraction of their range count as one
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,7 +123,12 @@ def _greedy(starts: Sequence[Structure], terms: Terms, options: dict[str, tuple[
 
 
 def _doubled(terms: Terms) -> Terms:
-    return Terms(terms.data, min(_FINER * terms.plays, max_plays(terms.data)), terms.held)
+    """Twice as many plays, tried before each term.
+
+    They lower the error of three clipped loops of a stop by 33 to 43 %, and creep, which is not there, by 4 %; that of a loop of 13 plays
+    by 68 %, and three envelopes by 12 %.
+    """
+    return Terms(terms.data, min(2 * terms.plays, max_plays(terms.data)), terms.held)
 
 
 def _of_best_size(found: Found, terms: Terms) -> Found:
@@ -200,8 +200,8 @@ def max_plays(data: Dataset) -> int:
     """Number of thresholds that the samples and the distinct levels of the input can determine."""
     samples = sum(int(record.used.sum()) for record in data)
     inputs = np.concatenate([record.u[record.used] for record in data])
-    levels = np.unique(np.round(_LEVELS * inputs / (float(np.ptp(inputs)) or 1.0))).size
-    return max(_FEWEST, min(samples // 4, levels, max(_OTHER_PLAYS)))
+    levels = np.unique(np.round(200 * inputs / (float(np.ptp(inputs)) or 1.0))).size  # closer ones count as one
+    return max(SEVERAL, min(samples // 4, levels, max(_OTHER_PLAYS)))
 
 
 def _step(change: str, before: float, after: float, span: float) -> str:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from hystfit.models.shared.shapes import Scalar
+from hystfit.outcome.table import ROUNDED
 
 
 class Root(NamedTuple):
@@ -90,3 +91,10 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
 
     found = jax.lax.while_loop(lambda s: ~s.done & (s.trials < 100), body, search)
     return Root(found.best, found.rising)
+
+
+def implicit_root(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Scalar:
+    """`solve_rising`, differentiable by the implicit function theorem; a slope that is rounding errors is that of a jump."""
+    search = lambda function, start: solve_rising(function, start, low, high).x
+    divided = lambda slope, y: y / jnp.maximum(slope(jnp.ones_like(y)), ROUNDED)
+    return jax.lax.custom_root(function, start, search, divided)
