@@ -192,6 +192,10 @@ def test_the_prior_of_the_next_fit_follows_the_covariates_that_its_record_states
             assert priors.correlation[0, 1] == pytest.approx(np.corrcoef(z.T)[0, 1], abs=0.08)
     with pytest.raises(ParameterError, match="no covariate"):
         device.priors({"field": 1.0})
+    assert [one.plot("forest").get_suptitle().endswith("at the mean temperature") for one in (warm, fit)] == [
+        True,
+        False,
+    ]
     record = hf.Record(u=U, y=fit.devices[0].result.data[0].y)
     own = hf.fit(hf.BoucWen(**FIX), record, fix=FIX, starts=1)
     with pytest.raises(DataError, match="--covariate temperature=VALUE"):

@@ -61,7 +61,8 @@ def _forest(population: PopulationFit) -> Any:
             ax.set_yticks(place, [_short(device.name) for device in population.devices], fontsize=7)
         else:
             ax.set_yticks([])
-    figure.suptitle("Devices (90 %), mean, and the range of nine in ten devices", fontsize=10)
+    where = f" at the mean {' and '.join(population.covariates)}" if population.covariates else ""
+    figure.suptitle(f"Devices (90 %), mean, and the range of nine in ten devices{where}", fontsize=10)
     return figure
 
 
