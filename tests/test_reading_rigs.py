@@ -261,3 +261,17 @@ def test_the_question_about_columns_without_names_begins_with_the_pair_that_belo
     np.savetxt(path, np.column_stack([pressure, stroke, force]), fmt="%.3f", delimiter="\t")
     with pytest.raises(DataError, match="choose, such as --input 1 --output 2 or --input 2 --output 1"):
         read(path)
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "unit"),
+    [
+        ("Volts", "Volts", "V^2"),
+        ("Amps", "pounds", "lbf A"),
+        ("V", "um", "um V"),
+        ("Kelvin", "Degrees", "deg K"),
+        ("V", "", ""),
+    ],
+)
+def test_the_unit_of_an_area_has_symbols(u: str, y: str, unit: str) -> None:
+    assert loop_energy(u, y) == (unit, 1.0)

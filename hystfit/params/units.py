@@ -140,7 +140,7 @@ _SPELLINGS = {
     "days": "day", "years": "year", "yr": "year", "centigrade": "degC",
     "celsius": "degC", "degc": "degC", "fahrenheit": "degF", "degf": "degF", "kgf": "kgf", "pound": "lbf", "pounds": "lbf",
     "mils": "mil", "thou": "mil", "micron": "um", "microns": "um", "percent": "%", "hrs": "h", "mins": "min", "teslas": "T",
-    "dyne": "dyn", "dynes": "dyn",
+    "dyne": "dyn", "dynes": "dyn", "bars": "bar", "atmospheres": "atm",
     "ounce": "oz", "ounces": "oz", "usec": "us", "nsec": "ns", "KN": "kN", "KPa": "kPa", "Kpa": "kPa", "Mpa": "MPa",
     "millis": "ms", "micros": "us", "Vdc": "V", "VDC": "V", "Vrms": "V", "Vpp": "V", "ml": "cc", "mL": "cc", "pct": "%",
 }  # fmt: skip
@@ -312,7 +312,8 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     Empty where one column has no unit: that of the other alone is not the unit of the area.
     """
     first, second = parse_unit(one), parse_unit(other)
-    plain = f"{other} {one}" if one and other else ""
+    alike = symbol_of(one) == symbol_of(other) and one.isalpha()
+    plain = "" if not (one and other) else f"{symbol_of(one)}^2" if alike else f"{symbol_of(other)} {symbol_of(one)}"
     if first is None or second is None:
         return plain, 1.0
     powers = dict(first.powers)
