@@ -155,6 +155,14 @@ def test_results_of_the_instrument_stand_beside_ours():
     assert found["coercive_input_corrected"].stated == 1.17
 
 
+@pytest.mark.parametrize(("factor", "said"), [(1.3, True), (-1.3, True), (1.005, False), (-0.995, False)])
+def test_a_result_of_the_instrument_that_the_samples_contradict_is_named(factor, said):
+    record = ellipse()
+    own = values_of(record)["coercive_input"].value
+    found = quantities(record.replace(stated=(Stated("Hc", factor * own, "A/m", "coercive_input"),)))
+    assert any("another definition" in note.text for note in found.notes) == said
+
+
 @pytest.mark.parametrize("values", [np.zeros(50), np.full(50, 1e300), np.r_[np.nan, np.ones(49)], np.arange(50.0)])
 def test_no_record_makes_it_fail(values):
     with np.errstate(all="raise"):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator
 
 from hystfit.data.record import OFFSET, SLOPE, Record, Stated
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
+from hystfit.outcome.table import number
 from hystfit.params.units import conversion
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.loop_branches import Branch
@@ -58,7 +60,7 @@ def with_stated_sheet(record: Record, sheet: Iterable[LoopValue]) -> Iterator[Lo
 
 
 def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note]:
-    """Where the instrument's definition of a result that it states is another than the usual one."""
+    """Where the instrument's definition of a result that it states is another than the usual one, or must be, as the values differ."""
     if any(one.label.startswith("S*") for one in record.stated):
         text = "S* of the file is not compared: it takes the slope at the coercivity over an interval that the file does not state"
         yield Note(Code.PREPARED, text)
@@ -69,6 +71,19 @@ def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note
         if row.stated is not None and row.name in ("saturation", "saturation_corrected"):
             text = "the instrument's saturation is an output near the largest field; Js is extrapolated by the law of approach"
             yield Note(Code.PREPARED, text)
+        elif row.stated is not None and row.name != "remanence_end" and _differ(row, row.stated):
+            text = (
+                f"{row.label}: the file states {number(row.stated, '.5g')} {row.unit}, and its samples give {number(row.value, '.5g')}: by "
+                "another definition, or after a correction that the samples are without"
+            )
+            yield Note(Code.PREPARED, text)
+
+
+def _differ(row: LoopValue, stated: float) -> bool:
+    """Whether a result differs from the stated one, whatever its sign, by more than 1 %, two standard errors and the spread of branches."""
+    errors = [error for error in (row.stderr, row.scale) if error is not None]
+    margin = max(0.01 * abs(stated), 2 * math.hypot(*errors), row.spread or 0.0)
+    return abs(abs(row.value) - abs(stated)) > margin
 
 
 # The branch on which a result of that sign is read: the output crosses zero at a positive input as it rises, and is left positive at
