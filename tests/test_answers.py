@@ -11,9 +11,7 @@ from hystfit.fitting.comparison.contender import Candidate, First, leader
 from hystfit.fitting.data_check import check
 from hystfit.fitting.judgment.fit_warnings import drift_note
 from hystfit.fitting.judgment.verdict import residuals_are_white
-from hystfit.fitting.solvers.convex import search_nonlinear
 from hystfit.fitting.structure.structure_search import search_structure
-from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.quality.summary import paces
@@ -121,17 +119,6 @@ def test_a_drift_below_the_noise_of_single_samples_is_seen():
     assert has([drift_note([drifting], hf.Dataset.of(record), 2.7)], Code.DRIFT)
     slow = np.repeat(NOISE.normal(0, 0.05, 10), 91)[: t.size]  # few independent errors
     assert drift_note([slow - slow.mean()], hf.Dataset.of(record), 2.7) is None
-
-
-def test_a_simplex_on_a_level_valley_has_converged():
-    u = np.linspace(0, 1, 50)
-    problem = Problem(hf.BoucWen(), hf.Dataset.of(hf.Record(u, u)))
-    z, others = np.zeros(len(problem.space)), np.array([1, 2, 3])
-    limits = {"maxfev": 60, "xatol": 1e-2, "fatol": 1e-4}
-    level = lambda x: 1e-9 * float(x[1] - x[2])
-    steep = lambda x: -float(np.log(np.abs(x[1:4]) + 1e-9).sum())  # falls without end
-    assert search_nonlinear(problem, level, z, others, **limits)[2]
-    assert not search_nonlinear(problem, steep, z, others, **limits)[2]
 
 
 @pytest.mark.parametrize(("every", "status"), [(1, Status.OK), (20, Status.ROUGH)])

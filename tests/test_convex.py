@@ -332,12 +332,12 @@ def test_a_relaxation_behind_plays_wins_the_comparison() -> None:
     assert comparison.rows[0].asked == "prandtl-ishlinskii+relaxation"
 
 
-def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float) -> Searched:
+def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float, steps: int = 40) -> Searched:
     """A search over the time constant of a lag."""
     u = np.sin(np.arange(100) / 5)
     problem = Problem(make_model("lag+linear"), hf.Dataset.of(hf.Record(u=u, y=u, t=0.1 * np.arange(100))))
     z = problem.space.unconstrained(np.array([start, 1.0]))
-    return search_nonlinear(problem, lambda x: residuals(x[0]), z, np.array([0]), steps=40, gain=1e-8)
+    return search_nonlinear(problem, lambda x: residuals(x[0]), z, np.array([0]), steps=steps, gain=1e-8)
 
 
 def test_a_search_ends_where_a_parameter_has_no_effect() -> None:
@@ -355,6 +355,12 @@ def test_a_search_turns_back_from_parameters_that_are_not_finite() -> None:
     found = _searched(residuals, 0.1)
     assert found.converged
     assert found.x[0] == pytest.approx(0.45, rel=1e-3)
+
+
+def test_a_search_that_is_stopped_has_not_converged() -> None:
+    found = _searched(lambda tau: np.array([np.log(tau) ** 2 + 1]), 1e-3, steps=3)
+    assert not found.converged
+    assert "stopped after" in found.message
 
 
 def test_a_search_from_parameters_that_are_not_finite_says_so() -> None:

@@ -160,7 +160,7 @@ def test_a_result_of_the_instrument_that_the_samples_contradict_is_named(factor,
     record = ellipse()
     own = values_of(record)["coercive_input"].value
     found = quantities(record.replace(stated=(Stated("Hc", factor * own, "A/m", "coercive_input"),)))
-    assert any("another definition" in note.text for note in found.notes) == said
+    assert any("another definition" in note.text for notes in found.notes.values() for note in notes) == said
 
 
 @pytest.mark.parametrize("values", [np.zeros(50), np.full(50, 1e300), np.r_[np.nan, np.ones(49)], np.arange(50.0)])
