@@ -10,7 +10,7 @@ import numpy as np
 from hystfit.batch.fits import Fits
 from hystfit.batch.row import Row
 from hystfit.outcome import Column, Table
-from hystfit.outcome.table import ROUNDED, number
+from hystfit.outcome.table import ROUNDING, number
 from hystfit.params.units import with_unit
 from hystfit.results.webpage import Markup, Page
 
@@ -65,7 +65,7 @@ def histogram(values: np.ndarray, heading: str) -> str:
     """An SVG picture with a bar for each bin of finite values, shape (n,), the median as a line, and the ends of the range below."""
     bars = int(np.clip(np.sqrt(values.size) * 1.5, _FEWEST, _MOST))
     center, size = float(values[0]), float(np.abs(values).max())
-    alike = np.ptp(values) <= ROUNDED * size  # bins of such a range would be narrower than numbers can be
+    alike = np.ptp(values) <= ROUNDING * size  # bins of such a range would be narrower than numbers can be
     pad = 0.1 * size or 1.0
     counts, edges = np.histogram(values, bins=bars, range=(center - pad, center + pad) if alike else None)
     low, high, middle = float(edges[0]), float(edges[-1]), float(np.median(values))

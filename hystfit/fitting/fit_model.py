@@ -36,7 +36,7 @@ from hystfit.models.registry import SEARCH, make_model
 from hystfit.models.varying import Varying
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import Metrics
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate, parameter_estimates

@@ -13,10 +13,11 @@ from hystfit.data.record import Record
 from hystfit.errors import HystfitError
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.quality.baselines import MOST_OF, Baselines
+from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import POOR, Metrics, accuracy_note, exceeded_limits, is_noise
 from hystfit.results.result import FitResult
 
+_OFFSET = 0.5  # fraction of the test error that remains, below which a constant offset explains it
 _WORSE = 3.0  # times the error of the fit, up to which that of cross-validation is no objection, as up to `POOR`
 
 
@@ -55,7 +56,7 @@ def evaluate_on(result: FitResult, records: Sequence[Record], *, refit_offset: b
     notes += [note for record in records if (note := result.assumption(record, refit_offset=refit_offset))]
     if status is not Status.OK and not refit_offset:
         shifted = np.concatenate([row - row.mean() for row in rows])
-        if np.sqrt(np.mean(shifted**2)) < MOST_OF * metrics.rmse:
+        if np.sqrt(np.mean(shifted**2)) < _OFFSET * metrics.rmse:
             text = "a constant offset of each record explains most of the test error: fit it with refit_offset="
             notes.append(warn(Code.RECORD_PARAMETERS, text))
     return Trial(metrics, baselines, status, tuple(notes))

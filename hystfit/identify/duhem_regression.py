@@ -36,7 +36,7 @@ from hystfit.models.shared.simulation import simulate
 from hystfit.models.shared.starting import first_output, input_range, output_range
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 
 STARTS = ("zero", "model", "data")
 BASES = ("legendre", "powers")

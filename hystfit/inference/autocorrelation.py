@@ -8,14 +8,19 @@ import numpy as np
 from jaxtyping import Float
 
 FEWEST = 30  # values of a series below which no test shows that it is autocorrelated
+_FEW = 20  # lags for which direct sums are faster than Fourier transforms
 
 
 def autocorrelation(x: np.ndarray, lags: int) -> np.ndarray:
     """Autocorrelation of a series about its mean at lags 0..lags, shape (lags + 1,)."""
     x = np.asarray(x, float) - np.mean(x)
-    size = 1 << (2 * x.size - 1).bit_length()
-    spectrum = np.fft.rfft(x, size)
-    sums = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
+    if lags <= _FEW:
+        sums = np.array([x[: x.size - lag] @ x[lag:] for lag in range(min(lags + 1, x.size))])
+        sums = np.pad(sums, (0, lags + 1 - sums.size))
+    else:
+        size = 1 << (2 * x.size - 1).bit_length()
+        spectrum = np.fft.rfft(x, size)
+        sums = np.fft.irfft(spectrum * np.conj(spectrum), size)[: lags + 1]
     return sums / sums[0] if sums[0] > 0 else np.eye(lags + 1)[0]
 
 

@@ -36,6 +36,7 @@ from hystfit.params.units import MU0
 from hystfit.quality.needs import Needs
 
 FIRST_CURVE = 64  # steps from the demagnetized state to the first input
+STEEPEST = 1e-6  # slope dH/dHe from which the field's derivative counts as that of a jump
 CURVES = {"langevin": 1.0 / 3.0, "tanh": 1.0}  # anhysteretic curves, and their slope at zero
 # Shapes of the anhysteretic curve, coupling, pinning and reversible part over the scales of a record, from which a fit starts.
 _GRID = ((0.05, 0.15, 0.4, 1.0), (0.3, 0.7, 0.9), (0.03, 0.1, 0.3), (0.1, 0.5))
@@ -145,7 +146,7 @@ class JilesAtherton(AbstractHysteresis):
         """The state at u1, where He - alpha M = u1."""
         s = jnp.sign(u1 - u0)
         miss = lambda field: field - self.mean_field * self.total(self.at_field(state, s, field)) - u1
-        return self.at_field(state, s, implicit_root(miss, state[0], *self.span(state, u1, u1)))
+        return self.at_field(state, s, implicit_root(miss, state[0], *self.span(state, u1, u1), least=STEEPEST))
 
     def span(self, state: State, low: Scalar, high: Scalar) -> tuple[Scalar, Scalar]:
         """Lowest and highest effective field on the way from a state to inputs between two limits [u].

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.data.record import Record
-from hystfit.models.jiles_atherton import JilesAtherton, JilesAthertonStep, search_in_c
+from hystfit.models.jiles_atherton import STEEPEST, JilesAtherton, JilesAthertonStep, search_in_c
 from hystfit.models.shared.bracketed import Root, implicit_root
 from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.shapes import Scalar, State
@@ -95,7 +95,7 @@ class JilesAthertonDynamic(JilesAtherton):
             return self.inner(new) + self.dynamic((self.flux(new) - before) / dt) - u1
 
         span = self.span(state, jnp.minimum(u1, inside), jnp.maximum(u1, inside))
-        moved = self.at_field(state, s, implicit_root(miss, state[0], *span))
+        moved = self.at_field(state, s, implicit_root(miss, state[0], *span, least=STEEPEST))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 
     def start(self, records: Sequence[Record]) -> JilesAthertonDynamic:

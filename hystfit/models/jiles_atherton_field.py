@@ -19,6 +19,7 @@ from hystfit.models.shared.c_code import CPart
 from hystfit.models.shared.reported import Derived
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.params.param import param
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.needs import Needs
 
 _SHARED = ("Ms", "a", "coupling", "k", "c", "q", "slope")  # fields of the law in both forms
@@ -86,7 +87,7 @@ class JilesAthertonField(AbstractHysteresis):
         miss = lambda field: (flux(field) - u1) / steepest
         width = jnp.abs(rest) / jnp.maximum(self.slope, jnp.finfo(u1.dtype).tiny)
         low, high = jnp.minimum(u1 / self.slope - width, state[0]), jnp.maximum(u1 / self.slope + width, state[0])
-        moved = law.at_field(state, s, implicit_root(miss, state[0], low, high))
+        moved = law.at_field(state, s, implicit_root(miss, state[0], low, high, least=ROUNDED))
         return jnp.where(s == 0, state, moved)  # without a direction no side of the last field is that of the root
 
     def derived(self) -> tuple[Derived, ...]:

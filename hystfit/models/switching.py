@@ -10,10 +10,13 @@ from jaxtyping import Bool, Float
 from scipy.special import ndtr
 
 from hystfit.data.record import Record
-from hystfit.outcome.table import ROUNDED
 
+_FIRST = 5  # thresholds of either kind, spread over those of the jumps, of which all pairs are tried first
 _PLACES = 16  # thresholds tried at a time where one of them is moved
+_ROUNDS = 4  # turns at moving one threshold and the other; the second changes nothing in records without noise
+_EQUAL = 1e-9  # of the output's variance: sums of squares that differ by rounding alone
 _JUMPS = 200  # jumps whose inputs tell the error of a threshold, at most
+_GRID = 30  # scatters, and half the thresholds, that the error of a threshold is summed over
 
 
 def relay_state(u: Float[np.ndarray, " T"], up: float, down: float) -> Bool[np.ndarray, " T"]:
@@ -172,7 +175,7 @@ class Thresholds(NamedTuple):
         samples, mean = _Samples.of(records)
         places, jumps = _Places.of(samples), samples.jumps()
         up, down = places.best_pair(jumps)
-        for _ in range(4):  # the second changes nothing in records without noise
+        for _ in range(_ROUNDS):
             before = up, down
             up = places.range_of(jumps[0], down=down.middle)
             down = places.range_of(jumps[1], up=up.middle)
@@ -222,7 +225,7 @@ class _Places(NamedTuple):
 
     def best_pair(self, jumps: tuple[np.ndarray, np.ndarray]) -> tuple[_Range, _Range]:
         """The best pair of the thresholds in the middle of some jumps; one in the middle of both where all are in the wrong order."""
-        shares = np.linspace(0.0, 1.0, 7)[1:-1]  # five of either kind
+        shares = np.linspace(0.0, 1.0, _FIRST + 2)[1:-1]
         of = lambda ends: np.unique(np.quantile(ends.mean(axis=1), shares)) if len(ends) else self.edges[[1, -2]]
         up, down = (values.reshape(-1) for values in np.meshgrid(*map(of, jumps)))
         k = int(np.argmax(self.samples.explained(up, down)))
@@ -240,7 +243,7 @@ class _Places(NamedTuple):
         low, high = np.clip([ends[0] - 1, ends[1] + 1], 0, last)
         of = lambda at, given: self.values(at) if given is None else np.full(at.size, given)
         explained = lambda at: self.samples.explained(of(at, up), of(at, down))
-        equal = ROUNDED * float(self.samples.weight @ self.samples.y**2)
+        equal = _EQUAL * float(self.samples.weight @ self.samples.y**2)
         first, final = _highest(explained, int(low), int(high), equal)
         found = _Range(float(self.edges[first]), float(self.edges[final + 1]))
         return found if np.isfinite(found).any() else _Range(float(self.edges[1]), float(self.edges[-2]))
@@ -281,10 +284,10 @@ def _error(threshold: float, jumps: np.ndarray) -> float:
     widest = 3 * max(float(np.std(ends.mean(axis=1))), float(np.mean(np.diff(ends, axis=1))))
     if not widest > 0:
         return 0.0
-    scatters = np.geomspace(1e-3, 1.0, 30) * widest
+    scatters = np.geomspace(1e-3, 1.0, _GRID) * widest
     low, high = min(ends.min(), threshold), max(ends.max(), threshold)
     for _ in range(2):  # over the whole range, and where the threshold is likely
-        at = np.linspace(low, high, 60)
+        at = np.linspace(low, high, 2 * _GRID)
         below, above = ((end[:, None, None] - at[:, None]) / scatters for end in ends.T)
         likelihood = share * np.log(ndtr(above) - ndtr(below) + 1e-300).sum(axis=0)
         density = (np.exp(likelihood - likelihood.max()) * scatters).sum(axis=1)

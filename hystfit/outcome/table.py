@@ -23,14 +23,14 @@ def number(value: float | None, form: str = ".4g") -> str:
     return text.replace("%", " %")
 
 
-ROUNDED = 1e-8  # relative size below which what is left of a difference is rounding errors
+ROUNDING = 1e-9  # relative difference below which the digits of a value are those of rounding errors
 
 
 def rounded(value: float, stderr: float | None) -> tuple[str, str]:
     """A value and its standard error as text: two digits of the error, the value to the same decimal; "-" where unknown."""
     if stderr is None or not math.isfinite(stderr) or stderr <= 0:
         return f"{value:.5g}", "-"
-    if stderr < 1e-9 * abs(value):  # beyond the nine digits
+    if stderr < ROUNDING * abs(value):
         return f"{value:.9g}", f"{stderr:.2g}"
     exponent = math.floor(math.log10(max(abs(value), stderr)))
     scale = 0 if -4 <= exponent < 6 else exponent

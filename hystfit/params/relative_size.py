@@ -8,6 +8,7 @@ from hystfit.params.coordinates import BOTH, REAL
 from hystfit.params.space import ParameterSpace
 
 REACH = 1.96  # standard errors to either side of a value, within which the truth lies with 95 %
+ROUNDED = 1e-8  # relative size below which what is left of a difference is rounding errors
 OPEN = 1.0  # standard error over this size, from which a direction or a quantity is undetermined
 
 

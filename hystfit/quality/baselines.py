@@ -19,7 +19,8 @@ VISIBLE = 1.0  # percent of the range, below which an error, drift, damage or as
 MOST_OF = 0.7  # of an rms error: half of its square
 BLOCK = 2**16  # samples looked at together
 _Part = tuple[np.ndarray, np.ndarray]
-SPARE = 3  # samples for each unknown, below which a fit follows its noise
+_SCATTERED = 2**14  # samples of a record that are compared with a curve of any shape: their scatter is known to 0.6 %
+_SPARE = 4  # samples for each unknown of the plays, below which their error would be that of an overfit
 
 # Rows that the descriptions share (see `_rows`), and which of them each one takes beside the offsets.
 _ROWS = 1 + DEGREE + _PLAYS
@@ -58,7 +59,7 @@ class Baselines:
         fitted = frame.parts_of(train)
 
         samples = sum(int(record.used.sum()) for record in train)
-        enough = samples >= SPARE * (len(_PLAYED) + len(own))
+        enough = samples >= _SPARE * (len(_PLAYED) + len(own))
         chosen = (_LINE, _CURVE, _PLAYED) if enough else (_LINE, _CURVE)
         theta = _least_squares([fitted(k) for k in range(len(train))], chosen)
 
@@ -181,7 +182,7 @@ def curve_scatter(records: Iterable[Record]) -> float:
     """
     squares, count = 0.0, 0
     for record in records:
-        every = max(1, -(-np.count_nonzero(record.used) // BLOCK))
+        every = max(1, -(-np.count_nonzero(record.used) // _SCATTERED))
         u, y = record.u[record.used][::every], record.y[record.used][::every]
         step = np.sign(np.diff(u, prepend=u[0]))
         moved = np.maximum.accumulate(np.where(step != 0, np.arange(u.size), 0))

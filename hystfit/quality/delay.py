@@ -18,6 +18,7 @@ MOST = 4000  # samples used; longer records are thinned
 _RADII = np.geomspace(0.03, 1.2, 20)  # of the plays, in half ranges of the input
 _FINE = np.linspace(0.02, 1.2, 60)  # a loop that switches within 6 % of the half range is left to no delay
 _GRID, _LAGS = 48, 7  # delays and time constants tried
+_LONGEST = 0.9  # of the median branch
 SHORTEST = 2.0  # samples: a shorter delay is a lag, and a shorter lag beside a delay is an error of the delay
 _VISIBLE = 0.002  # least rms error without the delay, as a fraction of the range of y: one of 12 samples at 100 a branch leaves 0.004
 
@@ -68,7 +69,7 @@ def estimate_delay(u: np.ndarray, y: np.ndarray, interval: float, reversals: np.
     without = columns.error_behind((0.0,), lags)
     if without < _VISIBLE:
         return None
-    found = _best(lambda delay: _error(columns, delay), branch)
+    found = _best(lambda delay: _error(columns, delay), _LONGEST * branch)
     if found is None:
         return None
     samples, remaining = found

@@ -7,12 +7,14 @@ import enum
 from collections.abc import Mapping, Sequence
 
 from hystfit.outcome.note import Code, Note, Severity
-from hystfit.quality.baselines import SPARE, USABLE, VISIBLE
+from hystfit.quality.baselines import USABLE, VISIBLE
 from hystfit.quality.faults import FEWEST_SAMPLES
 from hystfit.quality.loops import SEVERAL, SPEEDS_APART, distinct
 from hystfit.quality.needs import Needs
 from hystfit.quality.record_quality import LONG_HOLD, RecordQuality
 
+_SAMPLES_PER_PARAMETER = 3  # below which a fit follows its noise
+_FEW_RECORDS = 0.1  # part of the records in which a drift may be chance
 _MIRROR = ", unless negate in front reverses the sign of the input"
 _FEW_PER_BRANCH = 6  # samples below which branches have a coarse shape; below `SEVERAL` they have none
 
@@ -131,10 +133,10 @@ def _facts(records: Sequence[RecordQuality]) -> _Facts:
 
 
 def _drift_logarithmically(records: Sequence[RecordQuality]) -> bool:
-    """Whether drift is logarithmic in most records in which it is measured."""
+    """Whether drift is logarithmic in most records in which it is measured, and these are not a few of many by chance."""
     drifts = [r.drift for r in records if r.drift is not None]
     logarithmic = sum(one.law == "logarithmic" for one in drifts)
-    return 2 * logarithmic > len(drifts)
+    return 2 * logarithmic > len(drifts) and logarithmic >= _FEW_RECORDS * len(records)
 
 
 def determine(records: Sequence[RecordQuality], needs: Mapping[str, Needs]) -> tuple[Determination, ...]:
@@ -214,8 +216,8 @@ def _lacking(facts: _Facts, needs: Needs) -> tuple[list[str], list[str]]:
         lacking.append(f"no response that changes with frequency{consequence}")
     if facts.samples <= needs.parameters:
         lacking.append(f"{_outnumbered(facts, needs)}: the smoothing penalty decides between the weights")
-    elif facts.samples < SPARE * needs.parameters and not needs.regularized:
-        lacking.append(f"{_outnumbered(facts, needs)}, at least {SPARE} for each are needed")
+    elif facts.samples < _SAMPLES_PER_PARAMETER * needs.parameters and not needs.regularized:
+        lacking.append(f"{_outnumbered(facts, needs)}, at least {_SAMPLES_PER_PARAMETER} for each are needed")
     if facts.per_branch < _FEW_PER_BRANCH:
         lacking.append(f"{facts.per_branch:.3g} samples between reversals")
     if facts.turning_pairs < some:

@@ -13,7 +13,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hystfit.outcome.table import ROUNDED
 from hystfit.quality.host_operators import lagged, play_positions, recursion
 
 FEWEST, _MOST = 200, 12_000  # samples used
@@ -24,6 +23,7 @@ _DAMPING = (0.02, 0.1, 0.4)  # ratios at which the search starts
 VISIBLE = 0.005  # least rms error without it, as a fraction of the range of y
 _RINGING = 0.1  # damping ratio below which a resonance above the excited frequencies is seen to ring after a corner of the input
 _CHANGE = 0.5  # least |H - 1| of the resonance H at an excited frequency: a gain of 1.5, or a phase of 29 degrees
+_SINGULAR = 1e-7  # of the largest singular value of columns, below which a combination of them is none
 _RADII = np.geomspace(0.03, 0.8, 5)  # of the plays
 _KNOTS = np.linspace(-0.9, 0.9, 12)  # of envelopes by which any hysteresis without dynamics follows a loop
 # Least ratio of two errors by which the smaller one decides: of a filter that runs backward in time and of one that runs forward, 1.3 and
@@ -44,7 +44,7 @@ def scaled(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 def unexplained(design: np.ndarray, y: np.ndarray) -> float:
     """Root mean square of what columns of any scale, shape (T, K), leave of y by least squares."""
     design = design / np.linalg.norm(design, axis=0).clip(1e-300)
-    solution = np.linalg.lstsq(design, y, rcond=ROUNDED)[0]
+    solution = np.linalg.lstsq(design, y, rcond=_SINGULAR)[0]
     return float(np.sqrt(np.mean((y - design @ solution) ** 2)))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.quality.loops import APART, SAME_LEVEL
 
+_LARGER = 1.1  # ratio of the largest strokes so far between which branches are compared
 _GRID = np.linspace(0.3, 0.9, 25)  # part of the common range that is compared
 
 
@@ -41,12 +42,12 @@ def _from_lowest(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | Non
     common = min(least, min(float(u[b]) - lowest for _, b, _ in branches))
     if common <= APART * span:
         return None
-    first = [_rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke < (1 + APART) * least]
+    first = [_rise(u, y, a, b, lowest, common) for a, b, stroke in branches if stroke < _LARGER * least]
     largest = max(stroke for _, _, stroke in branches)
     late = [
         _rise(u, y, a, b, lowest, common)
         for a, b, stroke in branches
-        if stroke > max((1 + APART) * least, largest / (1 + APART))
+        if stroke > max(_LARGER * least, largest / _LARGER)
     ]
     if min(len(first), len(late)) < 2 or abs(np.median(first)) < SAME_LEVEL * np.ptp(y[np.isfinite(y)]):
         return None

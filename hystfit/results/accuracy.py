@@ -10,7 +10,7 @@ import numpy as np
 
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.outcome.table import ROUNDED, number
+from hystfit.outcome.table import ROUNDING, number
 from hystfit.quality.baselines import DEGREE, MOST_OF, USABLE, VISIBLE, Baselines
 
 
@@ -139,7 +139,7 @@ def exceeded_limits(metrics: Metrics, rows: Sequence[np.ndarray], baselines: Bas
 
 def ratios(metrics: Metrics, baselines: Baselines) -> dict[str, float | None]:
     """The rms error over noise, straight line, single-valued curve and ten plays; None where one is unknown or a rounding error."""
-    over = lambda value: metrics.rmse / value if value and value > ROUNDED * baselines.span else None
+    over = lambda value: metrics.rmse / value if value and value > ROUNDING * baselines.span else None
     return {name: over(getattr(baselines, name)) for name in ("noise", "line", "curve", "plays")}
 
 

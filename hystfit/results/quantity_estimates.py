@@ -19,9 +19,9 @@ from hystfit.errors import HystfitError
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.negate import Negate
 from hystfit.models.preisach.model import Preisach
-from hystfit.outcome.table import ROUNDED, or_none
-from hystfit.params.relative_size import OPEN, relative_size
-from hystfit.quality.loops import APART, SPEEDS_APART
+from hystfit.outcome.table import or_none
+from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
+from hystfit.quality.loops import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
@@ -31,8 +31,10 @@ from hystfit.results.result import FitResult
 _STEP = 1e-4  # of a central difference, relative to the size of a parameter
 _JUMP = 5e-3  # the same of an input at which the output jumps, of the range: five samples of the loop, half of one of which it may be off
 _NEGLIGIBLE = 1e-3  # change of a quantity with a parameter by its own size, relative to the quantity's size
+_MANY = 40  # free parameters, above which the columns of linear weights come from the design matrix
 # Why a loop whose branches do not cross has no value.
 _WITHOUT = {"coercive_input": Unknown.NO_CROSSING, "equivalent_damping_percent": Unknown.OVERDAMPED}
+_CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
 
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -223,7 +225,7 @@ def _perturbed(result: FitResult, record: Record, step: np.ndarray, linear: np.n
     middle = _simulated(result, record, x[None])
     every = np.repeat(middle, 1 + 2 * x.size, axis=0)
     larger, smaller = every[1 : 1 + x.size], every[1 + x.size :]
-    columns = _columns(result, record) if x.size > 40 else {}  # of many linear weights, from the design matrix
+    columns = _columns(result, record) if x.size > _MANY else {}
     for k in range(x.size):
         if k in columns:
             change = step[k] * columns[k]
@@ -308,7 +310,7 @@ def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray |
     if first is None or second is None:
         return False
     end = 0 if rises else -1
-    return bool(abs(first[end] - second[end]) <= APART * np.ptp(first))
+    return bool(abs(first[end] - second[end]) <= _CLOSED * np.ptp(first))
 
 
 def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:

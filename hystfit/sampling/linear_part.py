@@ -21,10 +21,11 @@ from hystfit.inference.density import Density
 from hystfit.inference.objective import linearized
 from hystfit.inference.problem import Problem
 from hystfit.models.shared.shapes import Scalar
-from hystfit.outcome.table import ROUNDED
 from hystfit.params.host_arrays import to_device
 
 _CLEAR = 6.0  # standard deviations from a bound beyond which it cuts nothing off: one in 1e9 of a normal distribution
+_SAME = 1e-7  # relative difference of derivatives that is rounding
+_STEP = 0.5  # of a parameter's size, or of the way to its bound, over which derivatives are compared
 
 
 class LinearPart(eqx.Module):
@@ -47,7 +48,7 @@ class LinearPart(eqx.Module):
             return None
         x = space.physical(z[:p])
         room = np.minimum(x - space.lower, space.upper - x)
-        steps = 0.5 * np.minimum(np.maximum(np.abs(x), space.scale), room)
+        steps = _STEP * np.minimum(np.maximum(np.abs(x), space.scale), room)
         places = _jointly_linear(problem, x, steps, room > _CLEAR * deviations)
         if not places:
             return None
@@ -92,7 +93,7 @@ def _jointly_linear(problem: Problem, x: np.ndarray, steps: np.ndarray, clear: n
     here = derivatives(x)
     size = np.sqrt(np.sum(here**2, axis=0))
     changed = np.array([
-        np.sqrt(np.sum((derivatives(x + step * unit) - here) ** 2, axis=0)) > ROUNDED * size
+        np.sqrt(np.sum((derivatives(x + step * unit) - here) ** 2, axis=0)) > _SAME * size
         for step, unit in zip(steps[candidates], np.eye(x.size)[candidates], strict=True)
     ]).reshape(candidates.size, candidates.size)  # fmt: skip
     changed |= changed.T

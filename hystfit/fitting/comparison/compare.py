@@ -20,7 +20,7 @@ from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
 from hystfit.outcome.progress import ShownProgress
 from hystfit.outcome.progress import progress as shown_progress
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import rounding_error
 from hystfit.quality.loops import turns_back
 from hystfit.reading.in_memory import records_of

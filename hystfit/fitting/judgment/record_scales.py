@@ -10,14 +10,12 @@ from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.quality.baselines import MOST_OF
 from hystfit.quality.equal_inputs import option_of
-from hystfit.quality.loops import APART
+
+_APART = 1.1  # largest factor over the smallest, from which records differ: gains of one device drift by a few percent
 
 
 def scale_note(fitted: Fitted) -> Note | None:
-    """A warning where a factor for each record explains most of the error, which loops of other ranges cannot show.
-
-    Gains of one device drift by a few percent: the factors differ by more than amplitudes that count as equal.
-    """
+    """A warning where a factor for each record explains most of the error, which loops of other ranges cannot show."""
     if len(fitted.rows) < 2:
         return None
     factors, left = [], []
@@ -31,7 +29,7 @@ def scale_note(fitted: Fitted) -> Note | None:
         left.append(y - factors[-1] * simulated)
     rms = lambda rows: float(np.sqrt(np.mean(np.concatenate(rows) ** 2)))
     low, high = min(factors), max(factors)
-    if not (0 < low and high > (1 + APART) * low and rms(left) < MOST_OF * rms(fitted.rows)):
+    if not (0 < low and high > _APART * low and rms(left) < MOST_OF * rms(fitted.rows)):
         return None
     one, other = (fitted.data[factors.index(value)].name for value in (low, high))
     text = (

@@ -15,7 +15,7 @@ from hystfit.fitting.judgment.record_scales import scale_note
 from hystfit.inference.autocorrelation import FEWEST, is_correlated
 from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 from hystfit.quality.baselines import MOST_OF, USABLE, VISIBLE, Baselines, curve_scatter, is_resolved
 from hystfit.quality.coverage import coverage_notes
 from hystfit.quality.damage import whole_until

@@ -15,7 +15,7 @@ import numpy as np
 import scipy  # loads its subpackages when they are first used
 from jaxtyping import Float
 
-from hystfit.outcome.table import ROUNDED
+from hystfit.outcome.table import ROUNDING
 from hystfit.params.host_arrays import NUMBERS
 
 _BLOCK = 2**14  # frequencies summed at once
@@ -42,7 +42,7 @@ class EvenRows:
         record.
         """
         steps, n = gap[1:], gap.size
-        if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= ROUNDED * steps.min():
+        if n < 3 or np.ptp(weight) > 0 or not steps.max() - steps.min() <= ROUNDING * steps.min():
             return None
         angle = np.pi * np.arange(n) / n
         first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from hystfit.models.shared.shapes import Scalar
-from hystfit.outcome.table import ROUNDED
 
 
 class Root(NamedTuple):
@@ -93,8 +92,10 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
     return Root(found.best, found.rising)
 
 
-def implicit_root(function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """`solve_rising`, differentiable by the implicit function theorem; a slope that is rounding errors is that of a jump."""
+def implicit_root(
+    function: Callable[[Scalar], Scalar], start: Scalar, low: Scalar, high: Scalar, *, least: float
+) -> Scalar:
+    """`solve_rising`, differentiable by the implicit function theorem; a slope below `least` is that of a jump."""
     search = lambda function, start: solve_rising(function, start, low, high).x
-    divided = lambda slope, y: y / jnp.maximum(slope(jnp.ones_like(y)), ROUNDED)
+    divided = lambda slope, y: y / jnp.maximum(slope(jnp.ones_like(y)), least)
     return jax.lax.custom_root(function, start, search, divided)

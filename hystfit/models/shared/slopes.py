@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 
 POINTS, CYCLES = 400, 3  # inputs of a computed loop, and cycles until it repeats itself
 

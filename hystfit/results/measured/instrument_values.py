@@ -65,13 +65,15 @@ def convention_notes(record: Record, rows: Iterable[LoopValue]) -> Iterator[Note
         text = "S* of the file is not compared: it takes the slope at the coercivity over an interval that the file does not state"
         yield Note(Code.PREPARED, text)
     for row in rows:
-        if row.stated is not None and row.name == "remanence_end":
+        if row.stated is None:
+            continue
+        if row.name == "remanence_end":
             text = "the instrument reads the remanence of the branch on which the loop ends from the last sample, not where V = 0"
             yield Note(Code.PREPARED, text)
-        if row.stated is not None and row.name in ("saturation", "saturation_corrected"):
+        elif row.name in ("saturation", "saturation_corrected"):
             text = "the instrument's saturation is an output near the largest field; Js is extrapolated by the law of approach"
             yield Note(Code.PREPARED, text)
-        elif row.stated is not None and row.name != "remanence_end" and _differ(row, row.stated):
+        elif _differ(row, row.stated):
             text = (
                 f"{row.label}: the file states {number(row.stated, '.5g')} {row.unit}, and its samples give {number(row.value, '.5g')}: by "
                 "another definition, or after a correction that the samples are without"

@@ -22,7 +22,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.shared.slopes import CYCLES, POINTS
-from hystfit.outcome.table import ROUNDED
+from hystfit.params.relative_size import ROUNDED
 from hystfit.params.units import loop_energy, stiffness_unit
 from hystfit.quality.loops import APART, LARGEST, branches, cycles
 from hystfit.quality.shape import has_lobes
@@ -30,7 +30,10 @@ from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_origin import MIDDLE, Origin, inside
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
+_OF_CYCLE = 64  # samples of a cycle from which its rms follows to 0.1 %
 CRITICAL = 100.0  # % of the critical damping, above which a ratio tells of no vibration: the force is that of a damper
+_SINE = 0.5 * (2**-0.5 + 3**-0.5)  # rms of a cycle over half its range: between that of a triangle and that of a sine
+_RESTED = 1e5  # seconds on the lower end of the range before the step of the creep
 _STEP = 0.05  # seconds between the samples of the step
 _AT_1S, _AT_10S = (1 + round(seconds / _STEP) for seconds in (1, 10))  # samples of it
 
@@ -193,8 +196,7 @@ class Excitation:
         """A step over the range, of a device that has rested at its lower end; as long as `loop`, so that one program serves both."""
         size = max(len(self.loop), _AT_10S + 1)
         u = np.concatenate([[self.low, self.low], np.full(size - 2, self.high)])
-        # It rests on the lower end of the range before the step.
-        t = np.concatenate([[0.0], 1e5 + _STEP * np.arange(size - 1)])
+        t = np.concatenate([[0.0], _RESTED + _STEP * np.arange(size - 1)])
         return Record(u=u, y=np.zeros(size), t=t, name="step")
 
     def loops(self, y: np.ndarray) -> SteadyLoops:
@@ -240,8 +242,7 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
         first, last = found[:, 0], found[:, 2]
         points = int(np.clip(2 * round(median((halves * (last - first)).tolist()) / 2), _FEWEST, _MOST))
         interval = halves * median((record.t[last] - record.t[first]).tolist()) / points
-        rms = median(_rms_of_cycles(record.t, record.u, found).tolist())
-        return interval, rms > 0.5 * (2**-0.5 + 3**-0.5), points  # nearer to that of a sine than of a triangle
+        return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
     return data[0].sampling_interval or 1.0, False, POINTS
 
 
@@ -260,8 +261,7 @@ def _large_cycles(u: np.ndarray) -> tuple[int, np.ndarray]:
 def _rms_of_cycles(t: np.ndarray, u: np.ndarray, found: np.ndarray) -> Float[np.ndarray, " C"]:
     """RMS over time of the input in each cycle, about the middle of its range and over half of it; cycles as by `cycles`."""
     first, last = found[:, :1], found[:, 2:]
-    # 64 samples of a cycle, from which its rms follows to 0.1 %.
-    at = first + np.round((last - first) * np.linspace(0.0, 1.0, 65)).astype(int)
+    at = first + np.round((last - first) * np.linspace(0.0, 1.0, _OF_CYCLE + 1)).astype(int)
     t, u = t[at], u[at]
     low, high = u.min(axis=1, keepdims=True), u.max(axis=1, keepdims=True)
     away = (2 * u - low - high) / (high - low)

@@ -16,7 +16,7 @@ from hystfit.inference.problem import LOSSES, Problem
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.storage import files_named, from_json
 from hystfit.outcome import Note, Status
-from hystfit.outcome.table import ROUNDED
+from hystfit.outcome.table import ROUNDING
 from hystfit.quality.baselines import Baselines
 from hystfit.results.accuracy import Metrics, verdict_dict
 from hystfit.results.estimates import NoiseEstimate, ParameterEstimate
@@ -211,7 +211,7 @@ def _refuse_mixture(stored: Stored, parameters: tuple[ParameterEstimate, ...], v
     if set(values) != {p.name for p in parameters}:
         raise DataError(f"{stored.place}: the parameters are not those of the model; restore the folder, or fit again")
     for p in parameters:
-        if not np.isclose(p.value, values[p.name], rtol=ROUNDED, atol=0.0):
+        if not np.isclose(p.value, values[p.name], rtol=ROUNDING, atol=0.0):
             raise DataError(
                 f"{stored.place}: {p.name} is {p.value!r}, and {float(values[p.name])!r} in the model: the files belong to different "
                 "fits; restore the folder, or fit again"
