@@ -45,6 +45,9 @@ from hystfit.quality.needs import Needs
 COARSE = 0.1  # largest (tau + |delta|) |dv| for which the semi-implicit step is trusted: its error is of the third order in it
 
 
+_STRAIGHT = 1e-3  # tau swing below which tanh(x) / x is 1 - x^2 / 3 to 1e-12
+
+
 class AbstractBoucWen(AbstractHysteresis):
     """y = c v - h, where h takes the part mu of the slope at a reversal and saturates at the rate tau."""
 
@@ -60,7 +63,7 @@ class AbstractBoucWen(AbstractHysteresis):
     def log_secant(self, swing: Scalar) -> Scalar:
         """log of the slope between the tips of a symmetric loop of half range `swing` [u], over c: 1 - mu tanh(tau swing) / (tau swing)."""
         x = self.tau * swing
-        small = x < 1e-3  # where tanh(x) / x is 1 - x^2 / 3 to 1e-12
+        small = x < _STRAIGHT
         safe = jnp.where(small, 1.0, x)
         return jnp.log1p(-self.mu * jnp.where(small, 1 - x**2 / 3, jnp.tanh(safe) / safe))
 

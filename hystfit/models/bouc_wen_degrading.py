@@ -40,6 +40,7 @@ from hystfit.quality.needs import Needs
 
 # Of the starting values: yield displacement over the half range, n, strength and stiffness lost over the record, pinching.
 _GRID = ((0.01, 0.02, 0.05, 0.1, 0.2, 0.5), (1.0, 2.0), (0.05, 1.0), (0.05, 2.0), (0.0, 0.9))
+_PINCHED = 10.0  # pinching is complete after this fraction 1 / 10 of the energy of the record
 
 
 class BoucWenBaberNoori(AbstractHysteresis):
@@ -181,8 +182,7 @@ class BoucWenBaberNoori(AbstractHysteresis):
         zy, n, dnu, deta, zs = np.array(list(itertools.product(*_GRID))).T
         zy = zy * half
         energy = path / zy  # of a plastic path with w = 1
-        # Pinching is complete after a tenth of the energy of the record.
-        grid = {"zy": zy, "n": n, "zs": zs, "p": np.clip(10.0 / energy, 0.002, 4.0)}
+        grid = {"zy": zy, "n": n, "zs": zs, "p": np.clip(_PINCHED / energy, 0.002, 4.0)}
         grid |= {"dnu": np.minimum(dnu / energy, 0.2), "deta": np.minimum(deta / energy, 0.7)}
         states = grid_columns(BoucWenBaberNoori(kappa_x=0.0), grid, short)
         u, y = used_samples(short)

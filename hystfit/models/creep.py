@@ -31,6 +31,7 @@ from hystfit.quality.needs import Needs
 # Two modes a decade from 0.05 s, weights by non-negative least squares on log10(t / 0.1 s) over 0.1 to 1000 s: error 2e-4 decade.
 _TAU = tuple(0.05 * 10 ** (i / 2) for i in range(10))
 _WEIGHTS = (0.50681, 0.49935, 0.49995, 0.50038, 0.49920, 0.50164, 0.49578, 0.51714, 0.39820, 0.94761)
+_BASE = 0.80793
 
 
 class LogCreep(AbstractHysteresis):
@@ -54,7 +55,7 @@ class LogCreep(AbstractHysteresis):
     )
     tau: Float[Array, " modes"] = element_places(_TAU, unit="s", doc="time constants of the relaxations")
     weights: Float[Array, " modes"] = element_places(_WEIGHTS, doc="decades that each relaxation stands for")
-    base: Scalar = param(0.80793, fixed=True, doc="decades that have passed before the first relaxation")
+    base: Scalar = param(_BASE, fixed=True, doc="decades that have passed before the first relaxation")
 
     def __check_init__(self) -> None:
         check_same_length(self, "weights", "tau", "relaxation")

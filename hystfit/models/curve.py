@@ -23,6 +23,7 @@ from hystfit.models.shared.starting import fitted_input_range, output_range, use
 from hystfit.params.param import param
 
 _KNOTS = 20  # as many as the search for terms has plays
+_MEANS = 4  # of the samples, for each interval between knots, along which these are placed
 
 
 class Curve(AbstractMemoryless):
@@ -93,8 +94,7 @@ class Curve(AbstractMemoryless):
         place, out = fitted_input_range(records), output_range(records)
         u, y = used_samples(records)
         order, count = np.argsort(u, kind="stable"), self.knots.shape[-1]
-        # Knots are placed along four means of the samples for each interval between them.
-        edges = np.unique(np.linspace(0, u.size, min(u.size, 4 * count) + 1).astype(int))
+        edges = np.unique(np.linspace(0, u.size, min(u.size, _MEANS * count) + 1).astype(int))
         means = lambda values: np.diff(np.append(0.0, np.cumsum(values[order]))[edges]) / np.diff(edges)
         x, level = (means(u) - place.low) / place.width, means(y) / out.width
         way = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(level))))

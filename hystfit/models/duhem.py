@@ -29,6 +29,7 @@ Scheme = Literal["midpoint", "explicit", "exact"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _LONG = 8.0  # alpha |dv| up to which the quadrature is exact to rounding
+_UNSTABLE = 2.0  # alpha |dv| from which an explicit step enlarges a deviation
 _ALTERNATES = {"explicit": 1.0, "midpoint": 2.0}  # alpha |dv| above which a step reverses a deviation
 
 
@@ -201,8 +202,10 @@ class Duhem(AbstractHysteresis):
         )
         if self.step_ratio(largest) <= 1:
             return ()
-        if self.scheme == "explicit" and drive >= 2:  # a step enlarges a deviation
-            return (f"alpha |dv| reaches {drive:.2g} in one sample, and the explicit step is stable below 2: {remedy}",)
+        if self.scheme == "explicit" and drive >= _UNSTABLE:
+            return (
+                f"alpha |dv| reaches {drive:.2g} in one sample, and the explicit step is stable below {_UNSTABLE:g}: {remedy}",
+            )
         return (f"alpha |dv| reaches {drive:.2g} in one sample, where the error of each step changes sign: {remedy}",)
 
     def step_ratio(self, largest: Any) -> Any:

@@ -111,6 +111,7 @@ def _spectra(record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 REACH = 24  # samples on each side of an interval that its values depend on
+_BETA = 8.0  # shape of the Kaiser window
 _BLOCK = 16  # intervals in one row of the product below; three blocks hold the 48 samples around an interval
 
 
@@ -118,7 +119,7 @@ _BLOCK = 16  # intervals in one row of the product below; three blocks hold the 
 def _weights(parts: int) -> np.ndarray:
     """Shape (parts - 1, 2 REACH): weights of the samples around an interval at 1 / parts, 2 / parts, ... of it; their sum is one."""
     distance = np.arange(1, parts)[:, None] / parts - np.arange(1 - REACH, REACH + 1)
-    window = np.i0(8.0 * np.sqrt(1 - (distance / REACH) ** 2)) / np.i0(8.0)  # of Kaiser
+    window = np.i0(_BETA * np.sqrt(1 - (distance / REACH) ** 2)) / np.i0(_BETA)
     weights = np.sinc(distance) * window
     return weights / weights.sum(axis=1, keepdims=True)
 

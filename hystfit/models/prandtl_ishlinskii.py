@@ -38,6 +38,7 @@ from hystfit.params.param import element_places, element_weights, param
 from hystfit.quality.needs import Needs
 
 Operator = Literal["play", "stop"]
+_LANES = 8  # sums side by side, as wide as a vector of the processor: a step of 30 plays takes 31 ns for 45
 
 
 class PrandtlIshlinskii(AbstractHysteresis):
@@ -326,8 +327,7 @@ def _sum(values: Array) -> Array:
     if len(values) == 1:
         return jnp.sum(values)
     flat = values.reshape(-1)
-    # Eight sums side by side, as wide as a vector of the processor: a step of 30 plays takes 31 ns for 45.
-    lanes = jnp.pad(flat, (0, -flat.size % 8)).reshape(-1, 8).sum(axis=0)
+    lanes = jnp.pad(flat, (0, -flat.size % _LANES)).reshape(-1, _LANES).sum(axis=0)
     while lanes.size > 1:
         lanes = lanes[: lanes.size // 2] + lanes[lanes.size // 2 :]
     return lanes[0]

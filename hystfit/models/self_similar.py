@@ -19,12 +19,13 @@ from hystfit.models.shared.play_columns import play_columns
 from hystfit.models.shared.shapes import Scalar, State
 from hystfit.models.shared.starting import output_range
 from hystfit.params.param import element_places, param
-from hystfit.quality.loops import APART, SAME_LEVEL
+from hystfit.quality.loops import APART
 from hystfit.quality.needs import Needs
 
 _THRESHOLDS = (0.03, 0.08, 0.15, 0.25, 0.4, 0.6, 0.8)  # of the stops, as fractions of the largest input so far
 POWERS = (1, 3, 5)  # of the backbone: odd
 _RENEWED = 8  # exponent of the growth of the peak with which the path of the fading part is forgotten
+_FLOOR = 0.02  # largest input from which the loop scales, as a fraction of that of the records
 
 
 class SelfSimilarStops(AbstractHysteresis):
@@ -181,7 +182,7 @@ class SelfSimilarStops(AbstractHysteresis):
     def start(self, records: Sequence[Record]) -> SelfSimilarStops:
         """Peaks at quantiles of the logarithm of the largest input so far; the weights follow from a linear solve."""
         largest = max(float(np.max(np.abs(record.u))) for record in records) or 1.0
-        floor = SAME_LEVEL * largest  # from which the loop scales
+        floor = _FLOOR * largest
         so_far = [np.maximum.accumulate(np.maximum(np.abs(record.u), floor))[record.used] for record in records]
         count = self.peaks.shape[-1]
         peaks = (

@@ -21,6 +21,7 @@ from hystfit.params.param import element_places, element_weights
 from hystfit.quality.host_operators import recursion
 from hystfit.quality.needs import Needs
 
+_BEYOND = 10.0  # factor by which relaxation times reach beyond the sampling interval and the duration of the records
 MODES = 16  # two a decade over eight decades
 
 
@@ -104,4 +105,4 @@ def relaxation_times(records: Sequence[Record], modes: int) -> Float[np.ndarray,
     """Times on a logarithmic scale, from a tenth of the shortest sampling interval to ten times the longest record [s]."""
     shortest = min(sampling_interval([record]) for record in records)
     longest = max([float(np.sum(record.dt)) for record in records] + [shortest])
-    return np.geomspace(shortest / 10, longest * 10, modes)
+    return np.geomspace(shortest / _BEYOND, longest * _BEYOND, modes)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.text import Text
 
+_TICKS = 7  # intervals between the numbers of an input
 _LIKELY = re.compile(
     r"CJK|Han Sans|WenQuanYi|SimHei|YaHei|Gothic|Hiragino|PingFang|Meiryo|Unicode|Nanum|Malgun|IPA", re.IGNORECASE
 )
@@ -26,7 +27,7 @@ def column_label(ax: Axes, side: str, name: str, unit: str, role: str) -> None:
     """Label an axis by the name and unit of a column, or by its role where no font has the characters of the name."""
     generic = axis_label(role, unit)
     if side == "x":  # numbers of six characters, such as those of fields in Oe, touch where there are more
-        ax.locator_params(axis="x", nbins=7)
+        ax.locator_params(axis="x", nbins=_TICKS)
     write(getattr(ax, f"{side}axis").label, axis_label(name, unit), generic if _families(generic) is not None else role)
 
 

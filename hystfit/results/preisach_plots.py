@@ -116,6 +116,9 @@ def axes_or_new(ax: Any) -> Any:
     return plt.subplots(layout="constrained")[1]
 
 
+_SHARE = 0.99  # of the points above it that the picture holds: isolated ones at the edge are noise
+
+
 def plot_forc_diagram(diagram: ForcDiagram, ax: Any = None, *, units: Mapping[str, str] | None = None) -> Any:
     """The FORC distribution over coercivity and interaction field, red positive and blue negative; dashed: three standard errors."""
     ax = axes_or_new(ax)
@@ -140,7 +143,7 @@ def _extent(diagram: ForcDiagram, top: float) -> tuple[float, float]:
     """Largest coercivity and interaction of the picture [u]."""
     shown = np.abs(np.nan_to_num(diagram.density)) > 0.05 * top
     x, y = (axis[shown] if shown.any() else axis.ravel() for axis in (diagram.coercivity, np.abs(diagram.interaction)))
-    return 1.2 * float(np.quantile(x, 0.99)), 1.2 * float(np.quantile(y, 0.99))  # isolated points at the edge are noise
+    return 1.2 * float(np.quantile(x, _SHARE)), 1.2 * float(np.quantile(y, _SHARE))
 
 
 def plot_profiles(

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 CYCLES = {"first": MODEL, "last": THIRD, "largest error": SECOND}  # of many, those that a picture shows
 _POINTS, _LOOP_POINTS, _RASTER = 4000, 40_000, 6000
+_MANY_CYCLES = 4  # above which the loop shows some of them
+_TURN = 0.3  # of the input's range: stroke of a cycle
 
 
 class Trace:
@@ -98,10 +100,10 @@ def _line(ax: Axes, parts: Iterable[tuple[np.ndarray, np.ndarray]], label: str, 
 
 def _selected_cycles(trace: Trace) -> dict[str, tuple[int, slice]]:
     """Number and samples of the first, the last and the worst cycle of many; empty where there are few."""
-    found = cycles(trace.u, 0.3 * float(np.ptp(trace.u)))
+    found = cycles(trace.u, _TURN * float(np.ptp(trace.u)))
     counted = trace.seen if trace.seen.any() else trace.held
     found = found[[bool(counted[a : c + 1].any()) for a, _, c in found]] if len(found) else found
-    if len(found) <= 4:
+    if len(found) <= _MANY_CYCLES:
         return {}
     size = np.where(counted, trace.residual, np.nan)
     errors = [float(np.nanmean(size[a : c + 1] ** 2)) for a, _, c in found]

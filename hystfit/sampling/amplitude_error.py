@@ -30,6 +30,7 @@ from hystfit.sampling.weight_equations import (
     weight_priors,
 )
 
+_STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
 # Exponent of the fractional Brownian motion; 0.5 is a Wiener process. The errors of 38 loops left out, 28 of simulated devices of four
 # kinds and 10 measured, have the largest likelihood for 0.87; its logarithm is at most 0.5 lower from 0.82 to 0.92, and 6 for 0.5.
 _SMOOTH = 0.85
@@ -60,8 +61,7 @@ class AmplitudeError:
         strokes = [Strokes.of(record.u) for record in problem.data]
         swings = np.concatenate([one.swings for one in strokes])
         levels = np.array(distinct(np.log(swings[swings > 0]), APART)[::-1])
-        # Where amplitudes were chosen, each has the two strokes of a closed loop, on average.
-        if (swings == 0).any() or levels.size < 2 or 2 * levels.size > swings.size:
+        if (swings == 0).any() or levels.size < 2 or _STROKES * levels.size > swings.size:
             return None
         level = [np.abs(np.log(one.swings)[one.number, None] - levels).argmin(axis=1) for one in strokes]
         edges = np.unique(np.linspace(0, levels.size - 1, FOLDS + 1).round().astype(int))

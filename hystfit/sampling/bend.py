@@ -35,6 +35,7 @@ from scipy.special import expit
 from hystfit.params.host_arrays import to_device
 
 BEND = 0.05  # e, as a part of the interval
+_FAR = -30.0  # below it softplus is the exponential function to all digits
 
 
 class Bend(eqx.Module):
@@ -97,10 +98,11 @@ def straight_slope(v: np.ndarray) -> np.ndarray:
 
 
 def _log_softplus(v: Array) -> Array:
-    far = v < -30.0  # where softplus is the exponential function to all digits
+    far = v < _FAR
     return jnp.where(far, v, jnp.log(jax.nn.softplus(jnp.where(far, 0.0, v))))
 
 
+_WITHIN = 2.0  # standard deviations from the center at which bends are compared
 _FLATTEST = 0.5  # slope of straight(v) at the center below which the center itself lies in the bend, and slopes there say nothing
 
 
@@ -115,7 +117,7 @@ class Shear(eqx.Module):
         """From the center in v and a square root of the covariance of y."""
         two_sided = np.flatnonzero(np.asarray(bend.both))
         middle, sd = center[two_sided], np.linalg.norm(factor[two_sided], axis=1)
-        ends = middle + 2 * sd * np.array([[-1.0], [1.0]])
+        ends = middle + _WITHIN * sd * np.array([[-1.0], [1.0]])
         strength = np.abs(straight(ends, np) - ends).max(axis=0) / sd
         ranked = np.argsort(-strength, kind="stable")
         place = np.concatenate([two_sided[ranked], np.setdiff1d(np.arange(center.size), two_sided)])

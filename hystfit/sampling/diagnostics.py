@@ -15,6 +15,7 @@ from hystfit.outcome.note import warn
 
 GOOD_RHAT = 1.01
 GOOD_ESS = 400
+_MARGIN = 1.1  # effective sizes of longer chains scatter about those that shorter ones let expect
 _APART = 1.1  # R-hat above which chains are not merely short
 
 
@@ -112,8 +113,8 @@ class Convergence:
 
     @property
     def more(self) -> float:
-        """By how much longer chains like these have enough effective draws, with a margin for their scatter: 1.25 to 2."""
-        return float(np.clip(1.1 * GOOD_ESS / np.nanmin([self.bulk, self.tail]), 1.25, 2.0))
+        """By how much longer chains like these have enough effective draws, with a margin: 1.25 to 2."""
+        return float(np.clip(_MARGIN * GOOD_ESS / np.nanmin([self.bulk, self.tail]), 1.25, 2.0))
 
     def problems(self, names: tuple[str, ...]) -> list[Note]:
         """What is wrong with the chains; nothing where they may be used."""

@@ -24,6 +24,7 @@ from hystfit.sampling.target import Target, log_densities
 MOST = 10  # parameters of a model beyond which ensembles mix too slowly
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
 _STEADY = 0.05  # and their estimate of it has settled to this, relative
+_FINE = 20.0  # samples per autocorrelation time that suffice to estimate it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +100,7 @@ def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np
     """
     import emcee
 
-    every = max(1, int(before / 20)) if np.isfinite(before) else 1  # 20 samples per autocorrelation time suffice
+    every = max(1, int(before / _FINE)) if np.isfinite(before) else 1
     with np.errstate(invalid="ignore"):
         time = every * float(np.max(emcee.autocorr.integrated_time(chain[::every], tol=0, quiet=True)))
     return time if np.isfinite(time) else np.inf

@@ -31,6 +31,7 @@ from hystfit.sampling.posterior import SCHEMA, Posterior
 _PLAIN = ("sampler", "noise", "priors", "prior_quartiles", "seconds", "seed", "provenance")
 _LISTS = ("names", "units")
 _ENTRY = re.compile(r"([^@]+)\[([^\]]+)\](@.*)?", re.DOTALL)  # w[3], w[0,1]@record
+_SLACK = 10_000_000  # bytes of data beyond the size of the file, for what netCDF fills in
 _FILES = ("result.json", "posterior.nc", f"fit/{MANIFEST}")
 
 
@@ -151,7 +152,7 @@ def _refuse_outside(content: bytes, place: str) -> None:
         raise
     except (OSError, KeyError, ValueError, RuntimeError, TypeError, RecursionError) as error:
         raise DataError(f"{place} is damaged ({error}): restore it, or remove it and sample again") from error
-    if size > len(content) + 10_000_000:  # netCDF fills in some
+    if size > len(content) + _SLACK:
         raise DataError(
             f"{place} declares {size} bytes of data, and the file has {len(content)}: restore it, or remove it and sample again"
         )

@@ -33,6 +33,8 @@ _CHUNK = 100  # draws of a chain between two writes to disk
 # of three dimensions was covered; with a shape of 0.7 others were, up to 2.5 % of whose draws were missing at the narrow end.
 _COVERED, _TAIL = 0.25, 0.6
 _HOPELESS = 0.02  # effective fraction below which no other mixture follows; ten that led to one that covers a piezo record had 0.09 to 0.41
+_ATTEMPTS = 5  # to draw, each by a mixture fitted to all offers before
+_TRIES = 2.0  # effective draws of the mixture for each draw of a chain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Independence(AbstractSampler):
             return None
         mixture: Mixture | None = Mixture(begin["share"], begin["center"], begin["root"])
         places = Batch(*(begin[field.name] for field in dataclasses.fields(Batch)))
-        for attempt in range(1, 6):  # each by a mixture fitted to all offers before
+        for attempt in range(1, _ATTEMPTS + 1):
             if mixture is None:
                 break
             chains = self._chains(target, mixture, places, (seed, attempt), folder)
@@ -98,8 +100,7 @@ class Independence(AbstractSampler):
         """Chains of one attempt, which begin at weighted places."""
         at = np.random.default_rng([*seed, 0]).choice(len(places.q), self.chains, p=places.weights)
         scores = (places.log_density[at] - mixture.log_density(places.q[at])).tolist()
-        # Two effective draws of the mixture for each draw of a chain; an even number.
-        tries = 2 * math.ceil(1 / max(efficiency(places.score), _COVERED))
+        tries = 2 * math.ceil(0.5 * _TRIES / max(efficiency(places.score), _COVERED))  # even
         return [
             _Chain(target, mixture, tries, start, (*seed, k), Chunks(folder, f"{self.name}-{seed[1]}-{k}"))
             for k, start in enumerate(zip(places.z[at], scores, strict=True))

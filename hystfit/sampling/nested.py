@@ -25,6 +25,7 @@ from hystfit.sampling.base import AbstractSampler, Evidence, Progress, Raw
 from hystfit.sampling.setup import Setup
 
 _CHUNK = 10  # deletions of a batch in one compiled call, and between two writes to disk
+_PATHS = 200  # simulated shrinkages of the prior volume, for the error of the evidence
 _DEEPEST = 500.0  # nats of compression at which a run ends without convergence
 
 
@@ -144,12 +145,12 @@ class _Run(NamedTuple):
 
 
 def _log_weights(every: dict[str, np.ndarray], seed: int) -> np.ndarray:
-    """Log weights of all points in 200 simulated shrinkages of the prior volume, shape (points, 200), for the error of the evidence."""
+    """Log weights of all points in `_PATHS` simulated shrinkages of the prior volume, shape (points, paths)."""
     from blackjax.ns.base import NSInfo, StateWithLogLikelihood
     from blackjax.ns.utils import log_weights
 
     arrays = (jnp.asarray(every[k]) for k in ("z", "prior", "likelihood", "birth"))
-    return np.asarray(log_weights(jax.random.key(seed), NSInfo(StateWithLogLikelihood(*arrays), ()), 200))  # type: ignore[arg-type]
+    return np.asarray(log_weights(jax.random.key(seed), NSInfo(StateWithLogLikelihood(*arrays), ()), _PATHS))  # type: ignore[arg-type]
 
 
 def _equal(weights: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:

@@ -30,6 +30,7 @@ from hystfit.sampling.setup import Setup, given_others, prepare
 from hystfit.sampling.target import Target
 
 CHUNK = 50  # draws in one compiled call, and between two writes to disk
+_GAIN = 5.0  # of the step size's logarithm in the error of the acceptance
 
 
 class Tuning(NamedTuple):
@@ -55,7 +56,7 @@ class Tuning(NamedTuple):
         """One step later."""
         share = 1 / (self.m + 10.0)
         error = (1 - share) * self.error + share * (goal - acceptance)
-        size = jnp.clip(self.middle - jnp.sqrt(self.m) * 5 * error, -12.0, 2.0)
+        size = jnp.clip(self.middle - jnp.sqrt(self.m) * _GAIN * error, -12.0, 2.0)
         weight = self.m**-0.75
         return Tuning(size, weight * size + (1 - weight) * self.average, error, self.middle, self.m + 1)
 
@@ -107,6 +108,7 @@ _AGAIN = 3  # further adaptations at most where transitions of a warm-up diverge
 # experiments/uncertainty took 2 times as long for four linear parameters, and 11 of them sufficed for a trajectory instead of 50 to 160.
 _LONG = 32
 _EACH = 8  # the same for each linear parameter, which needs a simulation of its own
+_PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of the warm-up
 
 
 @dataclasses.dataclass(frozen=True)
@@ -332,7 +334,7 @@ def _spread(positions: np.ndarray) -> np.ndarray:
     """Square root of the covariance of positions, shape (n, d), shrunk towards that of the coordinates."""
     n, d = positions.shape
     covariance = np.cov(positions.T).reshape(d, d)
-    return np.linalg.cholesky((n * covariance + 10 * np.eye(d)) / (n + 10))  # the curvature counts as ten draws
+    return np.linalg.cholesky((n * covariance + _PRIOR_DRAWS * np.eye(d)) / (n + _PRIOR_DRAWS))
 
 
 def _least(draws: np.ndarray) -> float:

@@ -17,6 +17,13 @@ from hystfit.results.webpage import POINTS
 from hystfit.sampling.posterior import Posterior
 
 _SHOWN = 8  # chains in one picture at most
+_LEGIBLE = 12  # parameters in a corner plot: its panels grow with their square
+_MOST = 24  # parameters in a trace or rank plot, which is as high as they are many
+_FEW = 3  # parameters up to which a corner plot has no room at its upper right
+_TICKS = 1.0  # room for the tick labels of a corner plot, and between them and those of the axes [inches]
+_PAD = 0.12  # between the tick labels of a corner plot and the labels of its axes, in panels
+_CHARACTER = 0.62  # width of a character, in font sizes
+_BINS = 20
 _CHAINS = (MODEL, HELD_OUT, THIRD, "#cc79a7")
 _KINDS = ("corner", "trace", "rank", "bands")
 
@@ -51,20 +58,20 @@ def _corner(posterior: Posterior) -> Any:
         smooth=1.0,
         max_n_ticks=3,
         label_kwargs={"fontsize": size},
-        labelpad=0.12,
+        labelpad=_PAD,
     )
     panels = np.array(figure.axes).reshape(len(at), len(at))
-    for ax, k in zip(np.diag(panels), at, strict=True):  # a character is 0.62 font sizes wide
+    for ax, k in zip(np.diag(panels), at, strict=True):
         value = " +- ".join(rounded(float(np.median(flat[:, k])), float(np.std(flat[:, k]))))
         wide = ax.get_position().width * figure.get_figwidth() * POINTS
-        ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=min(size, wide / (0.62 * len(value))))
+        ax.set_title(f"{posterior.names[k]}\n{value}", fontsize=min(size, wide / (_CHARACTER * len(value))))
     for ax in panels.ravel():
         ax.tick_params(labelsize=0.8 * size)
         for density in ax.collections:  # hundreds of cells a panel, each a path of its own as vector graphics
             density.set_rasterized(density.get_array() is not None)
     words = ["median +- standard deviation", "dashed: median and 95 % interval", "contours: 50 and 90 %"]
     words = [f"{len(at)} of {len(labels)} parameters", *words] if len(at) < len(labels) else words
-    beside = len(at) > 3  # the explanation stands beside the first title, where there is room, else above it
+    beside = len(at) > _FEW  # the explanation stands beside the first title, where there is room, else above it
     figure.suptitle(("; " if beside else "\n").join(words), fontsize=size, x=0.98, ha="right")
     _widen_margins(figure, size, above=2 if beside else 3 + len(words))
     return figure
@@ -73,17 +80,17 @@ def _corner(posterior: Posterior) -> Any:
 def _widen_margins(figure: Any, size: float, above: int) -> None:
     """Make room in a corner plot for labels of two lines of this size [points], and for as many lines `above` as given."""
     line, (wide, high) = 1.3 * size / POINTS, figure.get_size_inches()
-    side = 1.0 + 2 * line  # an inch for the labels of ticks
+    side = _TICKS + 2 * line
     figure.subplots_adjust(left=side / wide, bottom=side / high, top=1 - (0.1 + above * line) / high)
 
 
 def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
-    """Parameters of the corner plot: those whose draws differ, weights last, as many as are legible, a dozen, and as there are draws."""
+    """Parameters of the corner plot: those whose draws differ, weights last, as many as are legible and as there are draws."""
     weights = np.zeros(len(posterior.names), bool)
     own = posterior.result.problem.space.weights
     weights[: own.size] = own
     moving = [k for k in np.argsort(weights, kind="stable").tolist() if np.ptp(flat[:, k]) > 0]
-    return sorted(moving[: min(12, len(flat) - 1)])
+    return sorted(moving[: min(_LEGIBLE, len(flat) - 1)])
 
 
 def _panels(posterior: Posterior) -> tuple[Any, Any, list[int]]:
@@ -91,7 +98,7 @@ def _panels(posterior: Posterior) -> tuple[Any, Any, list[int]]:
     import matplotlib.pyplot as plt
 
     every = list(range(len(posterior.names)))
-    shown = every if len(every) <= 24 else _of_corner(posterior, posterior.draws.reshape(-1, len(every)))
+    shown = every if len(every) <= _MOST else _of_corner(posterior, posterior.draws.reshape(-1, len(every)))
     size = (5.6, 0.9 + len(shown))
     return *plt.subplots(len(shown), 1, figsize=size, layout="constrained", squeeze=False, sharex=True), shown
 
@@ -110,13 +117,13 @@ def _trace(posterior: Posterior) -> Any:
 
 def _rank(posterior: Posterior) -> Any:
     figure, axes, shown = _panels(posterior)
-    labels, bins = _labels(posterior), 20
+    labels = _labels(posterior)
     for ax, k in zip(axes[:, 0], shown, strict=True):
         draws = posterior.draws[:, :, k]
         ranks = rankdata(draws).reshape(draws.shape)
         for chain, color in zip(ranks[:_SHOWN], itertools.cycle(_CHAINS)):
-            ax.hist(chain, bins=bins, range=(0, draws.size), histtype="step", color=color)
-        ax.axhline(draws.shape[1] / bins, color="#a6a6a6", lw=0.8)
+            ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step", color=color)
+        ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
         ax.set_ylabel(labels[k], fontsize=8)
     axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
     axes[-1, 0].set_xlabel("rank over all chains")

@@ -20,8 +20,7 @@ from hystfit.sampling.target import ROWS, Target, log_densities_and_z
 
 _FREEDOM = 10.0  # of the t distributions; 5 was no better
 _WIDER = 1.1  # times the scale of the weighted places of a component: weights stay bounded where a posterior is skewed
-# One component alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70.
-_COMPONENTS = 5
+_COMPONENTS = 5  # one alone leaves places with 80 to 2400 times the mean weight in the skewed tails of slow noise, five at most 70
 _ALONE = 3  # rounds of one component, which finds place and scale
 _ROUNDS = 12  # at most
 _LEAST = 5 * ROWS  # draws of a round: 200 are too few to tell a funnel
@@ -29,6 +28,8 @@ _LEAST = 5 * ROWS  # draws of a round: 200 are too few to tell a funnel
 # of the draws that they offered were effective.
 _EACH = 5
 _PLACES = 3  # effective, for each dimension, that a covariance needs
+_FLAT = 1e-6  # power of weights that leaves them equal
+_RECENT = 4  # rounds that a mixture is fitted to
 _STEADY = 0.5  # effective fraction of the draws of two rounds after which no further ones follow
 
 
@@ -126,7 +127,7 @@ class Batch:
     def tempered(self) -> Float[np.ndarray, " n"]:
         """Weights to the power, at most one, that leaves as many effective as a covariance needs (Koblents and Miguez 2015)."""
         power, enough = 1.0, 2 * _PLACES * self.q.shape[1]
-        while power > 1e-6 and len(self.q) * efficiency(power * self.score) < enough:
+        while power > _FLAT and len(self.q) * efficiency(power * self.score) < enough:
             power *= 0.9
         return softmax(power * self.score) if self.effective else self.weights
 
@@ -154,7 +155,7 @@ def adapted(target: Target, rng: np.random.Generator) -> tuple[Mixture, Batch] |
     for number in range(1, _ROUNDS + 1):
         batches.append(Batch.of(target, mixture, rng, mixture.round_size))
         steady = min(efficiency(batch.score) for batch in batches[-2:]) >= _STEADY
-        recent = Batch.joined([batch.balanced for batch in batches[-4:]])
+        recent = Batch.joined([batch.balanced for batch in batches[-_RECENT:]])
         if number == _ROUNDS or (number > _ALONE + 2 and steady):
             return mixture, recent
         if not recent.effective:

@@ -34,6 +34,7 @@ from hystfit.results.quantity_estimates import measured_quantities
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.predictive import density_of_draws, predictive_draws, residual_at
 
+_COUNT = 1000  # draws used
 _LARGE = 0.3  # shift in posterior standard deviations from which it is named
 _UNRELIABLE = 0.7  # Pareto shape beyond which importance sampling does not converge (Vehtari et al. 2024)
 _RARE = (
@@ -144,8 +145,8 @@ def _label(name: str) -> str:
 def sensitivity(posterior: Posterior) -> Sensitivity:
     """What the draws of a posterior rest on; 1000 of them are used."""
     flat = posterior.draws.reshape(-1, len(posterior.names))
-    at = posterior.chosen(1000)  # those for which `Posterior.derived` computes quantities
-    derived = posterior.derived(count=1000)
+    at = posterior.chosen(_COUNT)  # those for which `Posterior.derived` computes quantities
+    derived = posterior.derived(count=_COUNT)
     values = np.column_stack([flat[at], *derived.values()])
     names = (*posterior.names, *derived)
     values = np.where(np.isfinite(values), values, np.nan)

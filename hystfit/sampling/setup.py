@@ -35,7 +35,9 @@ MOST = 100  # parameters beyond which sampling is refused
 _RECURS = "part of the residuals recurs every loop: the model is incomplete, and its parameters are biased by more than chance. "
 _WIDENS = "noise='discrepancy' widens the intervals for this error"
 _WIDENED = "The intervals are widened for this error"
+_OUTER = 0.01  # level of a prior, on either side, beyond which a search starts anew from its median
 _OFF = 3.0  # factor in the length of an axis beyond which it is corrected
+_AROUND = 200  # normal draws about the mode, for standard deviations of parameters to a twentieth
 _WIDEST = 3.0  # standard deviation in v given at first to a direction without curvature
 
 
@@ -150,8 +152,7 @@ def prepare(
 
 def given_others(setup: Setup, key: Array) -> Setup:
     """The posterior in the coordinates of `LinearPart`, which straighten ridges along linear parameters; the same where there are none."""
-    # 200 draws about the mode give standard deviations to a twentieth.
-    normal = np.asarray(jax.random.normal(key, (200, len(setup.names))))
+    normal = np.asarray(jax.random.normal(key, (_AROUND, len(setup.names))))
     z = np.asarray(setup.target.unwhitened(np.concatenate([np.zeros_like(normal[:1]), normal])))
     deviations = setup.physical(z[None, 1:])[0].std(axis=0)
     linear = LinearPart.of(setup.problem, z[0], deviations[: len(setup.problem.space)])
@@ -167,7 +168,7 @@ def inside(space: ParameterSpace, x: np.ndarray) -> np.ndarray:
 
 def _within_priors(problem: Problem, x: np.ndarray) -> np.ndarray:
     """x with the medians of the priors where it lies far out: least squares may end anywhere along what the data leave open."""
-    low, middle, high = np.transpose([prior.quantiles([0.01, 0.5, 0.99]) for prior in problem.priors])
+    low, middle, high = np.transpose([prior.quantiles([_OUTER, 0.5, 1 - _OUTER]) for prior in problem.priors])
     return np.where((x < low) | (x > high), middle, x)
 
 

@@ -23,6 +23,8 @@ from hystfit.params.space import ParameterSpace
 from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import inside
 
+_INSIDE = 0.1  # of the mean weight, at which a chain starts where the estimate is zero
+
 
 class WeightEquations(eqx.Module):
     """Normal equations of weights w about an estimate, the outputs in units of `size`, at m noises of the same variance unit.
@@ -77,7 +79,7 @@ class WeightEquations(eqx.Module):
         """The estimate, moved inside its bounds by a tenth of the mean weight, shape (p,)."""
         w, bounded = self.estimate, self.bounded
         mean = jnp.sum(jnp.where(bounded, w, 0.0)) / jnp.maximum(jnp.sum(bounded), 1)
-        return jnp.where(bounded, jnp.maximum(w, 0.1 * mean), w)
+        return jnp.where(bounded, jnp.maximum(w, _INSIDE * mean), w)
 
 
 class Exact(eqx.Module):

@@ -51,8 +51,10 @@ from hystfit.sampling.weight_equations import (
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _POINTS = 12  # among which the weights move: 1200 sweeps of 464 weights give 400 effective draws of the strength, 200 with one point
+_PILOTS = 3  # chains of the linearized density, each about the mean of the one before
 _PILOT = 2 * _CHUNK  # sweeps of a pilot that count, and as many before them
 _WIDER = 2.0  # variance of one parameter that is not a weight, over that of the linearized density: 250 effective draws where 1 had 41
+_OTHERS = 15  # draws of the strength in a sweep; their cost is small beside that of the weights
 _LEAST = 1e-16  # variance of noise, over the squared range of the output, below which squares of residuals are rounding errors
 
 
@@ -125,7 +127,7 @@ def _centered(setup: WeightSetup, key: Array, folder: Path | None) -> WeightEqua
     if equations.exact is None:
         return equations
     w = np.empty((0, len(space)))
-    for number in range(3):  # chains of the linearized density, each about the mean of the one before
+    for number in range(_PILOTS):
         linear = dataclasses.replace(equations, exact=None)
         pilot = _Chain(linear, jax.random.fold_in(key, number), Chunks(folder, f"pilot-{number}"))
         w = pilot.sweeps(2 * _PILOT, lambda count: None)["w"][_PILOT:]
@@ -213,8 +215,7 @@ def sweep(equations: WeightEquations, state: State, key: Array) -> State:
     w, variance = either(w, state["w"]), either(variance, state["variance"])
     half, penalized = 0.5 * rough(w), equations.penalized
     rate = jax.random.exponential(keys[5]) / (state["strength"] + penalized**2)
-    # Fifteen draws, whose cost is small beside that of the weights.
-    others = jax.random.gamma(keys[6], 0.5 * (penalized + 1), (15,)) / (rate + half)
+    others = jax.random.gamma(keys[6], 0.5 * (penalized + 1), (_OTHERS,)) / (rate + half)
     strength = jnp.where(penalized > 0, overrelaxed(state["strength"], others), 1.0)
     penalty = 0.5 * penalized * jnp.log(strength) - strength * half
     return {

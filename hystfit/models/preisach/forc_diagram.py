@@ -17,6 +17,7 @@ from hystfit.quality.faults import MAD_TO_RMS
 from hystfit.quality.reversal_curves import reversal_curves
 
 _FEWEST = 9  # points of a local fit
+_FINEST = 8.0  # fields for each step of the reversals at most: more cost memory, and a window averages over all of them
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,8 +107,7 @@ def forc_diagram(
     reversal = np.array([r.u[0] for r in curves])
     step = float(np.median(np.abs(np.concatenate([np.diff(r.u) for r in curves]))))
     apart = float(np.median(np.abs(np.diff(reversal))))
-    # Eight fields for each step of the reversals at most: more cost memory, and a window averages over all of them.
-    step = min(max(step, apart / 8), apart) if apart > 0 else step
+    step = min(max(step, apart / _FINEST), apart) if apart > 0 else step
     low, high = min(r.u.min() for r in curves), max(r.u.max() for r in curves)
     field = np.arange(low, high + 0.5 * step, step)
     table = _tabulate(curves, [r.y for r in curves], field)

@@ -25,6 +25,7 @@ NUMBERS = {
 
 # Of the maximum: the part of the density whose center is the peak, so that it does not jump from cell to cell.
 _TOP = 0.9
+_PARTS = 8  # of a cell along each axis, at most, over which its mass is spread
 # Integral above the sides at twice the distance of the sides: simulated ridges without interaction have 1.00 to 1.01 times as much, with
 # interactions of a fifth of the resolution 1.01 to 1.13, of the resolution 3 to 5, of twice it 7 to 8.
 _NARROW = 1.5
@@ -131,7 +132,7 @@ def _edges(diagram: ForcDiagram) -> np.ndarray:
 def _binned(diagram: ForcDiagram, edges: np.ndarray) -> np.ndarray:
     """Mass in bins of the coercivity: that of a cell longer than a bin is spread over it, else it would leave bins empty."""
     sizes = _sizes(diagram)
-    parts = [int(np.clip(np.round(one.max() / edges[1]), 1, 8)) for one in sizes]  # of a cell along each axis
+    parts = [int(np.clip(np.round(one.max() / edges[1]), 1, _PARTS)) for one in sizes]
     reversals, fields = (
         [axis + ((k + 0.5) / n - 0.5) * one for k in range(n)]
         for axis, one, n in zip((diagram.reversal, diagram.field), sizes, parts, strict=True)

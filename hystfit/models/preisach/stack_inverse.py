@@ -14,6 +14,8 @@ from hystfit.models.preisach.plane import AbstractPlane
 from hystfit.models.shared.bracketed import Root, solve_rising
 from hystfit.models.shared.step_inverse import AbstractStepInverse
 
+_ROUNDING = 64.0  # machine epsilons: error of a difference of two outputs, sums of the outputs of cells, over their size, at most
+
 
 class PreisachStep(AbstractStepInverse):
     """Inverse by the dominant extrema e_0, e_1, ...: outputs where the input would close its loops are known from the stack.
@@ -128,5 +130,6 @@ def _quadratic(output: object, s: Array, left: Array, right: Array, target: Arra
     a, b = 2 * (f1 - 2 * middle + f0), 4 * middle - f1 - 3 * f0
     root = b + jnp.sqrt(jnp.maximum(b * b - 4 * a * f0, 0.0))
     t = jnp.where(f0 >= 0, 0.0, jnp.where(root > 0, -2 * f0 / jnp.where(root > 0, root, 1.0), 1.0))
-    # Outputs are sums over cells, whose difference is off by 64 machine epsilons of their size at most.
-    return Root(s * (left + jnp.clip(t, 0.0, 1.0) * (right - left)), f1 - f0 >= -64.0 * jnp.finfo(y.dtype).eps * size)
+    return Root(
+        s * (left + jnp.clip(t, 0.0, 1.0) * (right - left)), f1 - f0 >= -_ROUNDING * jnp.finfo(y.dtype).eps * size
+    )

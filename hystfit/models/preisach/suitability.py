@@ -23,12 +23,16 @@ from hystfit.models.preisach.smooth import fit_smooth
 from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.outcome.status import Status
 from hystfit.outcome.wrapping import NAMED, listed
-from hystfit.quality.loops import APART, SAME_LEVEL
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 
 Outcome = Literal["holds", "fails", "untested"]
 _LIMIT = 2.0  # percent of the output's range up to which a property holds
+_MAJOR = 0.95  # fraction of the input's range from which a loop is the major one
 _KNOWN = 0.9  # fraction of the higher orders' states from which the first-order ones determine them
+_CELLS = 20  # along an axis, of the model whose errors are split by order
+_SMOOTHNESS = 1e-6  # strength of the penalty on the weights of this model
+_FIRST = 1  # reversals that the memory holds on a first-order curve
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +47,7 @@ class HigherOrder:
     @property
     def worst(self) -> float | None:
         """Largest root mean square error over the orders above the first; None where there are none."""
-        return max((rms for order, (_, rms, _) in self.errors.items() if order > 1), default=None)
+        return max((rms for order, (_, rms, _) in self.errors.items() if order > _FIRST), default=None)
 
 
 def higher_order(record: Record) -> HigherOrder | None:
@@ -60,19 +64,19 @@ def higher_order(record: Record) -> HigherOrder | None:
     """
     if not (np.ptp(record.u) > 0 and np.ptp(record.y[record.used]) > 0):
         return None
-    model = Preisach.of(20, initial=rest_before(record)).start([record])
+    model = Preisach.of(_CELLS, initial=rest_before(record)).start([record])
     order = orders(model, record, SAME_LEVEL)
-    if not (record.used & (order > 1)).any():
+    if not (record.used & (order > _FIRST)).any():
         return None
-    first = record.used & (order <= 1)
-    known = _determined(model, record.u, first, record.used & (order > 1)) if first.any() else 0.0
+    first = record.used & (order <= _FIRST)
+    known = _determined(model, record.u, first, record.used & (order > _FIRST)) if first.any() else 0.0
     part = record.replace(weight=np.where(first, record.weight, 0.0)) if known >= _KNOWN else record
     return HigherOrder(part is not record, known, error_by_order(_fitted(model, part), record, SAME_LEVEL))
 
 
 def _fitted(model: Preisach, record: Record) -> Preisach:
-    """The model with the weights that fit the record, under a weak penalty."""
-    weights = fit_smooth(SmoothSystem.of([model.design_matrix(record.u)], [record]), (1e-6,)).weights
+    """The model with the weights that fit the record."""
+    weights = fit_smooth(SmoothSystem.of([model.design_matrix(record.u)], [record]), (_SMOOTHNESS,)).weights
     cells, slopes = np.split(weights[:-1], [model.w.size])
     return dataclasses.replace(model, w=cells, slopes=slopes, offset=weights[-1])
 
@@ -144,8 +148,8 @@ def check_preisach(record: Record) -> PreisachCheck:
         record: measured; the errors of a Preisach model identified on it should not grow with the order of reversal.
     """
     closures, loops = wiping_out(record), tuple(congruency(record))
-    minor = closures.width < (1 - APART) * float(np.ptp(record.u))
-    inner = tuple(loop for loop in loops if loop.high - loop.low < (1 - APART) * float(np.ptp(record.u)))
+    minor = closures.width < _MAJOR * float(np.ptp(record.u))
+    inner = tuple(loop for loop in loops if loop.high - loop.low < _MAJOR * float(np.ptp(record.u)))
     higher = higher_order(record)
     found = [_wiping_words(closures, minor), _congruency_words(inner), _order_words(higher)]
     names = ("wiping-out", "congruency", "higher-order")

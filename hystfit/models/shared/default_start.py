@@ -16,6 +16,8 @@ from hystfit.params.hypercube import spread_points
 from hystfit.params.space import ParameterSpace
 
 _POINTS = 128  # of the spread design over the parameters that move
+_SPREAD = 2.0  # in z: a factor of 7 either way of the natural size for a positive parameter
+_TESTED = 40  # points tested for the influence of every parameter
 _NUDGE, _LEAST = 0.3, 1e-3  # change of z in that test, and the least change of the output as a part of its range
 
 
@@ -34,7 +36,7 @@ def hypercube_start(model: Any, records: Sequence[Record]) -> Any:
     solve = lambda z: _solved(space.tree(z), short, free)
     found = [(z, point) for z in _points(space, model, moved) if np.isfinite((point := solve(z)).cost)]
     found.sort(key=lambda item: item[1].cost)
-    for z, point in found[:40]:
+    for z, point in found[:_TESTED]:
         nearby = (solve(z + _NUDGE * np.eye(z.size)[k]) for k in moved)
         if all(np.max(np.abs(other.output - point.output)) > _LEAST * np.ptp(point.output) for other in nearby):
             return point.model
@@ -54,8 +56,7 @@ def _points(space: ParameterSpace, model: Any, moved: np.ndarray) -> np.ndarray:
     own = space.unconstrained(space.vector(model))
     if not moved.size:
         return own[None]
-    # 2 in z: a factor of 7 either way of the natural size of a positive parameter.
-    spread = spread_points(space.coordinates, np.zeros(own.size), _POINTS, 0, spread=2.0)
+    spread = spread_points(space.coordinates, np.zeros(own.size), _POINTS, 0, spread=_SPREAD)
     points = np.tile(own, (_POINTS + 1, 1))
     points[1:, moved] = spread[:, moved]
     return points

@@ -13,16 +13,18 @@ from jaxtyping import Array, Float
 from hystfit.models.shared.sample_scan import scan_samples
 from hystfit.models.shared.shapes import Signal
 
+_ROUNDING = 4.0  # spread of the time steps of an even clock, in units in the last place of the last time stamp
+
 _BLOCK = 32  # samples whose factors are in memory at a time; padded records are whole numbers of blocks
 
 
 def even_step(dt: Any, xp: Any = jnp) -> tuple[Any, Any]:
-    """Whether all time steps but those of 0 are equal up to the rounding of the last time stamp, and the largest.
+    """Whether all time steps but those of 0 are equal up to the rounding of time stamps, and the largest.
 
     Steps of 0 are allowed: records are padded with them.
     """
     longest = xp.max(dt)
-    rounding = 4 * xp.finfo(dt.dtype).eps * xp.sum(dt)
+    rounding = _ROUNDING * xp.finfo(dt.dtype).eps * xp.sum(dt)
     return xp.all((dt == 0.0) | (xp.abs(dt - longest) <= rounding)), longest
 
 

@@ -20,6 +20,7 @@ from hystfit.params.units import Scales
 from hystfit.quality.loops import clear_reversals
 
 SAMPLES = 2**13  # of each record from which starting values are read, at most
+LEAST = 1e-3  # of the range of the output: the smallest scale that a start gives a model whose scale is positive
 LARGE, TYPICAL = 0.99, 0.9  # quantiles of the speeds of the input that count as the largest and as a typical one
 
 
@@ -144,8 +145,8 @@ class BestOfGrid(NamedTuple):
     error: float
 
     def scale(self, y: np.ndarray) -> float:
-        """The coefficient of the model's own output, or a thousandth of the range of the outputs where it is below that [y]."""
-        return max(float(self.coefficients[0]), 1e-3 * float(np.ptp(y)))
+        """The coefficient of the model's own output, or `LEAST` of the range of the outputs where it is below that [y]."""
+        return max(float(self.coefficients[0]), LEAST * float(np.ptp(y)))
 
 
 def grid_columns(plain: Any, grid: Mapping[str, np.ndarray], records: Sequence[Record]) -> np.ndarray:

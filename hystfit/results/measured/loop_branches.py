@@ -15,7 +15,7 @@ from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
 from hystfit.quality.shape import area_between, has_lobes
 
-ENDS = 1 - APART  # of the largest input, from which the output counts as that of the ends
+ENDS = 0.95  # of the largest input, from which the output counts as that of the ends
 GAP = 0.1  # of a range: between the two ends of a loop that counts as closed
 _NEAR = 3.0  # standard deviations of the noise below the largest output, within which samples are those of one level
 

@@ -8,12 +8,13 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.params.units import is_energy, loop_energy, size_in
-from hystfit.quality.loops import SAME_LEVEL, SEVERAL
+from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import GAP
 from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
 
 _TIP = 0.05  # of the range of the input, over which the currents before and after a tip are taken
+_FEWEST = 3  # samples on each side of a tip
 
 
 def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
@@ -50,7 +51,7 @@ def _recovered(record: Record, rows: list[LoopValue], noise: float) -> Iterator[
     u, y = record.u[record.used], record.y[record.used]
     tip, (unit, factor) = int(u.argmax()), loop_energy(record.u_unit, record.y_unit)
     last = tip + int(np.argmax(u[tip:] <= max(0.0, u[tip:].min())))
-    if u[last] > SAME_LEVEL * u[tip] or not is_energy(unit) or last - tip < SEVERAL:
+    if u[last] > SAME_LEVEL * u[tip] or not is_energy(unit) or last - tip < _FEWEST:
         return
     part = slice(tip, last + 1)
     size = -factor * float(np.trapezoid(u[part], y[part]))
@@ -82,7 +83,7 @@ def _leakage(record: Record) -> Iterator[LoopValue]:
             before -= 1
         while after < u.size - 1 and near[after + 1]:
             after += 1
-        if min(tip - before, after - tip) < SEVERAL or t[before] == t[tip] or t[tip] == t[after]:
+        if min(tip - before, after - tip) < _FEWEST or t[before] == t[tip] or t[tip] == t[after]:
             return
         lines = [np.polyfit(t[a : b + 1], y[a : b + 1], 1, cov=True) for a, b in ((before, tip), (tip, after))]
         found.append(sign * 0.5 * sum(theta[0] for theta, _ in lines))

@@ -27,8 +27,11 @@ from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Un
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
+# Of the input's range, which a loop must cover for the quantities of one over all of it to be no extrapolation.
+_HALF = 0.5
 # Measured quantities that a model has not, which come first for dampers and for the strain of a piezoelectric or magnetostrictive device.
 _OF_NO_MODEL = ("damping_coefficient", "turning_input_rising", "turning_input_falling")
+_SAMPLED = 40  # most parameters for which `sample` is proposed, and not `errors`
 # Notes that may propose another fit: of the integral, of a window, or with a robust loss.
 _REMEDIED = (
     Code.CONDITIONS,
@@ -158,12 +161,9 @@ def _tells(q: QuantityEstimate, measured: Mapping[str, LoopValue], *, no_energy:
 
 
 def _never_returns(record: Record) -> bool:
-    """Whether the input closes no loop over half of its range, as in a tensile test with short unloadings.
-
-    Quantities of a loop over all of it would be extrapolated.
-    """
+    """Whether the input closes no loop over half of its range, as in a tensile test with short unloadings."""
     span = float(np.ptp(record.u))
-    return max((loop.stroke for loop in closed_loops(record.u, SAME_LEVEL * span)), default=0.0) < span / 2
+    return max((loop.stroke for loop in closed_loops(record.u, SAME_LEVEL * span)), default=0.0) < _HALF * span
 
 
 def _capital(text: str) -> str:
@@ -210,7 +210,7 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     if result.obstacle("export") is None:
         commands.append(f"hystfit export {fit} --c code")
     if not result.problem.space.stepwise_names:
-        commands.append(f"hystfit {'sample' if len(result.x) <= 40 else 'errors'} {fit}")
+        commands.append(f"hystfit {'sample' if len(result.x) <= _SAMPLED else 'errors'} {fit}")
     if LoopKind.of(result.data) in STRUCTURAL:  # each of its cycles, and the backbone
         commands.append(f"hystfit quantities {loop}")
     keep = [] if wording.saved else [f"repeat the command with --out {wording.fit} to save this fit; then"]

@@ -21,6 +21,7 @@ from hystfit.results.saving.manifest import MANIFEST, PENDING
 _LOCK, _SCRATCH, _WHOLE = ".hystfit-lock", ".hystfit-new-", ".hystfit-whole"
 _OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _LOST = "cannot write to {!r}: another program removed files of the result while it was written"
+_PATIENCE = 5.0  # seconds to wait for another process that moves its files in place
 
 
 @contextlib.contextmanager
@@ -79,7 +80,7 @@ class writing:
         self.held = contextlib.ExitStack()
         try:
             self.target.mkdir(exist_ok=True)
-            self.held.enter_context(alone(self.target, 5.0))
+            self.held.enter_context(alone(self.target, _PATIENCE))
             _move_pending(self.target)
             for left in self.target.glob(f"{_SCRATCH}*"):  # by a process that was killed
                 shutil.rmtree(left, ignore_errors=True)
