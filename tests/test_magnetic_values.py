@@ -1,5 +1,7 @@
 """Data-sheet quantities of magnetic and ferroelectric loops: closed forms, units, corrections, instruments' own results."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
@@ -351,3 +353,31 @@ def test_the_advice_on_a_demagnetization_curve_is_to_use_what_is_read_off_it():
     assert "read off" in result.advice
     curve = hf.Record(h, 1e-3 * h + 0.3, u_unit="V", y_unit="um")
     assert hf.fit("prandtl-ishlinskii:plays=6", curve).advice == Status.NO_LOOP.advice()
+
+
+def biased(bias: float, seed: int) -> hf.Record:
+    """A soft core under a field that wanders about a bias, as transients of a converter do: no loop, no demagnetization curve."""
+    rng = np.random.default_rng(seed)
+    levels = bias + np.linspace(-30, 30, 9) + rng.choice([-1, 1]) * np.tile([8.0, -8.0], 5)[:9]
+    h = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in itertools.pairwise(levels)])
+    state, flux = 0.0, np.empty(h.size)
+    for k, field in enumerate(h):
+        state = np.clip(state, field - 8, field + 8)
+        flux[k] = 0.3 * np.tanh(state / 60)
+    return hf.Record(h, flux, u_unit="A/m", y_unit="T", u_name="H", y_name="B", name=f"core {seed}")
+
+
+def test_transients_about_a_bias_have_no_data_sheet():
+    """Their induction passes zero at some field, which is no coercivity, and the ratio at their tips is no amplitude permeability."""
+    found = [hf.quantities(biased(bias, seed)) for bias in (-10.0, 0.0, 15.0) for seed in range(6)]
+    names = {row.name for values in found for rows in values.rows.values() for row in rows}
+    assert not names & {"HcJ", "HcB", "Br", "switching_distribution", "mu_a"}
+
+
+def test_one_note_of_many_records_is_given_once():
+    h = 40 * np.sin(np.linspace(0, 4 * np.pi, 801))
+    loop = hf.Record(h, 0.3 * np.tanh((h - 5 * np.cos(np.linspace(0, 4 * np.pi, 801))) / 60), u_unit="A/m", y_unit="T")
+    records = hf.Dataset((*(biased(10.0, seed) for seed in range(20)), loop.replace(name="loop")))
+    lines = [line for line in hf.quantities(records).lines() if "no closed loop" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith("note: 20 of 21 records: no closed loop")

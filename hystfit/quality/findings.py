@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
-import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
+from hystfit.outcome.merged_notes import merged
 from hystfit.outcome.note import Code, Note, warn
 from hystfit.params.units import quantity
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR, MOST
-from hystfit.quality.loops import SEVERAL
 from hystfit.quality.record_quality import OF_CHARGE, RecordQuality
 from hystfit.quality.resonance import Dynamics
 
 # Decades over which three quarters of a column extend, from which its logarithm is the quantity to fit: suctions of soils, resistances of a
 # transition and currents of a transistor have 2.0 to 6, loads, fields and the pressures of most isotherms less than 1.8.
 _DECADES = 2.0
-_NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 INTEGRATED = ("integrate", "true")  # option that reads a current as the charge, or a voltage as the flux
 AFTER_FAILURE = f"later strokes, at least as long, stay below {100 * FAILED:.0f} % of the largest force (ASTM E2126)"
 CONTROLLED = warn(
@@ -38,39 +35,15 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
 
     Equal notes are merged, and many that differ in their numbers alone; a note names its records where it does not hold for all.
     """
-    names: dict[Note, list[str]] = {}
     span = max((record.y.range for record in records), default=0.0)
-    for record in records:
-        parts = (
-            _faults(record),
-            _noise(record, span),
-            _scale(record),
-            _response(record),
-            _loops(record),
-            _changes(record),
+    by_record = {
+        record.name: itertools.chain(
+            _faults(record), _noise(record, span), _scale(record), _response(record), _loops(record), _changes(record)
         )
-        for note in itertools.chain(*parts):
-            names.setdefault(note, []).append(record.name)
-    merged = []
-    for notes in _alike(names):
-        note, of = notes[0], [name for one in notes for name in names[one]]
-        which = of[0] if len(of) == 1 else f"{len(of)} of {len(records)} records"
-        if len(notes) > 1:
-            which += f", such as {of[0]}"
-        text = note.text if len(notes) == 1 and len(of) == len(records) else f"{which}: {note.text}"
-        merged.append(dataclasses.replace(note, text=text))
+        for record in records
+    }
     few = few_samples(records)
-    return (*([few] if few else []), *merged)
-
-
-def _alike(notes: Iterable[Note]) -> list[list[Note]]:
-    """Notes alone, or together where many differ in their numbers alone, in the order of the first of each."""
-    groups: dict[tuple[Code, str], list[Note]] = {}
-    for note in notes:
-        groups.setdefault((note.code, _NUMBER.sub("#", note.text)), []).append(note)
-    return [
-        part for group in groups.values() for part in ([group] if len(group) > SEVERAL else [[one] for one in group])
-    ]
+    return (*([few] if few else []), *merged(by_record, len(records)))
 
 
 def _faults(record: RecordQuality) -> Iterator[Note]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any
@@ -26,7 +27,7 @@ from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.registry import SEARCH, make_model, model_name
-from hystfit.outcome import Status
+from hystfit.outcome import Code, Note, Status
 from hystfit.results.result import FitResult
 
 _FIRST_STARTS = 2  # starting points of a first fit
@@ -121,6 +122,14 @@ class CandidateFits:
     def fit(self, one: Candidate, progress: Progress) -> None:
         """Fit a model of the size that suits the data."""
         progress("fit")
+        if one.screened is not None:
+            options = dataclasses.replace(self.options, start=_shared_values(one.screened), starts=1)
+            model = one.screened.model
+            few, records = len(one.screened.problem.data), len(self.data)
+            text = f"models were compared on {few} of {records} records, and the best there fitted to all"
+            one.choices = (Note(Code.CHOICE, text),)
+            one.solved = solve_model(model, self.data, options, self._worth(_LOWERED, model))
+            return
         if one.name == SEARCH:
             one.solved = solve_model(SEARCH, self.data, self.options)
             return
@@ -238,3 +247,10 @@ class CandidateFits:
     def release(self) -> None:
         """Forget equations and sizes, which take memory."""
         self._equations, self._known = None, Known()
+
+
+def _shared_values(fit: FitResult) -> dict[str, float]:
+    """Values of the parameters that all records share and that are no weights, by name."""
+    space = fit.problem.space
+    kept = ~(space.per_record | space.linear)
+    return {name: float(value) for name, value, keep in zip(space.names, fit.x, kept, strict=True) if keep}

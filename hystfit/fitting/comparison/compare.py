@@ -13,6 +13,7 @@ from hystfit.fitting.comparison.compared_models import Comparison, Fits, Purpose
 from hystfit.fitting.comparison.comparison_run import ComparisonRun
 from hystfit.fitting.comparison.left_out import CHOICES, LeftOut
 from hystfit.fitting.comparison.model_search import search
+from hystfit.fitting.comparison.screening import search_screened, some_records
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.solvers.thinning import coarse
@@ -62,6 +63,8 @@ def compare(
             differ at equal inputs by more than a usable fit errs get one model, because none changes the verdict; where the residuals are
             noise and show no loop, models that iterate are left out; they are tried from those with the fewest parameters on, until
             one leaves white residuals as small as the noise of the output.
+            Many records of many samples are compared on some of them, of strokes of all sizes; the best model there, and the plainest
+            that these do not tell from it, are fitted to all (`hystfit.fitting.comparison.screening`).
         left_out: "auto" as above; "future" predicts the later parts of every record from fits to what came before, which tests the
             description of creep and drift. Numbers of plays and levels, and the terms of the search, are chosen as by "auto".
         purpose: "prediction"; "inverse" or "export" rank models without an inverse, or without C code, below the others.
@@ -92,6 +95,8 @@ def compare(
         )
         if named:
             run.run(chosen.names)
+        elif (few := some_records(data)) is not None:
+            search_screened(run, few, chosen)
         else:
             search(run, chosen)
     found = run.standings

@@ -55,12 +55,25 @@ class ComparisonRun:
         shown: ShownProgress,
         workers: Workers,
     ):
-        self.data, self.left_out = data, left_out
+        self.data, self.left_out, self._options, self._named = data, left_out, options, named
         self.standings = Standings(data, purpose, all_validated=bool(named))
         self.errors: list[Exception] = []
         self.candidate_fits = CandidateFits(data, left_out, options, named, self.standings)
         self._shown, self._workers = shown, workers
         self._solved: dict[str, Solved] = {}
+
+    def on(self, data: Dataset) -> ComparisonRun:
+        """A comparison with the same options on other records."""
+        purpose = self.standings.purpose
+        return ComparisonRun(data, self.left_out, purpose, self._options, self._named, self._shown, self._workers)
+
+    def refit(self, name: str, screened: FitResult) -> None:
+        """Fit and validate a candidate from its fit to some of the records; it stops once it cannot win."""
+        one = Candidate(name, screened=screened)
+        self._each(self.candidate_fits.fit, [one])
+        one.row = one.row or self.candidate_fits.beaten(one)
+        self._each(self.candidate_fits.validate, [one] if one.row is None else [])
+        self._keep_finished([one])
 
     def run(self, names: Sequence[str]) -> None:
         """Fit and validate candidates side by side, and stop those that cannot win; an error leaves one out."""

@@ -43,7 +43,7 @@ class Candidate:
 
     It has a row once it is validated, stopped, or has failed. `solved` is the fit without standard errors, `result` its verdict, `choices`
     are notes on its choices, `started` models with starting values from the records, the best first, where they are those of its fit too,
-    and `seconds` the time of its fits and validation.
+    `screened` its fit to some of the records, and `seconds` the time of its fits and validation.
     """
 
     name: str
@@ -55,6 +55,7 @@ class Candidate:
     first: First | None = None
     failure: Exception | None = None
     started: tuple[AbstractHysteresis, ...] = ()
+    screened: FitResult | None = None
     seconds: float = 0.0
 
 

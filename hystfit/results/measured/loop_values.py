@@ -13,6 +13,7 @@ from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Column, Note, Severity, Table
+from hystfit.outcome.merged_notes import merged
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import loop_energy, quantity
@@ -94,8 +95,8 @@ class LoopValues:
         corrected = [named(record, c) for record, all_of in self.corrections.items() for c in all_of]
         lines = ["corrections, in this order", *(f"  {text}" for text in corrected), ""] if corrected else []
         lines += self.table().lines() if any(self.rows.values()) else ["no loop to read quantities from"]
-        noted = [named(record, note) for record, all_of in self.notes.items() for note in all_of]
-        return [*lines, *(["", *(f"note: {text}" for text in noted)] if noted else [])]
+        noted = merged(self.notes, len(self.rows))
+        return [*lines, *(["", *(f"note: {note}" for note in noted)] if noted else [])]
 
     def __repr__(self) -> str:
         return "\n".join(self.lines())

@@ -16,7 +16,7 @@ import numpy as np
 from hystfit.params.units import MU0
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
-from hystfit.results.measured.loop_branches import NOT_FOUND, Branch, Found, closes, crossing, loss
+from hystfit.results.measured.loop_branches import NOT_FOUND, Branch, Found, closes, crossing, loss, turns_of
 from hystfit.results.measured.magnetic_loop import MagneticLoop
 from hystfit.results.measured.measured_value import LoopValue
 
@@ -132,6 +132,8 @@ def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
     mirrored = [b.rises for b in loop.branches] or [False]
     falling = [Branch(-b.u, -b.y) if b.rises else b for b in loop.branches]
     if not falling:
+        if turns_of(loop.h).size:  # neither a loop nor a demagnetization curve
+            return ()
         rest = float(loop.j[np.argmin(np.abs(loop.h))])
         falling = [Branch(np.sign(rest) * loop.h, np.sign(rest) * loop.j)]
         if abs(rest) < REMANENT_PART * np.abs(loop.j).max() or falling[0].u.min() >= -SAME_LEVEL * np.abs(loop.h).max():
@@ -215,7 +217,7 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
     """Amplitude permeability at the tips; initial and maximum permeability where the record begins demagnetized."""
     flux = loop.j + MU0 * loop.h
     tips = [(b.u[k], b.y[k] + MU0 * b.u[k]) for b in loop.branches for k in (0, -1)]
-    if tips:
+    if tips and abs(loop.h.max() + loop.h.min()) <= SAME_LEVEL * np.ptp(loop.h):
         values = [b / (MU0 * h) for h, b in tips if h != 0]
         spread = 0.5 * float(np.ptp(values))
         yield LoopValue(
