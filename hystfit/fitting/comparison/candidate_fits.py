@@ -16,6 +16,7 @@ from hystfit.fitting.comparison.contender import Candidate, First
 from hystfit.fitting.comparison.left_out import LeftOut, bic, left_out_error, ranking_error
 from hystfit.fitting.comparison.sizes import Known, SizeSearch, weights_of
 from hystfit.fitting.comparison.standings import Standings, correlation_of, leaves_noise
+from hystfit.fitting.comparison.told_filters import with_filters_of
 from hystfit.fitting.fit_model import Solved, solve_model
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, started_problem
@@ -76,7 +77,7 @@ class CandidateFits:
             one.first = First(known.left_out, len(known.free_names), handicap=handicap)
             return
         progress("first fit")
-        one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known)
+        one.sizes = SizeSearch(self.data, self.options.spacing, progress, self._known, self._told)
         if (found := one.sizes.first(model)) is not None:
             one.first = First(found[1], weights_of(found[0]), found[0], handicap=handicap)
         else:
@@ -160,13 +161,21 @@ class CandidateFits:
             problem, equations = of_last  # of the same cells
             ready.problem.equations = equations.beside(problem.space, ready.problem.space, len(self.data))
             return given, ready
-        sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress, self._known)
+        sizes = one.sizes or SizeSearch(self.data, self.options.spacing, progress, self._known, self._told)
         chosen, one.choices = sizes.chosen(model)
         if not one.choices:
             return None, None
         if (ready := sizes.setup(chosen)) is not None and ready.problem.equations is not None:
             self._equations = ready.problem, ready.problem.equations
+        started = chosen.start(list(self.data))
+        if ready is None and (told := self._told(started)) is not started:
+            ready = set_up_fit(chosen, self.data, self.options, started=(told,))
         return chosen, ready
+
+    def _told(self, model: AbstractHysteresis) -> AbstractHysteresis:
+        """A model whose filters, such as a lag or a relaxation, have the values of those in the best fit that has such ones."""
+        fits = sorted(self.standings.fits.values(), key=lambda fit: fit.left_out or np.inf)
+        return with_filters_of([fit.model for fit in fits], model)
 
     def _alike(self, model: AbstractHysteresis, first: First | None = None) -> FitResult | None:
         """The fit of a model with the same elements and other bounds, whose size serves both unless a first fit errs less."""

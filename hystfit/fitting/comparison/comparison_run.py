@@ -18,6 +18,7 @@ from hystfit.fitting.comparison.contender import Candidate, leader
 from hystfit.fitting.comparison.left_out import LeftOut
 from hystfit.fitting.comparison.sizes import weights_of
 from hystfit.fitting.comparison.standings import Standings
+from hystfit.fitting.comparison.suggested import suggested
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.trial import with_left_out
@@ -61,6 +62,7 @@ class ComparisonRun:
         self.candidate_fits = CandidateFits(data, left_out, options, named, self.standings)
         self._shown, self._workers = shown, workers
         self._solved: dict[str, Solved] = {}
+        self._asked: set[str] = set()  # names of candidates so far
 
     def on(self, data: Dataset) -> ComparisonRun:
         """A comparison with the same options on other records."""
@@ -89,6 +91,7 @@ class ComparisonRun:
     def looked_at(self, names: Sequence[str]) -> list[Candidate]:
         """Candidates after their first fits."""
         candidates = [Candidate(name) for name in names]
+        self._asked.update(names)
         self._each(self.candidate_fits.first, candidates)
         return candidates
 
@@ -109,13 +112,17 @@ class ComparisonRun:
         self.skip(ahead, WHITE)
 
     def finish(self, candidates: Sequence[Candidate], *, past_white: bool = True) -> None:
-        """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`."""
+        """Fit and validate candidates in the order of their first fits; where the best leaves noise the others stop unless `past_white`.
+
+        What the fits suggest joins them.
+        """
         waiting = self._keep_finished(candidates)
         while waiting:
             if not past_white and self.standings.is_white():
                 self.skip([one.name for one in waiting], WHITE)
                 return
             waiting = self.after_next(waiting)
+            waiting += self.looked_at([name for name in suggested(self.standings) if name not in self._asked])
 
     def after_next(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """Fit and validate the model with the best first fit; returns those that may still win."""
