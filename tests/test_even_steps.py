@@ -64,13 +64,23 @@ def test_a_sweep_equals_a_scan_of_steps(name: str) -> None:
         hf.LinearCreep(a=np.linspace(-0.1, 0.2, 7), rest="first"),
         hf.Viscous(c=0.3),
         hf.SaturatingRate(v0=50.0),
+        hf.Relaxation(a=(0.3, -0.1), tau=(0.02, 1.3)),
     ],
-    ids=["lag", "creep", "creep of several weights", "viscous", "saturating"],
+    ids=["lag", "creep", "creep of several weights", "viscous", "saturating", "relaxation"],
 )
 def test_a_run_on_the_host_equals_the_simulation(model: Any, clock: str) -> None:
     dt = {**CLOCKS, "repeated": np.where(np.arange(SAMPLES) % 5 == 2, 0.0, EVEN), "at rest": 0.0 * EVEN}[clock]
     u = np.sin(np.arange(SAMPLES) / 5) + 0.3 * np.sin(np.arange(SAMPLES) / 1.3)
     np.testing.assert_allclose(model.free_run(u, dt), hf.simulate(model, u, dt)[0], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_a_filter_of_columns_filters_each(clock: str) -> None:
+    model, dt = hf.Relaxation(a=(0.3, -0.1), tau=(0.02, 1.3)), CLOCKS[clock]
+    columns = np.random.default_rng(0).standard_normal((SAMPLES, 4)).cumsum(0)
+    found = model.filtered(columns, dt)
+    for column, out in zip(columns.T, found.T, strict=True):
+        np.testing.assert_allclose(out, hf.simulate(model, column, dt)[0], rtol=1e-9, atol=1e-12)
 
 
 def test_log_creep_of_an_even_clock_is_the_same_to_the_last_bit() -> None:

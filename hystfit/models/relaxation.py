@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,9 +14,11 @@ from hystfit.data.record import Record
 from hystfit.models.base import AbstractHysteresis, check_same_length
 from hystfit.models.shared.even_steps import relaxed
 from hystfit.models.shared.shapes import Scalar, Signal, State
+from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.starting import sampling_interval
 from hystfit.models.shared.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
+from hystfit.quality.host_operators import relaxed_columns
 
 
 class Relaxation(AbstractHysteresis):
@@ -55,6 +57,17 @@ class Relaxation(AbstractHysteresis):
         """The followers alone are in the scan."""
         state, total = relaxed(state, self.tau, 1.0, self.a, u, dt)
         return state, (1.0 - jnp.sum(self.a)) * u + total
+
+    def free_run(self, u: Any, dt: Any = None) -> np.ndarray:
+        u, dt = (np.asarray(v) for v in checked_drive(self, u, dt))
+        return self.filtered(u[:, None], dt)[:, 0]
+
+    def filtered(self, signals: np.ndarray, dt: np.ndarray) -> np.ndarray:
+        """By matrix products over some samples at a time."""
+        out = signals + float(np.sum(self.a)) * (signals[0] - signals)
+        for a, tau in zip(np.asarray(self.a), np.asarray(self.tau), strict=True):
+            out += a * (relaxed_columns(signals, dt / tau) - signals[0])
+        return out
 
     def start(self, records: Sequence[Record]) -> Relaxation:
         """Time constants from ten sampling intervals to the length of the records, small equal weights."""

@@ -220,9 +220,11 @@ def _behind(part: AbstractHysteresis, records: Sequence[Record]) -> list[Record]
 def _filter_design(part: AbstractHysteresis, design: DesignMatrix, dt: np.ndarray) -> DesignMatrix:
     """A design matrix, one row per sample, through a filter that is linear in its input."""
     columns = [block.columns for block in design.blocks]
-    signals, steps = np.column_stack([design.rest, *columns]), in_room(np.asarray(dt))
-    wide = np.pad(signals, ((0, steps.size - len(signals)), (0, 0)), mode="edge")
-    out = np.asarray(_filtered(part, wide, steps, np.int64(len(signals))))[: len(signals)]
+    signals = np.column_stack([design.rest, *columns])
+    if (out := part.filtered(signals, dt)) is None:
+        steps = in_room(np.asarray(dt))
+        wide = np.pad(signals, ((0, steps.size - len(signals)), (0, 0)), mode="edge")
+        out = np.asarray(_filtered(part, wide, steps, np.int64(len(signals))))[: len(signals)]
     edges = np.cumsum([1, *(block.shape[1] for block in columns)])
     blocks = (
         dataclasses.replace(block, columns=out[:, lo:hi])
