@@ -328,8 +328,11 @@ def test_a_first_fit_finds_a_relaxation_behind_plays() -> None:
 
 @pytest.mark.slow  # 20 models
 def test_a_relaxation_behind_plays_wins_the_comparison() -> None:
+    """Behind plays, or behind relays with finer thresholds than the 20 plays have, which leave the noise alone."""
     comparison = hf.compare(relaxing_plays(0.5, 5.0, 50.0))
-    assert comparison.rows[0].asked == "prandtl-ishlinskii+relaxation"
+    best = comparison.rows[0]
+    assert best.asked.endswith("+relaxation")
+    assert best.score < 1.1 * 100 * 0.002 / comparison.winner.baselines.span
 
 
 def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float, steps: int = 40) -> Searched:
