@@ -72,6 +72,7 @@ def weights(count: int, zeros: int) -> tuple[ParameterEstimate, ...]:
         (1.5, None, ("1.5", "-")),
         (1.5, math.nan, ("1.5", "-")),
         (1.5, 0.0, ("1.5", "-")),
+        (4.9407e-324, None, ("0", "-")),
     ],
 )
 def test_rounding(value, stderr, shown):

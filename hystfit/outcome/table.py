@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import html
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,11 @@ ROUNDING = 1e-9  # relative difference below which the digits of a value are tho
 
 
 def rounded(value: float, stderr: float | None) -> tuple[str, str]:
-    """A value and its standard error as text: two digits of the error, the value to the same decimal; "-" where unknown."""
+    """A value and its standard error as text: two digits of the error, the value to the same decimal; "-" where unknown.
+
+    A number below the smallest that floats hold to full precision is 0, which a bound without an exact zero comes to.
+    """
+    value = 0.0 if abs(value) < sys.float_info.min else value
     if stderr is None or not math.isfinite(stderr) or stderr <= 0:
         return f"{value:.5g}", "-"
     if stderr < ROUNDING * abs(value):
