@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.fitting.comparison.compared_models import Row
+from hystfit.fitting.comparison.standings import Standings
+from hystfit.fitting.comparison.suggested import suggested
 from hystfit.fitting.comparison.told_filters import with_filters_of
+from hystfit.fitting.fit_model import solve_model
+from hystfit.fitting.fit_options import FitOptions
 from hystfit.models.registry import make_model
 from hystfit.models.series import Series
+from hystfit.outcome import Status
 
 
 def relaxing_relays(frequency: float, seed: int, samples: int = 160) -> hf.Record:
@@ -32,6 +38,16 @@ def relays() -> hf.Dataset:
     return hf.Dataset(tuple(relaxing_relays(f, k) for k, f in enumerate((0.05, 0.5, 5.0))))
 
 
+@pytest.mark.parametrize(("white", "names"), [(False, ["preisach+relaxation"]), (True, [])])
+def test_plays_with_a_relaxation_suggest_relays_with_it_unless_they_leave_noise(relays, white, names):
+    standings = Standings(relays, "prediction", all_validated=False)
+    name = "prandtl-ishlinskii+relaxation"
+    fit = solve_model(name, relays, FitOptions()).unjudged
+    standings.add(Row(name, name, 1.0, 1.0, status=Status.OK, leaves_noise=white), fit)
+    assert suggested(standings) == names
+
+
+@pytest.mark.slow  # 10 s: the relays are searched for their relaxation
 def test_relays_are_tried_with_the_relaxation_that_plays_need(relays, monkeypatch):
     kinds = ("preisach", "bouc-wen", "prandtl-ishlinskii+relaxation")
     monkeypatch.setattr("hystfit.fitting.comparison.candidates.tried", lambda: kinds)
