@@ -91,6 +91,16 @@ def test_standard_errors_are_the_scatter_of_noisy_repeats():
         assert 0.6 < stated / scatter < 1.6, name
 
 
+def test_the_error_of_the_loss_of_cycles_that_decay_covers_the_largest():
+    """An ellipse that shrinks by 0.4 % in each cycle, without noise: the median of few cycles is not the loss of the first."""
+    phase = np.linspace(0, 4 * np.pi, 4001)
+    size = np.exp(-0.004 * phase / (2 * np.pi))
+    record = hf.Record(3 * size * np.cos(phase), 2 * size * np.cos(phase - 0.4), **MAGNETIC)
+    found = values_of(record)["loop_area"]
+    assert found.count == 3
+    assert abs(6 * np.pi * np.sin(0.4) * np.exp(-0.004) - found.value) < 3 * found.stderr < 0.05 * found.value
+
+
 def test_the_error_of_the_loss_of_several_cycles_is_their_scatter():
     """Cycles share no noise but that of the branches between them."""
     force = {"u_unit": "mm", "y_unit": "kN", "u_name": "x", "y_name": "F", "delay": -0.4}

@@ -153,9 +153,10 @@ def area_error(pair: Pair, sigma: float, correlated: float = 0.0) -> float:
 def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[float, float, int]:
     """Median area of closed loops in the order of time, its standard error and their number; the noise as for `area_error`.
 
-    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or their scatter. To it
-    comes that of straight lines between the samples: the areas of every second and of every fourth sample show how fast it falls with their
-    distance (Richardson and Aitken). Where the input does not come back, it is at least the strip that is missing.
+    Neighboring loops share a branch: the error is that of every second one, which are independent, by their noise or the scatter of all,
+    such as that of cycles which decay. To it comes that of straight lines between the samples: the areas of every second and of every
+    fourth sample show how fast it falls with their distance (Richardson and Aitken). Where the input does not come back, it is at least the
+    strip that is missing.
     """
     areas = [abs(area(*pair)) for pair in pairs]
     separate = [(size, area_error(pair, sigma, correlated)) for size, pair in zip(areas[::2], pairs[::2], strict=True)]
@@ -166,7 +167,9 @@ def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[
     lost = abs(value - second)
     ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
     strip = float(np.median([_missing(*pair) for pair in pairs]))
-    error = float(np.hypot(np.nan_to_num(combined(separate)[1]), lost / np.clip(ratio, 1.0, 3.0))) + strip
+    scatter = float(np.std(areas, ddof=1)) / math.sqrt(len(separate)) if len(areas) > 2 else 0.0
+    of_each = max(float(np.nan_to_num(combined(separate)[1])), scatter)
+    error = math.hypot(of_each, lost / np.clip(ratio, 1.0, 3.0)) + strip
     return value, error if error > 0 else np.nan, len(areas)
 
 
