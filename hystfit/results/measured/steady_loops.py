@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from statistics import median
+from statistics import median, median_low
 from typing import Any
 
 import numpy as np
@@ -240,8 +240,8 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
         if record.t is None or not len(found):
             continue
         first, last = found[:, 0], found[:, 2]
-        points = int(np.clip(2 * round(median((halves * (last - first)).tolist()) / 2), _FEWEST, _MOST))
-        interval = halves * median((record.t[last] - record.t[first]).tolist()) / points
+        points = int(np.clip(2 * round(median_low((halves * (last - first)).tolist()) / 2), _FEWEST, _MOST))
+        interval = halves * median_low((record.t[last] - record.t[first]).tolist()) / points  # of two paces that of one
         return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
     return data[0].sampling_interval or 1.0, False, POINTS
 
