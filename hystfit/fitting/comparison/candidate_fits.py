@@ -12,7 +12,7 @@ from hystfit.config import expect_few_runs
 from hystfit.data.dataset import Dataset
 from hystfit.fitting.comparison.compared_models import MARGIN, Obstacles, Row
 from hystfit.fitting.comparison.contender import Candidate, First
-from hystfit.fitting.comparison.left_out import LeftOut, bic, left_out_error, ranking_error
+from hystfit.fitting.comparison.left_out import LeftOut, bic, inner_error, left_out_error
 from hystfit.fitting.comparison.sizes import Known, SizeSearch, weights_of
 from hystfit.fitting.comparison.standings import Standings, correlation_of, leaves_noise
 from hystfit.fitting.fit_model import Solved, solve_model
@@ -21,7 +21,7 @@ from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve
 from hystfit.fitting.solvers.least_squares import LeastSquares
 from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.fitting.solvers.thinning import thinned
-from hystfit.fitting.trial import with_left_out
+from hystfit.fitting.trial import with_inner_loops, with_left_out
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import Split
 from hystfit.models.base import AbstractHysteresis
@@ -205,7 +205,10 @@ class CandidateFits:
         score, criterion = left_out_error(result, self.left_out, most * span / 100), bic(result)
         if self.left_out == "auto" and np.isfinite(score):
             result = with_left_out(result, float(score))
-            score = ranking_error(result, float(score), most * span / 100)
+            inner = inner_error(result, float(score), most * span / 100)
+            if inner is not None:
+                result = with_inner_loops(result, inner)
+                score = float(np.sqrt(score * inner))
         known, stopped = np.isfinite(score), np.isfinite(most) and np.isposinf(score)
         effective = one.solved.estimate.effective or float(len(result.free_names))
         one.result = result.with_notes(*one.choices)
