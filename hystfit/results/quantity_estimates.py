@@ -24,6 +24,7 @@ from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.steady_branches import OF_HEIGHT, at_pace
 from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.results.result import FitResult
 
@@ -34,11 +35,6 @@ _MANY = 40  # free parameters, above which the columns of linear weights come fr
 # Why a loop whose branches do not cross has no value.
 _WITHOUT = {"coercive_input": Unknown.NO_CROSSING, "equivalent_damping_percent": Unknown.OVERDAMPED}
 _CLOSED = 0.05  # of the output's range, between the two ends of a measured loop
-# The same of the loop's height. After a first rise from rest it is 0.5 on three simulated piezo stacks and a pneumatic muscle, whose loops
-# are so narrow that it is less than 7 % of the range; loops that drift with the temperature or creep have less than 0.1.
-_OF_HEIGHT = 0.25
-# Ratio of durations of cycles at one pace: a loop that a lag opens, or closes, is 10 % wider at most.
-_SAME_PACE = 1.1
 
 # Samples of a half cycle up to which the loop between them is looked at (a polygon of 80 sides has 0.1 % less area than its ellipse), half
 # cycles that are, and parts into which each step of the input is divided.
@@ -295,7 +291,7 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
         lasts = [0.0] * len(found) if record.t is None else (record.t[turns[2:]] - record.t[turns[:-2]]).tolist()
         loops = [one for one in zip(itertools.pairwise(found), lasts, strict=False) if _closed(*one[0])]
         for pair, duration in loops:
-            if duration > 0 and abs(np.log(duration / cycle)) > np.log(_SAME_PACE):
+            if duration > 0 and not at_pace(np.array([duration]), cycle):
                 continue
             for rises, branch in pair:
                 branches[rises].append(branch)
@@ -313,7 +309,7 @@ def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray |
     if first is None or second is None:
         return False
     end = 0 if rises else -1
-    most = min(_CLOSED * float(np.ptp(first)), _OF_HEIGHT * float(np.max(np.abs(first - second))))
+    most = min(_CLOSED * float(np.ptp(first)), OF_HEIGHT * float(np.max(np.abs(first - second))))
     return bool(abs(first[end] - second[end]) <= most)
 
 
