@@ -83,34 +83,38 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
 
     Where there are at least as many parameters as samples, a warning states that only this error tests the fit.
     """
-    result = dataclasses.replace(result, left_out=rmse)
+    result, span = dataclasses.replace(result, left_out=rmse), result.baselines.span
+    limit = largest_left_out(span, result.train.rmse)
     if len(result.free_names) >= result.train.n:
         text = f"{len(result.free_names)} parameters for {result.train.n} samples: only the cross-validation error tests this fit"
         if not has(result.notes, Code.MANY_WEIGHTS):
             result = result.with_notes(warn(Code.MANY_WEIGHTS, text))
-    return _within_limit(result, rmse, "the cross-validation error is", "does not predict held-out samples")
+    if not result.usable or not rmse > limit:
+        return result
+    text = (
+        f"the cross-validation error is {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit "
+        "does not predict held-out samples"
+    )
+    return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)
 
 
 def with_inner_loops(result: FitResult, rmse: float) -> FitResult:
-    """The result with the error on smaller loops, each amplitude held out in turn [y], which decides its status as `with_left_out` does."""
-    what = "the cross-validation error on smaller loops, each amplitude held out in turn, is"
-    return _within_limit(result, rmse, what, "predicts these loops, and no others")
-
-
-def with_objections(result: FitResult, judged: FitResult) -> FitResult:
-    """The result with what cross-validation objects to another judgment of the same fit."""
-    more = [note for note in judged.notes if note.code is Code.LEFT_OUT_ERROR and not has(result.notes, note.code)]
-    return dataclasses.replace(result.with_notes(*more, first=True), status=judged.status) if more else result
-
-
-def _within_limit(result: FitResult, rmse: float, what: str, meaning: str) -> FitResult:
-    """The result, which is rough with an error on held-out samples [y] above its limit."""
+    """The result with a warning where the error on smaller loops, each amplitude held out in turn [y], is above the limit."""
     span = result.baselines.span
     limit = largest_left_out(span, result.train.rmse)
     if not result.usable or not rmse > limit:
         return result
-    text = f"{what} {100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %: the fit {meaning}"
-    return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)
+    text = (
+        f"the fit describes these loops and does not predict others: on the smaller loops, each amplitude held out in turn, the error is "
+        f"{100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %"
+    )
+    return result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True)
+
+
+def carried_over(result: FitResult, other: FitResult) -> FitResult:
+    """The result with notes on the choices of another judgment of the same fit, and on its error on smaller loops."""
+    carried = {Code.CHOICE} if has(result.notes, Code.LEFT_OUT_ERROR) else {Code.CHOICE, Code.LEFT_OUT_ERROR}
+    return result.with_notes(*(note for note in other.notes if note.code in carried and note not in result.notes))
 
 
 def largest_left_out(span: Any, rmse: Any) -> Any:
