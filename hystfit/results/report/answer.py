@@ -221,7 +221,9 @@ def _changed_fit(result: FitResult, wording: Wording, loop: str) -> list[str]:
     """The command of another fit that notes propose: without a half cycle at an end or, where none is wrong, with a robust loss."""
     for code in _REMEDIED:
         for name, value in (note.option for note in result.notes if note.code is code and note.option is not None):
-            command = _joined("hystfit fit", loop, wording.split, shlex.join(option_words({name: value})))
+            # A comparison of models takes no loss.
+            model = shlex.join(["--model", result.name]) if name == "loss" else ""
+            command = _joined("hystfit fit", loop, model, wording.split, shlex.join(option_words({name: value})))
             return [] if f"--{name}" in wording.split else [command]
     return []
 
