@@ -207,12 +207,19 @@ def _summarize(record: Record) -> RecordQuality:
     )
 
 
+def decades_of(values: np.ndarray) -> float:
+    """Decades over which the upper three quarters of the sizes of values extend; 0 of those of both signs."""
+    known = values[np.isfinite(values)]
+    if not known.size or known.min() * known.max() <= 0:
+        return 0.0
+    sizes = np.abs(known)
+    return float(np.log10(sizes.max() / np.quantile(sizes, 0.25)))
+
+
 def _column(values: np.ndarray) -> Column:
     noise, bound = noise_rms(values)
     low, high = float(np.nanmin(values)) + 0.0, float(np.nanmax(values)) + 0.0
-    sizes = np.abs(values[np.isfinite(values)])
-    decades = float(np.log10(sizes.max() / np.quantile(sizes, 0.25))) if low * high > 0 else 0.0
-    return Column(low, high, resolution(values), noise, bound, decades)
+    return Column(low, high, resolution(values), noise, bound, decades_of(values))
 
 
 def _sampling(record: Record) -> Sampling:

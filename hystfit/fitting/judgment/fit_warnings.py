@@ -13,6 +13,7 @@ from hystfit.data.record import Record
 from hystfit.data.two_levels import has_two_levels
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.inference.problem import Problem
+from hystfit.models.shared.starting import used_samples
 from hystfit.outcome import Code, Note, Severity
 from hystfit.outcome.note import warn
 from hystfit.quality.baselines import BLOCK, VISIBLE, plays_residuals
@@ -20,13 +21,22 @@ from hystfit.quality.check import conditions_of
 from hystfit.quality.damage import fails_at
 from hystfit.quality.drift import cycle_means
 from hystfit.quality.faults import CLEAR, MOST, clipped_samples, saturated_samples
-from hystfit.quality.findings import AFTER_FAILURE, CONTROLLED, chatter_note, conducts, flat_words, place_of, rate_note
+from hystfit.quality.findings import (
+    AFTER_FAILURE,
+    CONTROLLED,
+    chatter_note,
+    conducts,
+    flat_words,
+    place_of,
+    rate_note,
+    scale_notes,
+)
 from hystfit.quality.flat_ends import flat_ends
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.load_control import controls_output
 from hystfit.quality.loops import APART, SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import is_rate
-from hystfit.quality.summary import delay_of, outliers_of, paces
+from hystfit.quality.summary import decades_of, delay_of, outliers_of, paces
 from hystfit.results.accuracy import better_family_warning, is_noise, persistent_error
 
 BEGINS = 3.0  # times the rms error elsewhere that the largest error exceeds where the first or last half cycle is unlike the others
@@ -49,7 +59,8 @@ def warnings_of(fitted: Fitted) -> list[Note]:
         _chattering(fitted),
         _at_one_rate(fitted.data),
     )
-    notes = [*conditions_of(fitted.data), *(note for note in found if note is not None)]
+    scales = scale_notes(*(decades_of(column) for column in used_samples(list(fitted.data))))
+    notes = [*conditions_of(fitted.data), *scales, *(note for note in found if note is not None)]
     drift = _drift(fitted)
     return notes if drift is None else [*(n for n in notes if n.code is not Code.INITIAL_STATE), drift]
 
