@@ -616,3 +616,16 @@ def test_of_several_rates_in_a_record_the_cycles_of_one_count(counts: dict[float
     assert found["coercive_input"].value == pytest.approx(75 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
     assert found["remanence"].value == pytest.approx(8 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
     assert ("20 Hz" in found["coercive_input"].label) == (len(counts) > 1)
+
+
+@pytest.mark.parametrize("zero", [0.0, 4.0])
+def test_an_imprint_is_found_whatever_the_zero_of_the_charge(zero: float) -> None:
+    """A loop that is shifted by 0.15 V; with its polarization 4 uC/cm2 too high, its crossings of zero are as far apart on both sides."""
+    v = 5 * np.cos(np.linspace(0, 2 * np.pi, 401))
+    p = 25 * np.tanh((v - 0.15 - np.where(np.arange(v.size) > 200, 2.0, -2.0)) / 0.9) + v + zero
+    p += 0.1 * np.random.default_rng(0).standard_normal(v.size)
+    found = values_of(hf.Record(v, p, u_unit="V", y_unit="uC/cm2", u_name="voltage", y_name="polarization"))
+    one = found["offset_about_middle" if zero else "offset_input"]
+    assert one.value == pytest.approx(0.15, abs=4 * one.stderr)
+    assert one.stderr < 0.02
+    assert ("offset_about_middle" in found) == (zero > 0)

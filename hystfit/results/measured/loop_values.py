@@ -202,7 +202,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
     found = [*labeled(found, record, pairs, duration, sigma)]
     if kind is LoopKind.FERROELECTRIC:
-        found.extend(polarization_values(record, found, sigma))
+        found.extend(polarization_values(record, found, sigma, branches))
     if kind is LoopKind.MAGNETIC:
         found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
