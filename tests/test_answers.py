@@ -153,3 +153,19 @@ def test_a_damper_is_tried_on_no_output_of_another_quantity() -> None:
     assert not is_damper(tried(u_unit="m", y_unit="m3/s", y_name="Discharge"))
     assert is_damper(tried(u_unit="mm", y_unit="N"))
     assert is_damper(tried())
+
+
+def test_of_several_rates_the_answer_names_that_of_its_loop() -> None:
+    """Plays behind a lag of 4 ms: a loop of 25 % of the stroke at 2 Hz, and of twice as much at 20 Hz."""
+    pieces = [np.arange(round(500 * n / f)) * 2 * np.pi * f / 500 for f, n in ((2.0, 3), (20.0, 6))]
+    phase = np.concatenate(pieces)
+    u, y = 75 - 75 * np.cos(phase), np.zeros(phase.size)
+    p = 0.0
+    for k in range(1, u.size):
+        p = max(u[k] - 15, min(u[k] + 15, p))
+        y[k] = y[k - 1] + (0.1 * p + 0.05 * u[k] - y[k - 1]) * -np.expm1(-0.5)
+    record = hf.Record(u, y + 0.01 * np.random.default_rng(0).standard_normal(u.size), t=np.arange(u.size) / 500)
+    labels = dict(hf.fit("lag+prandtl-ishlinskii:plays=5", record.replace(u_unit="V", y_unit="um")).answer)
+    assert any("at 20 Hz" in label for label in labels)
+    static = dict(hf.fit("prandtl-ishlinskii:plays=5", record.replace(u_unit="V", y_unit="um")).answer)
+    assert not any("Hz" in label for label in static)

@@ -266,6 +266,20 @@ def test_predict_writes_what_the_model_says(folder, loop, fitted, capsys):
     assert not same(strict((out / "result.json").read_text()))
 
 
+def test_predict_reads_the_columns_that_were_fitted(folder, loop, capsys):
+    """The voltage over the displacement, which no file tells by itself; of a file with other columns it says what it does without a fit."""
+    swapped, columns = folder / "swapped", ["--input", "y_um", "--output", "u_V"]
+    assert run(["fit", str(loop), "--model", "prandtl-ishlinskii-stop", *columns, "--out", str(swapped)]) in (0, 1)
+    capsys.readouterr()
+    for options in (columns, []):
+        assert run(["predict", str(swapped), str(loop), *options, "--json"]) == 0
+        assert strict(capsys.readouterr().out)["metrics"]["test"]["nrmse_percent"] < 10
+    renamed = folder / "renamed.csv"
+    renamed.write_text(loop.read_text().replace("t_s,u_V,y_um", "t_s,voltage_V,displacement_um"))
+    assert run(["predict", str(swapped), str(renamed)]) == 2
+    assert "unit" in capsys.readouterr().err
+
+
 def test_predict_from_an_input_alone_warns_beyond_the_fitted_range(folder, fitted, capsys):
     path = folder / "input.csv"
     path.write_text("t_s,u_V\n" + "\n".join(f"{k / 800},{60 * np.sin(k / 90) ** 2}" for k in range(600)))

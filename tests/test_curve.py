@@ -32,6 +32,15 @@ def test_few_knots_or_bends_are_refused():
         Curve(bend=(0.0, 0.0), knots=(0.0, 0.5, 1.0))
 
 
+def test_inputs_that_decay_to_a_hold_leave_knots_apart():
+    """A lag behind a clipped sine: a third of the samples lie closer to zero than numbers can be divided by."""
+    u = np.concatenate([np.linspace(0, 1, 200), np.linspace(1, 0, 200)[1:], np.exp(-np.arange(300.0))])
+    curve = Curve.of(20).start([hf.Record(u, u**2)])
+    columns = np.hstack([block.columns for block in curve.design_matrix(u).blocks])
+    assert np.abs(columns).max() < 1e6
+    assert np.all(np.diff(curve.knots) > 0)
+
+
 def lagged(u: np.ndarray, passed: np.ndarray) -> np.ndarray:
     """Output of a first-order lag, by a plain loop; `passed` is the time between samples over the time constant."""
     out, state = np.empty(u.size), u[0]

@@ -586,3 +586,56 @@ def test_a_small_loop_on_a_steep_branch_does_not_move_where_the_branch_crosses(m
     for side, at in zip(sides, (2.0, 1.0), strict=True):
         assert found[f"coercive_input_{side}"].value == pytest.approx(-at if mirrored else at, abs=0.02)
     assert found["coercive_input"].value == pytest.approx(0.5, abs=0.02)
+
+
+def _piezo(cycles: float, seed: int = 0) -> hf.Record:
+    """Plays from rest at 0 V, 100 samples a branch: an output of 16 um whose loop is 2 um high."""
+    u = np.interp(
+        np.arange(0, 200 * cycles + 1) / 100, np.arange(2 * cycles + 1), np.arange(2 * cycles + 1) % 2 * 150.0
+    )
+    y = 0.06 * u
+    for limit, weight in ((4.0, 0.012), (9.0, 0.01), (15.0, 0.009), (22.0, 0.007), (30.0, 0.006), (40.0, 0.005)):
+        p = 0.0
+        for k, value in enumerate(u):
+            p = max(value - limit, min(value + limit, p))
+            y[k] += weight * p
+    y += 0.01 * np.random.default_rng(seed).standard_normal(u.size)
+    return hf.Record(u, y, u_unit="V", y_unit="um")
+
+
+def test_the_first_rise_from_rest_does_not_count_beside_later_ones() -> None:
+    """The first branch begins half the height of the loop below the others, and meets them above the middle of the output."""
+    steady, two, first = values_of(_piezo(5)), values_of(_piezo(2)), values_of(_piezo(1))
+    for name in ("coercive_input", "remanence", "loop_area"):
+        assert two[name].value == pytest.approx(steady[name].value, abs=4 * two[name].stderr)
+        assert two[name].stderr < 0.02 * two[name].value
+    assert first["loop_area"].value > 1.04 * steady["loop_area"].value
+    assert all("first cycle" in one.label for one in first.values() if one.name != "stroke")
+    assert not any("first cycle" in one.label for one in two.values())
+
+
+@pytest.mark.parametrize("counts", [{1.0: 2, 5.0: 4, 20.0: 10, 50.0: 8}, {20.0: 5}])
+def test_of_several_rates_in_a_record_the_cycles_of_one_count(counts: dict[float, int]) -> None:
+    """An output that follows the input by 6 ms begins every branch inside the loop."""
+    pieces = [np.arange(round(2000 * count / f)) * f / 2000 for f, count in counts.items()]
+    delay = np.repeat([2 * np.pi * f * 0.006 for f in counts], [piece.size for piece in pieces])
+    phase = 2 * np.pi * np.concatenate(pieces)
+    u, y = 75 - 75 * np.cos(phase), 8 - 8 * np.cos(phase - delay)
+    y += 0.01 * np.random.default_rng(0).standard_normal(u.size)
+    found = values_of(hf.Record(u, y, t=np.arange(u.size) / 2000, u_unit="V", y_unit="um"))
+    assert found["coercive_input"].value == pytest.approx(75 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
+    assert found["remanence"].value == pytest.approx(8 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
+    assert ("20 Hz" in found["coercive_input"].label) == (len(counts) > 1)
+
+
+@pytest.mark.parametrize("zero", [0.0, 4.0])
+def test_an_imprint_is_found_whatever_the_zero_of_the_charge(zero: float) -> None:
+    """A loop that is shifted by 0.15 V; with its polarization 4 uC/cm2 too high, its crossings of zero are as far apart on both sides."""
+    v = 5 * np.cos(np.linspace(0, 2 * np.pi, 401))
+    p = 25 * np.tanh((v - 0.15 - np.where(np.arange(v.size) > 200, 2.0, -2.0)) / 0.9) + v + zero
+    p += 0.1 * np.random.default_rng(0).standard_normal(v.size)
+    found = values_of(hf.Record(v, p, u_unit="V", y_unit="uC/cm2", u_name="voltage", y_name="polarization"))
+    one = found["offset_about_middle" if zero else "offset_input"]
+    assert one.value == pytest.approx(0.15, abs=4 * one.stderr)
+    assert one.stderr < 0.02
+    assert ("offset_about_middle" in found) == (zero > 0)

@@ -331,6 +331,16 @@ def test_a_loop_shifted_by_exchange_bias_has_its_offset_and_the_distribution_of_
     assert found["switching_distribution"].spread < 0.05 * exact
 
 
+def test_samples_that_crowd_at_the_tips_of_a_sine_are_no_switching():
+    """Of two thousand samples a cycle those at the tips are so close that their noise alone has the steepest slope."""
+    h = 200 * np.cos(np.linspace(0, 2 * np.pi, 2001))
+    y = np.tanh((h + np.where(np.arange(h.size) < 1000, 40, -40)) / 50)
+    noisy = y + 0.004 * np.random.default_rng(0).standard_normal(h.size)
+    found = values_of(hf.Record(h, noisy, u_unit="A/m", y_unit="T", u_name="H", y_name="J"))
+    exact = 2 * np.arccosh(np.sqrt(2)) * 50 / 40
+    assert found["switching_distribution"].value == pytest.approx(exact, rel=0.1)  # of a noisy derivative
+
+
 def test_the_first_curve_of_loops_of_growing_amplitude_leaves_out_what_lies_inside():
     """Inside the loops, the remanent induction over a small field is no permeability."""
     phase = np.linspace(0, 2 * np.pi, 201)[:-1]

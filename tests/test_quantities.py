@@ -754,3 +754,28 @@ def test_a_butterfly_from_zero_has_a_range_and_no_ratio_to_the_distance_of_its_e
         found = measured_quantities(Dataset.of(hf.Record(u=u, y=y)))
     assert found["stroke"] == pytest.approx(1.0, abs=1e-3)
     assert "equivalent_damping_percent" not in found
+
+
+def test_measured_loops_at_one_of_several_rates_in_a_record_are_those_of_the_steady_loop() -> None:
+    """Of an output that follows the input by 3 ms, 10 cycles at 20 Hz and 8 at 50 Hz: the loops differ by a factor of two."""
+    rate, counts = 2000.0, {1.0: 2, 5.0: 4, 20.0: 10, 50.0: 8}
+    pieces = [np.arange(round(rate * count / f)) * f / rate for f, count in counts.items()]
+    frequency = np.repeat([*counts], [piece.size for piece in pieces])
+    phase = 2 * np.pi * np.concatenate(pieces)
+    u, y = 75 - 75 * np.cos(phase), 75 - 75 * np.cos(phase - 2 * np.pi * frequency * 0.003)
+    data = hf.Dataset((hf.Record(u, y, t=np.arange(u.size) / rate, u_unit="V", y_unit="um"),))
+    steady = Excitation.of(data)
+    assert steady.interval * steady.points == pytest.approx(0.05, rel=1e-3)
+    assert measured_quantities(data)["remanence"] == pytest.approx(75 * np.sin(2 * np.pi * 20 * 0.003), rel=0.02)
+
+
+def test_a_narrow_loop_that_starts_from_rest_is_no_steady_loop() -> None:
+    """Plays from rest at 0: after the first rise the output ends 3 % of its range above the start, and half the height of the loop."""
+    u = np.interp(np.arange(601), [0, 100, 200, 300, 400, 500, 600], [0.0, 10.0, 0.0, 10.0, 0.0, 10.0, 0.0])
+    y, p = np.zeros(u.size), 0.0
+    for k, value in enumerate(u):
+        p = max(value - 0.5, min(value + 0.5, p))
+        y[k] = p + 0.5 * value
+    record = hf.Record(u, y, u_unit="V", y_unit="um")
+    assert measured_quantities(hf.Dataset((record.window(None, 201.0),))) == {}
+    assert measured_quantities(hf.Dataset((record,)))["loop_area"] == pytest.approx(9.0, rel=1e-3)

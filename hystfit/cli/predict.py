@@ -21,7 +21,7 @@ from hystfit.cli.options import (
     Trust,
     bounds_of,
 )
-from hystfit.cli.records import load, load_one_sided, open_fit, open_posterior
+from hystfit.cli.records import load_like, load_one_sided, open_fit, open_posterior
 from hystfit.cli.verbs import as_options
 from hystfit.cli.write import finish, items, named, progress, prose_width, record_columns, show, write_csv, written
 from hystfit.outcome import Code, Note, Severity, Status
@@ -92,7 +92,7 @@ def predict(
         data = load_one_sided(loops, reading, "output", result.data[0])
         data = data.map(lambda record: record.replace(y_unit=unit))
     else:
-        data = load(loops, reading)
+        data = load_like(loops, reading, result.data[0])
     data = data.map(result.in_fitted_units)
     part = bounds_of(window)
     if part is not None:

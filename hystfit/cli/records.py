@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -71,6 +72,28 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise DataError(f"{twice[0]!r} is given twice")
     return Dataset.of(combined([(file, _load_one(file, reading)) for file in files]))
+
+
+def load_like(loops: Sequence[str], reading: Reading, fitted: Record) -> Dataset:
+    """The records of LOOP arguments, from the columns that have the names of a fit's input and output where no option names others.
+
+    A file that is read otherwise, or has no such columns, is read as it is without a fit.
+    """
+    named = dataclasses.replace(reading, input=fitted.u_name, output=fitted.y_name)
+    free = reading.input is None and reading.output is None
+    data, refused = None, None
+    try:
+        data = load(loops, reading)
+    except DataError as error:
+        refused = error
+    same = data is not None and all((one.u_name, one.y_name) == (fitted.u_name, fitted.y_name) for one in data)
+    if free and not same:
+        with contextlib.suppress(DataError):
+            return load(loops, named)
+    if data is None:
+        assert refused is not None
+        raise refused
+    return data
 
 
 def _load_one(loop: str, reading: Reading) -> Dataset:
@@ -181,7 +204,7 @@ def train_and_test(loops: Sequence[str], reading: Reading, split: Split) -> tupl
     train = load(loops, reading)
     test = None
     if split.test is not None:
-        test = load([split.test], dataclasses.replace(reading, only=split.test_only))
+        test = load_like([split.test], dataclasses.replace(reading, only=split.test_only), train[0])
         names = {record.name for record in train}  # whose offsets a test record of the same name would take
         test = test.map(lambda r: r.replace(name=f"{r.name} (test)") if r.name in names else r)
     elif split.test_only is not None:

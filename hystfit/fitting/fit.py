@@ -16,7 +16,7 @@ from hystfit.fitting.fit_model import fit_model
 from hystfit.fitting.fit_options import DEFAULT_OPTIONS, FitOptions, Start
 from hystfit.fitting.solvers.estimate import AbstractEstimator
 from hystfit.fitting.solvers.registry import is_sequential
-from hystfit.fitting.trial import with_left_out, with_test
+from hystfit.fitting.trial import carried_over, with_left_out, with_test
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.objective import Loss
 from hystfit.models.base import AbstractHysteresis
@@ -132,5 +132,4 @@ def _under_noise(winner: FitResult, data: Dataset, options: FitOptions) -> FitRe
     """The winner refitted from its own values under the noise of the options; it keeps its structure and cross-validation error."""
     result = fit_model(winner.model, data, dataclasses.replace(options, start="model"))
     result = result if winner.left_out is None else with_left_out(result, winner.left_out)
-    choices = [note for note in winner.notes if note.code is Code.CHOICE and note not in result.notes]
-    return result.with_notes(*choices)
+    return carried_over(result, winner)

@@ -17,7 +17,7 @@ from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.fit_setup import FitSetup, choose_method, set_up_fit, solve, without_faults
 from hystfit.fitting.judgment.assessment import notes_of
 from hystfit.fitting.judgment.covariance import Uncertainty, uncertainty
-from hystfit.fitting.judgment.fit_warnings import ROBUST_LOSS
+from hystfit.fitting.judgment.fit_warnings import ROBUST_LOSS, may_be_robust
 from hystfit.fitting.judgment.fitted import Fitted
 from hystfit.fitting.judgment.verdict import verdict_of
 from hystfit.fitting.noise_refinement import refine
@@ -169,7 +169,7 @@ def _mismatches(errors: Uncertainty, noise: str | type[AbstractNoise], problem: 
     diagnosis = diagnose(errors.residuals)
     if noise == "auto":
         found = [note for note in diagnosis.findings if note.code is not Code.CORRELATED_RESIDUALS]
-        return [_outweighed(note) if problem.objective.loss == "linear" else note for note in found]
+        return [_outweighed(note) if may_be_robust(problem) else note for note in found]
     return [
         dataclasses.replace(note, text=f"noise={noise!r} was chosen, but {note.text}")
         for note in diagnosis.objections(NOISES.find(noise))  # type: ignore[arg-type]

@@ -98,6 +98,25 @@ def with_left_out(result: FitResult, rmse: float) -> FitResult:
     return dataclasses.replace(result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True), status=Status.ROUGH)
 
 
+def with_inner_loops(result: FitResult, rmse: float) -> FitResult:
+    """The result with a warning where the error on smaller loops, each amplitude held out in turn [y], is above the limit."""
+    span = result.baselines.span
+    limit = largest_left_out(span, result.train.rmse)
+    if not result.usable or not rmse > limit:
+        return result
+    text = (
+        f"the fit describes these loops and does not predict others: on the smaller loops, each amplitude held out in turn, the error is "
+        f"{100 * rmse / span:.3g} % of the range, above the limit of {100 * limit / span:.3g} %"
+    )
+    return result.with_notes(warn(Code.LEFT_OUT_ERROR, text), first=True)
+
+
+def carried_over(result: FitResult, other: FitResult) -> FitResult:
+    """The result with notes on the choices of another judgment of the same fit, and on its error on smaller loops."""
+    carried = {Code.CHOICE} if has(result.notes, Code.LEFT_OUT_ERROR) else {Code.CHOICE, Code.LEFT_OUT_ERROR}
+    return result.with_notes(*(note for note in other.notes if note.code in carried and note not in result.notes))
+
+
 def largest_left_out(span: Any, rmse: Any) -> Any:
     """Largest error of samples left out of usable fits, of which the outputs' ranges and the rms errors are known [y]."""
     return np.maximum(POOR / 100 * span, _WORSE * rmse)

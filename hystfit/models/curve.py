@@ -21,6 +21,7 @@ from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.slopes import POINTS, Slopes
 from hystfit.models.shared.starting import fitted_input_range, output_range, used_samples
 from hystfit.params.param import param
+from hystfit.params.relative_size import ROUNDED
 
 _KNOTS = 20  # as many as the search for terms has plays
 _MEANS = 4  # of the samples, for each interval between knots, along which these are placed
@@ -102,7 +103,7 @@ class Curve(AbstractMemoryless):
         place_of = way / (way[-1] or 1.0) + np.linspace(0.0, 1.0, way.size)
         knots = np.interp(np.linspace(0.0, 2.0, count), place_of, x)
         knots[[0, -1]] = 0.0, 1.0
-        if not (np.diff(knots) > 0).all():
+        if not (np.diff(knots) > ROUNDED).all():  # of holds, and of a lag that decays to them
             knots = np.linspace(0.0, 1.0, count)
         return dataclasses.replace(
             self, rise=0.0, bend=np.zeros(count), offset=out.center, knots=knots, low=place.low, high=place.high

@@ -24,7 +24,7 @@ from hystfit.models.shared.starting import sampling_interval
 from hystfit.models.shared.step_inverse import COMES_LATER, AbstractStepInverse, LinearStep
 from hystfit.params.param import param
 from hystfit.quality.host_operators import recursion
-from hystfit.quality.summary import delay_of, dynamics_of
+from hystfit.quality.summary import delay_of, dynamics_of, likeliest_lag_of
 
 
 class Delay(AbstractHysteresis):
@@ -145,8 +145,9 @@ class Lag(AbstractHysteresis):
         return kept, kept * passed, reached, reached - kept * passed
 
     def start(self, records: Sequence[Record]) -> Lag:
-        """Three samples."""
-        return dataclasses.replace(self, tau=3.0 * sampling_interval(records))
+        """The lag behind which hysteresis describes the output best; three samples where none does."""
+        found = [lag for record in records if (lag := likeliest_lag_of(record)) is not None]
+        return dataclasses.replace(self, tau=float(np.median(found or [3.0])) * sampling_interval(records))
 
     def step_inverse(self, sign: float = 1.0) -> AbstractStepInverse:
         """The output is affine in the new input."""

@@ -38,7 +38,12 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
     span = max((record.y.range for record in records), default=0.0)
     by_record = {
         record.name: itertools.chain(
-            _faults(record), _noise(record, span), _scale(record), _response(record), _loops(record), _changes(record)
+            _faults(record),
+            _noise(record, span),
+            scale_notes(record.u.decades, record.y.decades),
+            _response(record),
+            _loops(record),
+            _changes(record),
         )
         for record in records
     }
@@ -105,11 +110,11 @@ def _noise(record: RecordQuality, span: float) -> Iterator[Note]:
         yield warn(Code.OUTPUT_NOISE, text)
 
 
-def _scale(record: RecordQuality) -> Iterator[Note]:
-    """Whether the input or the output extends over decades."""
-    for role, column in (("input", record.u), ("output", record.y)):
-        if column.decades > _DECADES - 1e-9:
-            text = f"a quarter of the {role}s are below {10 ** (2 - column.decades):.2g} % of the largest, and hardly affect a fit"
+def scale_notes(u: float, y: float) -> Iterator[Note]:
+    """Whether the input or the output extends over decades, of which u and y have this many."""
+    for role, decades in (("input", u), ("output", y)):
+        if decades > _DECADES - 1e-9:
+            text = f"a quarter of the {role}s are below {10 ** (2 - decades):.2g} % of the largest, and hardly affect a fit"
             yield warn(Code.DECADES, f"{text}: write log10 of the {role} to the file and fit that")
 
 

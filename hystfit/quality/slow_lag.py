@@ -6,6 +6,7 @@ import numpy as np
 
 from hystfit.quality.baselines import MOST_OF
 from hystfit.quality.delay import MOST
+from hystfit.quality.held_out import GAIN
 from hystfit.quality.host_operators import lagged, play_positions
 from hystfit.quality.resonance import FEWEST, explains, unexplained
 
@@ -23,29 +24,43 @@ def estimate_slow_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float 
         y: output, shape (T,).
         turns: turning points of u, see `loops.reversals`.
     """
-    used = np.isfinite(y)
-    if turns.size < 3 or used.sum() < FEWEST or np.ptp(u) == 0:
+    if not _shows_loops(u, y, turns):
         return None
-    stride = -(-u.size // MOST)
     longest = float(np.median(np.diff(turns))) / 4
     if longest <= SHORT:
         return None
-    span = float(np.ptp(y[used]))
-
-    def error(lag: float) -> float:
-        behind = lagged(lagged(u[:, None], lag / 2), lag / 2)[:, 0] if lag else u
-        rows = used[::stride]
-        columns = _rate_independent(behind)[::stride][rows]
-        return unexplained(columns, y[::stride][rows]) / span
-
-    without = error(0.0)
+    without = _error(u, y)
     if not explains(0.0, without):
         return None
     lags = np.geomspace(SHORT, longest, 10)
-    errors = np.array([error(lag) for lag in lags])
+    errors = np.array([_error(lagged(lagged(u[:, None], lag / 2), lag / 2)[:, 0], y) for lag in lags])
     best = int(np.argmin(errors))
     found = explains(errors[best], without) and errors[best] < MOST_OF * errors[0]
     return float(lags[best]) if found else None
+
+
+def likeliest_lag(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> float | None:
+    """First-order lag [samples] behind which such a model errs least, of half a sample to half a branch; None where none lowers its error.
+
+    It is a starting value, and no evidence of a lag; arguments as for `estimate_slow_lag`.
+    """
+    if not _shows_loops(u, y, turns):
+        return None
+    lags = np.geomspace(0.5, max(1.0, float(np.median(np.diff(turns))) / 2), 16)
+    errors = [_error(lagged(u[:, None], lag)[:, 0], y) for lag in lags]
+    best = int(np.argmin(errors))
+    return float(lags[best]) if errors[best] < GAIN * _error(u, y) else None
+
+
+def _shows_loops(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> bool:
+    return turns.size >= 3 and np.isfinite(y).sum() >= FEWEST and np.ptp(u) > 0
+
+
+def _error(u: np.ndarray, y: np.ndarray) -> float:
+    """Rms error of a flexible rate-independent model of the input, over the range of the output."""
+    stride, used = -(-u.size // MOST), np.isfinite(y)
+    rows = used[::stride]
+    return unexplained(_rate_independent(u)[::stride][rows], y[::stride][rows]) / float(np.ptp(y[used]))
 
 
 def _rate_independent(u: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ from hystfit.quality.record_quality import (
 )
 from hystfit.quality.resonance import Dynamics, delayed, estimate_dynamics
 from hystfit.quality.shape import loop_shape, rate_effect
-from hystfit.quality.slow_lag import SHORT, estimate_slow_lag
+from hystfit.quality.slow_lag import SHORT, estimate_slow_lag, likeliest_lag
 from hystfit.quality.softening import softening_left
 
 _VARIED = 0.1  # decimal logarithm of the ratio of two branches' speeds, above which the speed is no function of the place alone
@@ -112,10 +112,20 @@ def dynamics_of(record: Record) -> Dynamics | None:
 @_once
 def slow_lag_of(record: Record) -> float | None:
     """Lag of the output in samples where it is longer than the turns of the loops show; None without one."""
+    return _of_turns(estimate_slow_lag, record)
+
+
+@_once
+def likeliest_lag_of(record: Record) -> float | None:
+    """A starting value of a lag [samples], see `likeliest_lag`; None without one or without even time steps."""
+    return _of_turns(likeliest_lag, record.replace(y=np.where(record.used, record.y, np.nan)))
+
+
+def _of_turns(estimate: Callable[[np.ndarray, np.ndarray, np.ndarray], float | None], record: Record) -> float | None:
+    """An estimate from input, output and the turns of the input; None without even time steps."""
     if _even_interval(record) is None or not np.ptp(record.u) > 0:
         return None
-    turns = geometry.reversals(record.u, _threshold(_column(record.u)))
-    return estimate_slow_lag(record.u, record.y, turns)
+    return estimate(record.u, record.y, geometry.reversals(record.u, _threshold(_column(record.u))))
 
 
 def _even_interval(record: Record) -> float | None:
@@ -197,12 +207,19 @@ def _summarize(record: Record) -> RecordQuality:
     )
 
 
+def decades_of(values: np.ndarray) -> float:
+    """Decades over which the upper three quarters of the sizes of values extend; 0 of those of both signs."""
+    known = values[np.isfinite(values)]
+    if not known.size or known.min() * known.max() <= 0:
+        return 0.0
+    sizes = np.abs(known)
+    return float(np.log10(sizes.max() / np.quantile(sizes, 0.25)))
+
+
 def _column(values: np.ndarray) -> Column:
     noise, bound = noise_rms(values)
     low, high = float(np.nanmin(values)) + 0.0, float(np.nanmax(values)) + 0.0
-    sizes = np.abs(values[np.isfinite(values)])
-    decades = float(np.log10(sizes.max() / np.quantile(sizes, 0.25))) if low * high > 0 else 0.0
-    return Column(low, high, resolution(values), noise, bound, decades)
+    return Column(low, high, resolution(values), noise, bound, decades_of(values))
 
 
 def _sampling(record: Record) -> Sampling:

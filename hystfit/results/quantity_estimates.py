@@ -21,10 +21,10 @@ from hystfit.models.negate import Negate
 from hystfit.models.preisach.model import Preisach
 from hystfit.outcome.table import or_none
 from hystfit.params.relative_size import OPEN, ROUNDED, relative_size
-from hystfit.quality.loops import SPEEDS_APART
 from hystfit.results.estimates import ParameterEstimate
 from hystfit.results.measured.loop_branches import of_jump, turns_of
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
+from hystfit.results.measured.steady_branches import OF_HEIGHT, at_pace
 from hystfit.results.measured.steady_loops import Excitation, creeps
 from hystfit.results.result import FitResult
 
@@ -274,14 +274,14 @@ def derived_estimates(result: FitResult) -> tuple[ParameterEstimate, ...]:
 def measured_quantities(data: Dataset) -> dict[str, float]:
     """Quantities of the loops as measured, by name, without a model: medians over the closed loops that cover the range of all records.
 
-    Samples are joined by straight lines. Loops at other rates than the usual one of the first record, that of the steady loop of a fit,
-    have other widths and do not count. Empty where no two successive branches cover the range and meet at both ends: a first rise from
-    rest and the branch after it are no loop.
+    Samples are joined by straight lines. Loops at another pace than that of the steady loop of a fit have other widths and do not count.
+    Empty where no two successive branches cover the range and meet at both ends: a first rise from rest and the branch after it are no
+    loop.
     """
     excitation = Excitation.of(data)
     inputs = np.linspace(excitation.low, excitation.high, 2001)
     branches: dict[bool, list[np.ndarray]] = {True: [], False: []}
-    usual = 0.0  # duration of the large loops of the first record
+    cycle = excitation.interval * excitation.points
     for record in data.map(from_turning_point):
         turns = np.unique([0, *turns_of(record.u), len(record) - 1]).tolist()
         found = [
@@ -290,9 +290,8 @@ def measured_quantities(data: Dataset) -> dict[str, float]:
         ]
         lasts = [0.0] * len(found) if record.t is None else (record.t[turns[2:]] - record.t[turns[:-2]]).tolist()
         loops = [one for one in zip(itertools.pairwise(found), lasts, strict=False) if _closed(*one[0])]
-        usual = usual or float(np.median([duration for _, duration in loops] or [0.0]))
         for pair, duration in loops:
-            if duration > 0 and abs(np.log10(duration / usual)) > SPEEDS_APART:
+            if duration > 0 and not at_pace(np.array([duration]), cycle):
                 continue
             for rises, branch in pair:
                 branches[rises].append(branch)
@@ -310,7 +309,8 @@ def _closed(one: tuple[bool, np.ndarray | None], other: tuple[bool, np.ndarray |
     if first is None or second is None:
         return False
     end = 0 if rises else -1
-    return bool(abs(first[end] - second[end]) <= _CLOSED * np.ptp(first))
+    most = min(_CLOSED * float(np.ptp(first)), OF_HEIGHT * float(np.max(np.abs(first - second))))
+    return bool(abs(first[end] - second[end]) <= most)
 
 
 def _measured_branch(record: Record, first: int, last: int, inputs: np.ndarray) -> np.ndarray | None:

@@ -8,7 +8,8 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, get_args
 
-from hystfit.outcome import Column, Status, Table, fragment
+from hystfit.outcome import Code, Column, Status, Table, fragment
+from hystfit.outcome.note import has
 from hystfit.quality.held_out import AT_ONE_PACE, Scheme
 from hystfit.quality.summary import paces
 from hystfit.results.result import FitResult
@@ -148,7 +149,8 @@ class Comparison:
         score = best.score_percent
         error = "" if score is None else f" (cross-validation error {score:.3g} % of the range)"
         pace = "; another pace is not tested" if paces(self.winner.problem.data) == 1 else ""
-        return f"{best.name} {self._why}{error}; it {self.scheme.tested}{pace}; hystfit compare shows the ranking"
+        tested = "" if has(self.winner.notes, Code.LEFT_OUT_ERROR) else f"; it {self.scheme.tested}{pace}"
+        return f"{best.name} {self._why}{error}{tested}; hystfit compare shows the ranking"
 
     @property
     def _why(self) -> str:
@@ -202,8 +204,8 @@ class Comparison:
     def explanations(self) -> list[str]:
         """What the columns of the ranking mean, and why these models were compared."""
         return [
-            f"Error in percent of the output's range; 'cross-val.': on {self.scheme.held}, held out of the fit in turn. The winner "
-            f"{self.scheme.tested}.",
+            f"Error in percent of the output's range; 'cross-val.': on {self.scheme.held}, held out of the fit in turn."
+            + ("" if has(self.winner.notes, Code.LEFT_OUT_ERROR) else f" The winner {self.scheme.tested}."),
             "'BIC above': difference to the smallest, under slow and independent noise; more than ten is strong evidence against a model "
             "and decides among equal errors.",
             "'invert', 'export': whether the model has an inverse and C code.",

@@ -21,9 +21,9 @@ from hystfit.fitting.comparison.standings import Standings
 from hystfit.fitting.comparison.suggested import suggested
 from hystfit.fitting.fit_model import Solved
 from hystfit.fitting.fit_options import FitOptions
-from hystfit.fitting.trial import with_left_out
+from hystfit.fitting.trial import carried_over, with_left_out
 from hystfit.models.registry import make_model
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Status
 from hystfit.outcome.progress import ShownProgress
 from hystfit.quality.held_out import Scheme, inner_loops
 from hystfit.results.result import FitResult
@@ -182,9 +182,7 @@ class ComparisonRun:
             result = self._solved[name].judged()
         if known.left_out is not None:
             result = with_left_out(result, known.left_out)
-        return result.with_notes(
-            *(note for note in known.notes if note.code is Code.CHOICE and note not in result.notes)
-        )
+        return carried_over(result, known)
 
     @property
     def scheme(self) -> Scheme:

@@ -52,13 +52,14 @@ def left_out_error(result: FitResult, left_out: LeftOut = "auto", most: float = 
     return _held_out_error(result.method, problem, x, most)
 
 
-def ranking_error(result: FitResult, error: float, most: float = np.inf) -> float:
-    """The error by which models are ranked: where scattered samples are held out, its geometric mean with that on `inner_loops`, if any."""
+def inner_error(result: FitResult, error: float, most: float = np.inf) -> float | None:
+    """Error on `inner_loops` [y]; None where other groups than scattered samples are held out, or all loops are of one size.
+
+    Models are ranked by the geometric mean of this and the `error` on scattered samples; it is infinite where their mean exceeds `most`.
+    """
     problem = result.problem
     inner = problem.by_inner_loops() if problem.held_out.scheme is Scheme.SCATTERED else None
-    if inner is None:
-        return error
-    return float(np.sqrt(error * _held_out_error(result.method, inner, result.x, most**2 / max(error, 1e-300))))
+    return None if inner is None else _held_out_error(result.method, inner, result.x, most**2 / max(error, 1e-300))
 
 
 def _held_out_error(method: str, problem: Problem, x: np.ndarray, most: float) -> float:

@@ -26,6 +26,7 @@ class Branch:
 
     u: np.ndarray
     y: np.ndarray
+    duration: float = np.nan  # time from one to the other, in the unit of the record; NaN where it is unknown
 
     @property
     def rises(self) -> bool:
@@ -38,13 +39,14 @@ Found = tuple[float, float]  # a value read off a branch and its standard error,
 NOT_FOUND: Found = (np.nan, np.nan)
 
 
-def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Branch]:
+def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray, t: np.ndarray | None = None) -> list[Branch]:
     """Branches over nearly the whole range; the last and the first piece of a loop that ends where it began are one, where it has no other.
 
     The first piece of several loops is the curve of first loading.
     """
     edges = [0, *turns.tolist(), u.size - 1]
-    parts = [Branch(u[a : b + 1], y[a : b + 1]) for a, b in itertools.pairwise(edges)]
+    lasts = lambda a, b: np.nan if t is None else float(t[b] - t[a])
+    parts = [Branch(u[a : b + 1], y[a : b + 1], lasts(a, b)) for a, b in itertools.pairwise(edges)]
     span = float(np.ptp(u))
     large = [part for part in parts if np.ptp(part.u) >= LARGEST * span]
     first, last = parts[0], parts[-1]
@@ -54,7 +56,7 @@ def large_branches(u: np.ndarray, y: np.ndarray, turns: np.ndarray) -> list[Bran
         and not any(part.rises == first.rises for part in large)
         and abs(u[-1] - u[0]) <= GAP * span
     ):
-        joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y))
+        joined = Branch(np.append(last.u, first.u), np.append(last.y, first.y), last.duration + first.duration)
         if np.ptp(joined.u) >= LARGEST * span:
             large.append(joined)
     return [*map(_without_inner_loops, large)]
@@ -71,7 +73,7 @@ def _without_inner_loops(branch: Branch) -> Branch:
     for top in turns[u[turns] > np.append(u[turns][1:], u[-1])]:
         beyond = np.flatnonzero(u[top:] > u[top])
         kept[top + 1 : top + beyond[0] if beyond.size else u.size] = False
-    return Branch(branch.u[kept], branch.y[kept])
+    return Branch(branch.u[kept], branch.y[kept], branch.duration)
 
 
 def turns_of(u: np.ndarray) -> np.ndarray:

@@ -49,6 +49,7 @@ from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_val
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.polarization_values import offset_of, polarization_values
 from hystfit.results.measured.quantities import area_label
+from hystfit.results.measured.steady_branches import at_one_pace, labeled, without_first_loading
 from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
@@ -190,7 +191,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not turns.size:
         rows = _of_quadrant(record, u, y, sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
-    branches, pairs, cycles = _loops_of(u, y, turns, kind)
+    branches, pairs, cycles, duration = _loops_of(record, turns, kind, sigma)
     if not (pairs or cycles):
         rows, corrections, notes = _with_data_sheet((), record, sample, correct, sigma, magnetic, closed=False)
         return rows, corrections, (_NO_CYCLE, *notes)
@@ -200,8 +201,9 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
     found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
+    found = [*labeled(found, record, pairs, duration, sigma)]
     if kind is LoopKind.FERROELECTRIC:
-        found.extend(polarization_values(record, found, sigma))
+        found.extend(polarization_values(record, found, sigma, branches))
     if kind is LoopKind.MAGNETIC:
         found.extend(offset_of(found, "offset (half sum of both coercivities)"))
     rows = tuple(with_stated(record, found, lambda added: _levels(added, cycles, sigma, kind, record), branches))
@@ -213,15 +215,21 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
 
 
 def _loops_of(
-    u: np.ndarray, y: np.ndarray, turns: np.ndarray, kind: LoopKind
-) -> tuple[list[Branch], list[Pair], list[Pair]]:
-    """The branches of the largest amplitude, the pairs of them that follow each other, and the cycles whose areas are losses."""
-    branches = _largest(large_branches(u, y, turns))
+    record: Record, turns: np.ndarray, kind: LoopKind, sigma: float
+) -> tuple[list[Branch], list[Pair], list[Pair], float | None]:
+    """The branches of the largest amplitude at one pace, the pairs of them that follow each other, and the cycles whose areas are losses.
+
+    And the duration of these cycles, where others are left out.
+    """
+    kept = record.used
+    u, y, t = record.u[kept], record.y[kept], None if record.t is None else record.t[kept]
+    branches, duration = at_one_pace(_largest(large_branches(u, y, turns, t)))
+    branches = without_first_loading(branches, int(turns[0]) + 1, sigma)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
     cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
     if not pairs and kind not in STRUCTURAL:  # loops that grow from the middle, each of which begins and ends there
         branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
-    return branches, pairs, cycles
+    return branches, pairs, cycles, duration
 
 
 def _largest(branches: list[Branch]) -> list[Branch]:
@@ -300,9 +308,12 @@ def _levels(
         center = 0.0 if named else 0.5 * (max(high for high, _ in ends) + min(low for _, low in ends))
         level = Origin.of(Dataset((record,))).y
         middle = 0.0 if named else 0.5 * (top + bottom) if level is None else level
-        # A branch that begins inside the loop crosses the middle elsewhere; one that ends inside it does not.
+        # A branch that begins inside the loop crosses the middle elsewhere; one that ends inside it does not, nor do those that begin there
+        # in every cycle, of an output that lags.
         least = (1 - LARGEST) * (top - bottom)
-        whole = lambda b: named or np.ptp(b.y) >= top - bottom - least or min(top - b.y[0], b.y[0] - bottom) <= least
+        repeats = lambda b: sum(b.rises == other.rises and abs(b.y[0] - other.y[0]) <= least for other in branches) > 1
+        from_end = lambda b: np.ptp(b.y) >= top - bottom - least or min(top - b.y[0], b.y[0] - bottom) <= least
+        whole = lambda b: named or from_end(b) or repeats(b)
         of = lambda rises: [b for b in branches if b.rises == rises and whole(b)]
         width = {r: combined([crossing(b.y - middle, b.u, sigma) for b in of(r)]) for r in (True, False)}
         height = {r: combined([crossing(b.u - center, b.y, of_values=sigma) for b in of(r)]) for r in (True, False)}

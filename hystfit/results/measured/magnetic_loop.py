@@ -28,6 +28,7 @@ from hystfit.results.measured.loop_branches import (
 )
 from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.saturation_law import Saturation, saturation
+from hystfit.results.measured.steady_branches import at_one_pace
 
 ON_REQUEST = ("drift", "offset", "slope")
 _POLARIZATION = re.compile(r"(?:mu_?0|µ0|μ0)?\s*[JIM](?:\b|_| )|.*polari[sz]ation|.*magneti[sz]ation", re.IGNORECASE)
@@ -56,6 +57,7 @@ class MagneticLoop:
 
     h: np.ndarray  # field [A/m], shape (T,)
     j: np.ndarray  # polarization [T]; where the volume is unknown, the output as in the file
+    t: np.ndarray | None  # time, in the unit of the record
     noise: float  # standard deviation of the noise of j; NaN where unknown
     absolute: bool  # whether j is in T
     branches: tuple[Branch, ...]  # between turning points over nearly the whole range of the field
@@ -92,14 +94,16 @@ class MagneticLoop:
         is_flux = size_in(record.y_unit, "T") is not None and not _POLARIZATION.match(record.y_name)
         j = scale * y - (MU0 * h if is_flux else 0.0)
         units = (record.u_unit, record.y_unit)
-        made = cls(h, j, scale * noise, factor is not None, (), tuple(corrections), None, units, per_field)
+        t = None if record.t is None else record.t[record.used]
+        made = cls(h, j, t, scale * noise, factor is not None, (), tuple(corrections), None, units, per_field)
         return made._drift("drift" in correct)._demagnetized(sample)._centered("offset" in correct)._sloped("slope" in correct)  # fmt: skip
 
     def _with(self, correction: Correction | None = None, **changes: object) -> MagneticLoop:
         listed = self.corrections if correction is None else (*self.corrections, correction)
         made = dataclasses.replace(self, corrections=listed, **changes)  # type: ignore[arg-type]
         turns = turns_of(made.h)
-        return dataclasses.replace(made, branches=tuple(large_branches(made.h, made.j, turns)) if turns.size else ())
+        found = at_one_pace(large_branches(made.h, made.j, turns, made.t))[0] if turns.size else ()
+        return dataclasses.replace(made, branches=tuple(found))
 
     @property
     def unit(self) -> str:

@@ -105,8 +105,9 @@ def switching_distribution(b: Branch, noise: float) -> Found:
     x = u[at] - center[:, None]
     size = np.maximum(np.abs(x).max(1, keepdims=True), np.finfo(float).tiny)
     columns = np.stack([np.ones_like(x), x / size, (x / size) ** 2], axis=-1)
-    slope = (np.linalg.pinv(columns) @ y[at][..., None])[:, 1, 0] / size[:, 0]
-    peak = int(np.argmax(slope))
+    of_slope = np.linalg.pinv(columns)[:, 1] / size
+    slope, error = np.sum(of_slope * y[at], axis=1), np.nan_to_num(noise) * np.linalg.norm(of_slope, axis=1)
+    peak = int(np.argmax(slope - CLEAR * error))  # near the tips of a sine the samples are too close for a slope
     half = 0.5 * slope[peak]
     left = np.flatnonzero(slope[:peak] < half)
     right = peak + np.flatnonzero(slope[peak:] < half)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.params.units import is_energy, loop_energy, size_in
+from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
-from hystfit.results.measured.loop_branches import GAP
+from hystfit.results.measured.loop_branches import GAP, Branch, combined, crossing
 from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
 
@@ -27,9 +28,12 @@ def offset_of(rows: list[LoopValue], label: str) -> Iterator[LoopValue]:
         yield LoopValue("offset_input", label, 0.5 * (sides[0].value + sides[1].value), error, sides[0].unit)
 
 
-def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:
+def polarization_values(
+    record: Record, rows: list[LoopValue], noise: float, branches: Sequence[Branch]
+) -> Iterator[LoopValue]:
     """The rows besides those of every loop, of a charge or polarization over a voltage or an electric field."""
-    yield from offset_of(rows, "offset (half sum of Vc+ and Vc-)")
+    yield from (offset := [*offset_of(rows, "offset (half sum of Vc+ and Vc-)")])
+    yield from _about_middle(record, offset, noise, branches)
     u, y = record.u[record.used], record.y[record.used]
     tips = {"rising": float(y[u.argmax()]), "falling": float(y[u.argmin()])}
     for side, which in (("rising", "largest"), ("falling", "lowest")):
@@ -44,6 +48,22 @@ def polarization_values(record: Record, rows: list[LoopValue], noise: float) -> 
         yield LoopValue("remanence_end", "polarization at the end of the loop", last, noise, record.y_unit)
     yield from _recovered(record, rows, noise)
     yield from _leakage(record)
+
+
+def _about_middle(
+    record: Record, offset: list[LoopValue], noise: float, branches: Sequence[Branch]
+) -> Iterator[LoopValue]:
+    """The offset of a loop about the middle of its polarization, as another zero of the charge amplifier hides an imprint."""
+    y = np.concatenate([b.y for b in branches])
+    middle = 0.5 * float(y.max() + y.min())
+    at = {
+        rises: combined([crossing(b.y - middle, b.u, noise) for b in branches if b.rises == rises])
+        for rises in (True, False)
+    }
+    value, error = 0.5 * (at[True][0] + at[False][0]), 0.5 * float(np.hypot(at[True][1], at[False][1]))
+    if offset and abs(value - offset[0].value) > CLEAR * np.hypot(error, offset[0].stderr or 0.0):
+        label = f"offset about the middle of the polarization ({middle:.4g} {record.y_unit}".rstrip() + ")"
+        yield LoopValue("offset_about_middle", label, value, error, record.u_unit)
 
 
 def _recovered(record: Record, rows: list[LoopValue], noise: float) -> Iterator[LoopValue]:

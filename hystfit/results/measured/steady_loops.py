@@ -28,6 +28,7 @@ from hystfit.quality.loops import APART, LARGEST, branches, cycles
 from hystfit.quality.shape import has_lobes
 from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_origin import MIDDLE, Origin, inside
+from hystfit.results.measured.steady_branches import at_pace, usual_duration
 
 _FEWEST, _MOST = 40, 2000  # samples of a cycle
 _OF_CYCLE = 64  # samples of a cycle from which its rms follows to 0.1 %
@@ -240,9 +241,12 @@ def _waveform(data: Dataset) -> tuple[float, bool, int]:
         if record.t is None or not len(found):
             continue
         first, last = found[:, 0], found[:, 2]
+        lasts = halves * (record.t[last] - record.t[first])
+        usual = usual_duration(lasts.tolist())
+        at_usual = at_pace(lasts, usual)
+        found, first, last = found[at_usual], first[at_usual], last[at_usual]
         points = int(np.clip(2 * round(median((halves * (last - first)).tolist()) / 2), _FEWEST, _MOST))
-        interval = halves * median((record.t[last] - record.t[first]).tolist()) / points
-        return interval, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
+        return usual / points, median(_rms_of_cycles(record.t, record.u, found).tolist()) > _SINE, points
     return data[0].sampling_interval or 1.0, False, POINTS
 
 

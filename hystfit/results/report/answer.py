@@ -15,15 +15,17 @@ from hystfit.outcome import Code, Status
 from hystfit.outcome.note import has
 from hystfit.outcome.table import number, with_error
 from hystfit.outcome.wrapping import NAMED
-from hystfit.params.units import is_energy
+from hystfit.params.units import conversion, is_energy
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.lag import estimate_lag
 from hystfit.quality.loops import SAME_LEVEL, clear_reversals, closed_loops
+from hystfit.quality.summary import paces
 from hystfit.reading import datasets
 from hystfit.results.accuracy import Limits, two_digits
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown
+from hystfit.results.measured.steady_loops import Excitation
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
 
@@ -121,7 +123,7 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
     first = next(iter(result.measured.rows.values()), ())
     if result.status in (Status.NO_LOOP, Status.UNDETERMINED):  # nothing tests the loop of the model
         return [(_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in first]
-    kind, rows = LoopKind.of(result.data), []
+    kind, rows, pace = LoopKind.of(result.data), [], _pace(result)
     measured = {one.name: one for one in first} if len(result.data) == 1 else {}
     unseen = not first and len(result.data) == 1 and _never_returns(result.data[0])
     for q in result.quantities:
@@ -146,9 +148,19 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
                 text = f"{seen} in the measured loops; {text} by the model"
         elif q.value == 0 and not unseen:
             text = f"{text} by the model"
-        rows.append((_capital(one.label_on(result.data)), text))
+        rows.append((_capital(one.label_on(result.data)) + pace * (one.of_loops is not None), text))
     alone = (one for one in measured.values() if one.name in _OF_NO_MODEL)
     return [*rows, *((_capital(one.label), with_error(one.value, one.stderr, one.unit)) for one in alone)]
+
+
+def _pace(result: FitResult) -> str:
+    """The frequency of the loops to which the quantities belong, of records at several paces and a model that depends on time."""
+    first = result.data[0]
+    second = conversion(first.t_unit, "s")
+    if result.model.rate_independent or first.t is None or not second or paces(result.data) < 2:
+        return ""
+    loop = Excitation.of(result.data)
+    return f", at {1 / (second * loop.points * loop.interval):.3g} Hz"
 
 
 def _tells(q: QuantityEstimate, measured: Mapping[str, LoopValue], *, no_energy: bool) -> bool:
@@ -221,7 +233,9 @@ def _changed_fit(result: FitResult, wording: Wording, loop: str) -> list[str]:
     """The command of another fit that notes propose: without a half cycle at an end or, where none is wrong, with a robust loss."""
     for code in _REMEDIED:
         for name, value in (note.option for note in result.notes if note.code is code and note.option is not None):
-            command = _joined("hystfit fit", loop, wording.split, shlex.join(option_words({name: value})))
+            # A comparison of models takes no loss.
+            model = shlex.join(["--model", result.name]) if name == "loss" else ""
+            command = _joined("hystfit fit", loop, model, wording.split, shlex.join(option_words({name: value})))
             return [] if f"--{name}" in wording.split else [command]
     return []
 
