@@ -525,6 +525,32 @@ def test_the_slope_of_a_substrate_is_named():
     assert not named(-0.045, correct=("slope",))
 
 
+def test_the_slope_of_a_substrate_is_removed_where_fields_are_set_in_equal_ratios():
+    """Six fields are above a third of the largest one, as a superconducting magnet is driven in steps of 20 %."""
+    half = 70e3 * 0.8 ** np.arange(34)
+    down = np.concatenate([half, [0.0], -half[::-1]])
+    h, side = np.append(down, down[::-1]), np.repeat([1.0, -1.0], down.size)
+    noise = np.random.default_rng(0).normal(0, 2e-8, h.size)
+    made = lambda film: hf.Record(
+        h, film - 6e-9 * h + noise, u_unit="Oe", y_unit="emu", u_name="Field", y_name="Moment"
+    )
+    record = made(2.7e-6 * np.tanh((h + 42 * side) / 300))
+    assert any("--correct slope" in note.text for note in quantities(record).notes["record"])
+    corrected = {one.name: one for one in quantities(record, correct=("slope",)).rows["record"]}
+    assert corrected["HcJ"].unit == "kA/m"
+    oersted = 1e3 / (4 * np.pi)  # A/m
+    of_noise = 3 * corrected["HcJ"].stderr
+    assert corrected["HcJ"].value == pytest.approx(42e-3 * oersted, abs=of_noise)
+    assert of_noise < 0.5 * corrected["HcJ"].value
+    assert corrected["Js"].value == pytest.approx(2.7e-6, rel=0.05)
+    assert corrected["Js"].spread < 0.1 * 2.7e-6  # a law without the slope is none of the laws of this loop
+    ratio = corrected["squareness"]
+    assert ratio.value == pytest.approx(np.tanh(42 / 300), abs=3 * ratio.stderr)
+    assert ratio.stderr > 0.5 * ratio.value * 2e-8 / (2.7e-6 * np.tanh(42 / 300))  # the remanence has noise too
+    unsettled = made(2.7e-6 * np.tanh((h + 2e4 * side) / 4e4))  # the largest field does not saturate this film
+    assert "Js" not in {one.name for one in quantities(unsettled, correct=("slope",)).rows["record"]}
+
+
 def test_a_small_loop_inside_a_measured_branch_does_not_change_its_width():
     """Soil that is dried, wetted to the middle of its water and dried on, over a suction of which both are a small part."""
     main = lambda u, half: 1 / (1 + (u / half) ** 6)

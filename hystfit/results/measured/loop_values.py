@@ -283,7 +283,7 @@ def _with_data_sheet(
     law = magnetic.saturation
     falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
     if falls and "slope" not in correct:
-        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope removes this slope"
+        text = "the output falls at large fields, as on a diamagnetic substrate: hystfit quantities --correct slope removes this slope"
         notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 

@@ -17,7 +17,7 @@ from hystfit.params.units import MU0
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import NOT_FOUND, Branch, Found, closes, crossing, loss
-from hystfit.results.measured.magnetic_loop import MagneticLoop
+from hystfit.results.measured.magnetic_loop import ON_REQUEST, MagneticLoop
 from hystfit.results.measured.measured_value import LoopValue
 
 _HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically hard (IEC 60404-1); soft ones have no energy product
@@ -143,8 +143,10 @@ def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
     rows, sigma = [], loop.sigma
     middle = _about_middle(falling, mirrored, loop.noise)
     magnet = loop.absolute and not any(_is_superconducting(b) for b in falling)
+    # A moment has its coercivity beside its remanence already, but before the corrections.
+    corrected = {"HcJ"} if any(one.applied and one.name in ON_REQUEST for one in loop.corrections) else set()
     for row in _ROWS:
-        if (row.hard and not hard) or (row.absolute and not magnet):
+        if (row.hard and not hard) or (row.absolute and not magnet and row.name not in corrected):
             continue
         of = middle if row.name == "switching_distribution" else falling
         found = [(side, row.of_branch(b, sigma)) for side, b in zip(mirrored, of, strict=True)]
@@ -203,10 +205,12 @@ def _saturation(loop: MagneticLoop, falling: list[Branch]) -> Iterator[LoopValue
     if law is None or not law.settled:
         return
     yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, loop.unit, spread=law.spread)
-    remanent = [at for b in falling if np.isfinite(at := _remanence(b, loop.noise)[0])]
+    remanent = [one for b in falling if np.isfinite((one := _remanence(b, loop.sigma))[0])]
     if remanent:
-        ratio = float(np.mean(remanent)) / law.value
-        error = abs(ratio) * law.stderr / law.value
+        values, errors = np.array(remanent).T
+        ratio = float(np.mean(values)) / law.value
+        scatter = float(np.sqrt(np.mean(np.nan_to_num(errors) ** 2) / errors.size)) / law.value
+        error = float(np.hypot(scatter, ratio * law.stderr / law.value))
         spread = abs(ratio) * law.spread / law.value
         yield LoopValue("squareness", "squareness Jr/Js", ratio, error, "", len(remanent), spread=spread)
 
