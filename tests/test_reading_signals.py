@@ -37,6 +37,22 @@ def integral_over_time(record: hf.Record) -> bool:
     return any(note.option == ("integrate", "true") for note in notes if note.code is Code.RATE)
 
 
+# Channels of one unit -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names", ["Ch1,V\tCh2,V", "Left probe (V)\tRight probe (V)"])
+def test_an_output_of_few_steps_is_no_command(names: str, tmp_path: Path) -> None:
+    """A triangle at a tester whose second channel has 50 steps: the noise of both is that of the converter."""
+    drive = np.interp(np.arange(100), [0, 50, 99], [0.0, -3.0, 0.0]) + 2e-4 * NOISE[0, :100]
+    charge = np.round((0.015 * loop(drive, 0.5, 2.0) + 2e-4 * NOISE[1, :100]) / 3e-4) * 3e-4
+    table = f"R,Ohm\tC,pF\n0000\t0100\n{names}\tTime,s\n"
+    record = one(tmp_path, table + rows("\t", np.round(drive, 4), np.round(charge, 4), 1e-3 * np.arange(100)))
+    assert np.ptp(record.u) == pytest.approx(3.0, rel=0.01)
+    named = [note.text for note in record.notes if note.code is Code.COLUMN_CHOICE]
+    question = next(text for text in named if "drives the device" in text)
+    assert f"input='{record.y_name}' and output='{record.u_name}'" in question
+
+
 # Oscilloscopes ------------------------------------------------------------------------------------------------------------------
 
 

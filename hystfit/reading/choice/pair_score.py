@@ -26,6 +26,7 @@ from hystfit.reading.table.signal_evidence import (
     moves_at_rest,
     proportional,
     repeats,
+    resolution,
     rises_evenly,
     sample,
 )
@@ -158,7 +159,8 @@ class _Evidence:
             wave = self.facts.overtones
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
             points += _CLEAN * plainer(i, o)
-            points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
+            hidden = resolution(self.facts.table.columns[i])  # noise of the input that its digits may hide
+            points += _COMMANDED * (self.facts.roughness[o] > max(_NOISIER * self.facts.roughness[i], hidden))
             points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
         return Reading(i, o, points)
 

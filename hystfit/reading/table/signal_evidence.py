@@ -260,6 +260,12 @@ def roughness(values: np.ndarray) -> float:
     return 0.0 if whole and third <= _CUT_OFF * least * (1 + _SAME_DIGIT) else third / float(np.ptp(values))
 
 
+def resolution(values: np.ndarray) -> float:
+    """The smallest step between two values over the range: noise below it is not seen."""
+    values = values[np.isfinite(values)]
+    return _digit(values) / float(np.ptp(values)) if values.size and np.ptp(values) > 0 else np.inf
+
+
 def smoothness(values: np.ndarray) -> float:
     """Correlation of neighboring samples: 0 of white noise, near 1 of a column that is sampled often; 1 of few samples."""
     values = values[np.isfinite(values)]
