@@ -115,6 +115,8 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ),  # of a generator, and the two fields
         ("Time [min],dm (%) - dry,Target % P/Po,Actual % P/Po,Temp [C],Mass [mg]", "tzsudy"),  # vapor sorption
         ("alpha_deg,sense,C_L,C_D", "uwyn"),  # coefficients of a wing
+        ("AoA,CL,CD,CM", "uynz"),
+        ("Alfa,Cl,Cdp,Cm", "uynz"),
         ("Process,pF [-],Tension [hPa],Water Content [Vol%]", "wusy"),  # suction in soil
         ("weight_g,R_kohm", "uy"),
         ("Time (s),Pressure (mmHg),Outer diameter (um),Axial force (g)", "tuyn"),  # a vessel
