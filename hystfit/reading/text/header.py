@@ -40,7 +40,7 @@ NAME_CELL = re.compile(
 UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
 _VALUE = re.compile(r"\S+\s*=\s*[^\s,;]+")  # of a setting in the name of a column
 _COMMENT = r"(?:[#%!*]+|//|--)"
-_IN = " in "  # between the name of a column and its unit, where blanks part the columns too
+_IN = " in "  # between a name of one word and its unit, where blanks part the columns too
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _COUNTED = re.compile(rf"{_COMMENT}\s*\d+")  # how many rows follow
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -96,9 +96,9 @@ def cut_cells(text: str, mark: str | None) -> list[str]:
         parts = re.findall(r"(?:\"[^\"]*\"[^\s\"]*)+|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
         parts = [part[1:-1] if part.startswith("{") and part.endswith("}") else part for part in parts]
     elif mark == _IN:
-        parts = re.findall(r"\S+\s+in\s+\S+", text)
-        whole = [word for part in parts for word in part.split()] == text.split()
-        parts = parts if whole and all(is_unit(part.split()[-1]) for part in parts) else [text]
+        words = text.split()
+        whole = len(words) % 3 == 0 and {*words[1::3]} == {"in"} and all(map(is_unit, words[2::3]))
+        parts = [" ".join(words[k : k + 3]) for k in range(0, len(words), 3)] if whole else [text]
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:
