@@ -281,7 +281,13 @@ def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [("Sorption", "Desorption"), ("theta_drying", "theta_wetting"), ("Load1", "Unload1")],
+    [
+        ("Sorption", "Desorption"),
+        ("theta_drying", "theta_wetting"),
+        ("Load1", "Unload1"),
+        ("Anzeige steigend in mV", "Anzeige fallend in mV"),
+        ("Sortie croissante (mA)", "Sortie décroissante (mA)"),
+    ],
     ids=lambda pair: pair[0],
 )
 def test_branches_over_one_input(words: tuple[str, str], tmp_path: Path) -> None:

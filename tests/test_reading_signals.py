@@ -53,6 +53,25 @@ def test_an_output_of_few_steps_is_no_command(names: str, tmp_path: Path) -> Non
     assert f"input='{record.y_name}' and output='{record.u_name}'" in question
 
 
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_values_that_are_set_again_on_each_branch_drive(both_ways: bool, tmp_path: Path) -> None:
+    """A table written by hand at uneven values, with the reading first and without names."""
+    levels = np.array([0, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.4, 2, 3, 4, 5, 6, 8, 10.0])
+    path = np.concatenate([levels, levels[::-1]])
+    path = np.concatenate([path, -path[1:], levels[1:]]) if both_ways else path
+    response = np.round(loop(path, 1.5, 2.5) + 0.004 * NOISE[0, : path.size], 3)
+    np.testing.assert_array_equal(one(tmp_path, rows("\t", response, path)).u, path)
+    np.testing.assert_array_equal(one(tmp_path, rows("\t", path, response)).u, path)
+
+
+def test_columns_that_all_run_one_way_hold_no_time(tmp_path: Path) -> None:
+    """The currents of a transistor at both terminals, and the voltage of its gate."""
+    gate = np.linspace(-0.3, 0.6, 19)
+    current = 1e-5 * np.log1p(np.exp(gate / 0.05)) ** 2
+    with pytest.raises(DataError, match=r"--input"):
+        one(tmp_path, rows(" ", np.full(19, 0.65), current, -(1 + 0.02 * gate) * current, gate))
+
+
 # Oscilloscopes ------------------------------------------------------------------------------------------------------------------
 
 

@@ -391,5 +391,7 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
 def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str], *, one_kind: bool) -> Note:
     meaning = kinds[position] or (column_role(table.names[position]) if table.named else "")
     reason = f"by its name or unit ({meaning})" if meaning else "by its position"
-    reason = f"by its signal and position, as both are of one quantity ({meaning})" if one_kind else reason
+    if one_kind:
+        both = f", as both are of one quantity ({meaning})" if meaning else ""
+        reason = f"by its signal and position{both}"
     return Note(Code.COLUMN_CHOICE, f"{role}: column {position}, {table.names[position]!r}, chosen {reason}")

@@ -283,6 +283,13 @@ def overtones(values: np.ndarray) -> float:
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
 
 
+def set_again(values: np.ndarray) -> float:
+    """Part of the samples whose very value a column takes while it rises and while it falls, as one that was set does."""
+    finite = values[np.isfinite(values)]
+    rises = np.gradient(finite) > 0 if finite.size > 1 else np.zeros(finite.size, dtype=bool)
+    return float(np.isin(finite, np.intersect1d(finite[rises], finite[~rises])).mean()) if finite.size else 0.0
+
+
 def meet(parts: Sequence[np.ndarray]) -> bool:
     """Whether each part of a signal begins where the one before ends, but for a small part of its range or two of its largest steps."""
     largest = max(float(np.nanmax(np.abs(np.diff(part)), initial=0.0)) for part in parts)
