@@ -525,6 +525,17 @@ def test_the_slope_of_a_substrate_is_named():
     assert not named(-0.045, correct=("slope",))
 
 
+def test_an_output_that_rises_to_the_largest_field_has_no_substrate():
+    """The law of approach bends down along a branch that follows no such law: its slope is negative, and the output rises."""
+    h = np.concatenate([np.linspace(10e3, -10e3, 61), np.linspace(-10e3, 10e3, 61)[1:]])
+    side = np.repeat([1.0, -1.0], [61, 60])
+    noise = np.random.default_rng(1).normal(0, 0.02, h.size)
+    record = hf.Record(
+        h, 25 * np.tanh((h + 300 * side) / 3000) + noise, u_unit="Oe", y_unit="emu/g", u_name="Field", y_name="Moment"
+    )
+    assert not any("diamagnetic" in note.text for note in quantities(record).notes["record"])
+
+
 def test_the_slope_of_a_substrate_is_removed_where_fields_are_set_in_equal_ratios():
     """Six fields are above a third of the largest one, as a superconducting magnet is driven in steps of 20 %."""
     half = 70e3 * 0.8 ** np.arange(34)

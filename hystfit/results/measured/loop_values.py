@@ -281,7 +281,9 @@ def _with_data_sheet(
         text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
         notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
     law = magnetic.saturation
-    falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
+    falls = (
+        law is not None and law.settled and law.falls and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
+    )
     if falls and "slope" not in correct:
         text = "the output falls at large fields, as on a diamagnetic substrate: hystfit quantities --correct slope removes this slope"
         notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))

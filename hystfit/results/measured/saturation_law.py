@@ -36,6 +36,7 @@ class Saturation:
         spread: half the range over the laws; chi H, a/H and a/H2 alone are the others, and chi H where the output falls at large fields.
         slope, slope_stderr: chi in output over input, and half its range over windows and half-branches.
         settled: whether the field reaches the approach to saturation.
+        falls: whether the output falls at the largest fields.
     """
 
     value: float
@@ -44,6 +45,7 @@ class Saturation:
     slope: float
     slope_stderr: float
     settled: bool
+    falls: bool
 
 
 def saturation(branches: list[Branch]) -> Saturation | None:
@@ -59,11 +61,11 @@ def saturation(branches: list[Branch]) -> Saturation | None:
     value, slope = (float(np.median(column)) for column in fitted.T)
     half = lambda values: 0.5 * float(np.ptp(values))
     error = half(fitted[:, 0])
-    falls = slope + half(fitted[:, 1]) < 0  # on a substrate, of whose slope the other laws have no term
+    falls = bool((found["chi H"][-2:, 1] < 0).all())  # on a substrate, of whose slope the other laws have no term
     compared = [of_law for name, of_law in found.items() if "chi H" in name or not falls]
     medians = [float(np.median(of_law[:, 0])) for of_law in compared if of_law.size]
     settled = 0 < value <= _BEYOND * top and error <= _UNSETTLED * value
-    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled)
+    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled, falls)
 
 
 def _of_law(branches: list[Branch], largest: float, name: str) -> np.ndarray:
