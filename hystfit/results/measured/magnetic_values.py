@@ -17,7 +17,7 @@ from hystfit.params.units import MU0
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
 from hystfit.results.measured.loop_branches import NOT_FOUND, Branch, Found, closes, crossing, loss
-from hystfit.results.measured.magnetic_loop import ON_REQUEST, MagneticLoop
+from hystfit.results.measured.magnetic_loop import MagneticLoop
 from hystfit.results.measured.measured_value import LoopValue
 
 _HARD = 1e3  # [A/m] coercivity from which a material counts as magnetically hard (IEC 60404-1); soft ones have no energy product
@@ -125,6 +125,11 @@ _ROWS = (
     _Row("knee_ratio", "Hk/HcJ", "", _knee_ratio, hard=True),
     _Row("switching_distribution", "SFD: width of dJ/dH over HcJ", "", switching_distribution, absolute=False),
 )
+_OF_ZERO = (
+    "HcJ",
+    "HcB",
+    "switching_distribution",
+)  # what a substrate changes, as the output passes zero at other fields
 
 
 def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
@@ -143,10 +148,10 @@ def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
     rows, sigma = [], loop.sigma
     middle = _about_middle(falling, mirrored, loop.noise)
     magnet = loop.absolute and not any(_is_superconducting(b) for b in falling)
-    # A moment has its coercivity beside its remanence already, but before the corrections.
-    corrected = {"HcJ"} if any(one.applied and one.name in ON_REQUEST for one in loop.corrections) else set()
+    sloped = any(one.name == "slope" and one.applied for one in loop.corrections)
+    on_substrate = loop.saturation is not None and loop.saturation.on_substrate and not sloped
     for row in _ROWS:
-        if (row.hard and not hard) or (row.absolute and not magnet and row.name not in corrected):
+        if (row.hard and not hard) or (row.absolute and not magnet) or (on_substrate and row.name in _OF_ZERO):
             continue
         of = middle if row.name == "switching_distribution" else falling
         found = [(side, row.of_branch(b, sigma)) for side, b in zip(mirrored, of, strict=True)]

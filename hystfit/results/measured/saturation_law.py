@@ -14,6 +14,7 @@ from hystfit.results.measured.loop_branches import Branch
 _WINDOWS, _SAMPLES, _LOWEST = (0.3, 0.5, 0.7), (FEWEST + 4, FEWEST + 2, FEWEST), 0.05
 # Of the value: half range over the windows from which the field does not reach the approach to saturation.
 _UNSETTLED = 0.1
+_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
 _BEYOND = 1.3  # ratio to the largest output, from which the value is an extrapolation without a measurement near it
 
 # Columns beside the constant, of the field over its largest value: the law J = Js - a/H + chi H, and those that lack one of its terms.
@@ -36,7 +37,7 @@ class Saturation:
         spread: half the range over the laws; chi H, a/H and a/H2 alone are the others, and chi H where the output falls at large fields.
         slope, slope_stderr: chi in output over input, and half its range over windows and half-branches.
         settled: whether the field reaches the approach to saturation.
-        falls: whether the output falls at the largest fields.
+        on_substrate: whether the output falls at the largest fields by a visible part of Js, as on a diamagnetic substrate.
     """
 
     value: float
@@ -45,7 +46,7 @@ class Saturation:
     slope: float
     slope_stderr: float
     settled: bool
-    falls: bool
+    on_substrate: bool
 
 
 def saturation(branches: list[Branch]) -> Saturation | None:
@@ -65,7 +66,8 @@ def saturation(branches: list[Branch]) -> Saturation | None:
     compared = [of_law for name, of_law in found.items() if "chi H" in name or not falls]
     medians = [float(np.median(of_law[:, 0])) for of_law in compared if of_law.size]
     settled = 0 < value <= _BEYOND * top and error <= _UNSETTLED * value
-    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled, falls)
+    beside = settled and falls and -slope > _SUBSTRATE * value
+    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled, beside)
 
 
 def _of_law(branches: list[Branch], largest: float, name: str) -> np.ndarray:
