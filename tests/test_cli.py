@@ -389,8 +389,11 @@ def test_check_proposes_to_read_each_curve_as_a_record(tmp_path, capsys):
     rows = [f"{k},{a:.4f},{bouc:.4f}" for k in (1, 2) for a, bouc in zip(u, bouc_wen(u), strict=True)]
     (tmp_path / "two.txt").write_text("loop;H_A_per_m;B_T\n" + "\n".join(rows).replace(",", ";") + "\n")
     assert run(["check", str(tmp_path / "two.txt"), "--delimiter=;"]) == 0
-    command = capsys.readouterr().out.strip().splitlines()[-1]
+    *above, command = capsys.readouterr().out.strip().splitlines()
     assert shlex.split(command)[2:5] == [str(tmp_path / "two.txt"), "--by=loop", "--delimiter=;"]
+    (advised,) = (line for line in above if line.startswith("hystfit fit "))
+    assert "--model" in advised
+    assert "--by" not in advised  # the model was compared on the cycles as one record
 
 
 def test_report_again(fitted, folder, capsys):

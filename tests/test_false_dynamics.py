@@ -134,3 +134,17 @@ def test_a_delayed_play_lags(wave, lag: float) -> None:
     found = estimate_lag(u, noisy, 1.0, reversals(u, 0.05))
     assert found is not None
     assert abs(found.samples - lag) < 3 * found.stderr
+
+
+@pytest.mark.parametrize("per_cycle", [3000, 30000])
+def test_finely_sampled_plays_neither_lead_nor_lag(per_cycle: int) -> None:
+    """Fifteen plays at a converter that samples fast: a tenth of a thousandth of the cycle is a sample or more."""
+    t = np.arange(3 * per_cycle) / per_cycle
+    u = 5 * np.sin(2 * np.pi * t)
+    widths, plays, y = np.linspace(0, 1, 15), np.zeros(15), []
+    for drive in u:
+        plays = np.clip(plays, drive - widths, drive + widths)
+        y.append(20 * plays.mean())
+    noisy = np.array(y) + 0.005 * np.random.default_rng(0).normal(size=t.size)
+    record = hf.Record(u=u, y=noisy, t=t, u_unit="V", y_unit="um")
+    assert not codes(record) & {Code.LAG, Code.SPEED_DEPENDENT}

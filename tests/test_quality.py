@@ -620,6 +620,16 @@ def test_a_monotonic_input_may_be_a_time_unless_its_unit_is_another(unit, perhap
     assert ("if it is a time" in found.text) == perhaps_time
 
 
+def test_one_branch_alone_is_asked_for_the_others():
+    """Laboratory courses write a file for each branch; reversal curves are branches of one measurement."""
+    branches = [
+        Record(u, u**2, u_unit="A", y_unit="mT", name=f"branch_{k}") for k, u in enumerate(np.mgrid[0:3, 0:1:200j][1])
+    ]
+    text = lambda data: [note.text for note in examined(data).findings if note.code is Code.NO_LOOP]
+    assert "give the files of all branches together" in text(branches[0])[0]
+    assert not any("together" in one for one in text(Dataset(tuple(branches))))
+
+
 def test_a_current_without_a_time_is_not_to_be_integrated():
     u = 3 * np.sin(np.linspace(0, 12, 400))
     record = Record(u, np.gradient(u) + 0.1 * u**3, u_unit="V", y_unit="A", u_name="U", y_name="I")

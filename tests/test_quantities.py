@@ -14,6 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.quality.loops import loop_area
 from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_values import quantities
+from hystfit.results.measured.magnetic_sample import Sample
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown, applicable
 from hystfit.results.measured.steady_loops import Excitation, SteadyLoops
 from hystfit.results.quantity_estimates import measured_quantities, quantity_values
@@ -523,6 +524,52 @@ def test_the_slope_of_a_substrate_is_named():
     assert named(-0.045)
     assert not named(0.045)
     assert not named(-0.045, correct=("slope",))
+
+
+def test_an_output_that_rises_to_the_largest_field_has_no_substrate():
+    """The law of approach bends down along a branch that follows no such law: its slope is negative, and the output rises."""
+    h = np.concatenate([np.linspace(10e3, -10e3, 61), np.linspace(-10e3, 10e3, 61)[1:]])
+    side = np.repeat([1.0, -1.0], [61, 60])
+    noise = np.random.default_rng(1).normal(0, 0.02, h.size)
+    record = hf.Record(
+        h, 25 * np.tanh((h + 300 * side) / 3000) + noise, u_unit="Oe", y_unit="emu/g", u_name="Field", y_name="Moment"
+    )
+    assert not any("diamagnetic" in note.text for note in quantities(record).notes["record"])
+
+
+def test_the_slope_of_a_substrate_is_removed_where_fields_are_set_in_equal_ratios():
+    """Six fields are above a third of the largest one, as a superconducting magnet is driven in steps of 20 %."""
+    half = 70e3 * 0.8 ** np.arange(34)
+    down = np.concatenate([half, [0.0], -half[::-1]])
+    h, side = np.append(down, down[::-1]), np.repeat([1.0, -1.0], down.size)
+    noise = np.random.default_rng(0).normal(0, 2e-8, h.size)
+    made = lambda film: hf.Record(
+        h, film - 6e-9 * h + noise, u_unit="Oe", y_unit="emu", u_name="Field", y_name="Moment"
+    )
+    record = made(2.7e-6 * np.tanh((h + 42 * side) / 300))
+    assert any("--correct slope" in note.text for note in quantities(record).notes["record"])
+    raw = {one.name: one for one in quantities(record).rows["record"]}
+    for branch, sign in (
+        ("", 1),
+        ("_rising", 1),
+        ("_falling", -1),
+    ):  # with the slope, a rising branch passes zero first
+        one = raw[f"coercive_input{branch}"]
+        assert one.value == pytest.approx(sign * 42, abs=3 * one.stderr)
+        assert one.stderr < 10
+        assert one.label.endswith("without the slope")
+    corrected = {one.name: one for one in quantities(record, correct=("slope",)).rows["record"]}
+    assert corrected["Js"].value == pytest.approx(2.7e-6, rel=0.05)
+    assert corrected["Js"].spread < 0.1 * 2.7e-6  # a law without the slope is none of the laws of this loop
+    ratio = corrected["squareness"]
+    assert ratio.value == pytest.approx(np.tanh(42 / 300), abs=3 * ratio.stderr)
+    assert ratio.stderr > 0.5 * ratio.value * 2e-8 / (2.7e-6 * np.tanh(42 / 300))  # the remanence has noise too
+    film = Sample(volume=1e-12)
+    assert not {"HcJ", "HcB"} & {one.name for one in quantities(record, sample=film).rows["record"]}
+    known = {one.name: one for one in quantities(record, sample=film, correct=("slope",)).rows["record"]}
+    assert known["HcJ"].value == pytest.approx(42e3 / (4 * np.pi) * 1e-3, abs=3 * known["HcJ"].stderr)
+    unsettled = made(2.7e-6 * np.tanh((h + 2e4 * side) / 4e4))  # the largest field does not saturate this film
+    assert "Js" not in {one.name for one in quantities(unsettled, correct=("slope",)).rows["record"]}
 
 
 def test_a_small_loop_inside_a_measured_branch_does_not_change_its_width():

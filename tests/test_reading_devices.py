@@ -115,6 +115,8 @@ def test_a_load_that_is_controlled_drives_the_angle(tmp_path: Path) -> None:
         ),  # of a generator, and the two fields
         ("Time [min],dm (%) - dry,Target % P/Po,Actual % P/Po,Temp [C],Mass [mg]", "tzsudy"),  # vapor sorption
         ("alpha_deg,sense,C_L,C_D", "uwyn"),  # coefficients of a wing
+        ("AoA,CL,CD,CM", "uynz"),
+        ("Alfa,Cl,Cdp,Cm", "uynz"),
         ("Process,pF [-],Tension [hPa],Water Content [Vol%]", "wusy"),  # suction in soil
         ("weight_g,R_kohm", "uy"),
         ("Time (s),Pressure (mmHg),Outer diameter (um),Axial force (g)", "tuyn"),  # a vessel
@@ -279,7 +281,13 @@ def test_the_output_of_a_controller_drives_the_process(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "words",
-    [("Sorption", "Desorption"), ("theta_drying", "theta_wetting"), ("Load1", "Unload1")],
+    [
+        ("Sorption", "Desorption"),
+        ("theta_drying", "theta_wetting"),
+        ("Load1", "Unload1"),
+        ("Anzeige steigend in mV", "Anzeige fallend in mV"),
+        ("Sortie croissante (mA)", "Sortie décroissante (mA)"),
+    ],
     ids=lambda pair: pair[0],
 )
 def test_branches_over_one_input(words: tuple[str, str], tmp_path: Path) -> None:

@@ -171,3 +171,22 @@ def test_the_numbers_of_the_rows_are_called_by_their_sign(tmp_path: Path) -> Non
         record = read(path)
         assert (record.u_name, record.y_name) == ("angle_deg", "torque_Nm")
         np.testing.assert_allclose(record.u, u)
+
+
+@pytest.mark.parametrize("mark", ["", "# "])
+def test_units_behind_the_word_in_where_blanks_part_the_columns(mark: str, tmp_path: Path) -> None:
+    """A notebook of a laboratory course: the response first, and tabs beside blanks."""
+    table = [f"{y} \t{u}" if k % 3 else f"{y}    {u}" for k, (u, y) in enumerate(zip(U, Y, strict=True))]
+    record = one(tmp_path, f"{mark}B in mT Stromstärke in A\n" + "\n".join(table) + "\n", "course.txt")
+    is_pair(record)
+    assert named(record, "Stromstärke in A", "B in mT", ("A", "mT"))
+    record = one(tmp_path, "x in mm F in kN\n" + rows(" ", U, Y), "steel.txt")
+    assert named(record, "x in mm", "F in kN", ("mm", "kN"))
+
+
+def test_a_property_that_is_not_specified_is_no_property(tmp_path: Path) -> None:
+    head = "Sample Mass   10.2 mg\nSample Geometry   Not Specified\nPressure (mbar)   Uptake (mg)\n"
+    record = one(tmp_path, head + rows("   ", U, Y), "sorption.txt")
+    shown = next(note.text for note in record.notes if "properties of the sample" in note.text)
+    assert "10.2 mg" in shown
+    assert "Geometry" not in shown

@@ -909,7 +909,7 @@ def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) ->
     joined = read(quarters)
     assert isinstance(joined, Record)
     is_loop(joined)
-    assert any("parts of one loop" in note.text for note in joined.notes)
+    assert any("0, 1, 2 and 3 are parts of one loop" in note.text for note in joined.notes)
     loops = [written(tmp_path, table(PAIRS), f"loop{k}.txt") for k in range(2)]
     assert len(Dataset.of(read(loops))) == 2
     assert len(Dataset.of(read([quarters[0], quarters[2]]))) == 2

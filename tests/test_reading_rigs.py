@@ -271,6 +271,7 @@ def test_the_question_about_columns_without_names_begins_with_the_pair_that_belo
         ("V", "um", "um V"),
         ("Kelvin", "Degrees", "deg K"),
         ("V", "", ""),
+        ("kN", "mV/V", "mV/V kN"),  # a calibration: the signal of a bridge is no strain
     ],
 )
 def test_the_unit_of_an_area_has_symbols(u: str, y: str, unit: str) -> None:

@@ -16,6 +16,7 @@ from hystfit.outcome import Code
 from hystfit.reading import read
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.text.header import read_header
+from tests.loop_files import U, Y, written
 
 ROWS = 240
 PLACE = np.arange(ROWS)
@@ -362,3 +363,14 @@ def test_isotherms_at_two_temperatures_are_two_loops(tmp_path: Path, second: flo
     assert {record.u.size for record in Dataset.of(data)} == {120 // len(names)}
     assert pair(data) == ("Pressure (mbar)", "Excess Adsorption (mmol/g)")
     assert not any("Adsorption" in value for record in Dataset.of(data) for value in record.metadata.values())
+
+
+def test_tables_are_named_by_what_was_set_and_not_by_what_was_measured(tmp_path: Path) -> None:
+    """A core at three inductions: the loss that a tester computes stands below the setting."""
+    parts = []
+    for level in (0.1, 0.2, 0.3):
+        table = "\n".join(f"{level * u:.4f}\t{level * y:.5f}" for u, y in zip(U, Y, strict=True))
+        loss = f"{8361.2 * level**2.4:.3f}"
+        parts.append(f"Bm = {level} T\nf = 50 kHz\nPcv = {loss} kW/m3\nH(A/m)\tB(T)\n{table}\n\n")
+    data = read(written(tmp_path, "".join(parts), "core.txt"))
+    assert [record.name for record in data] == ["Bm = 0.1 T", "Bm = 0.2 T", "Bm = 0.3 T"]

@@ -37,6 +37,41 @@ def integral_over_time(record: hf.Record) -> bool:
     return any(note.option == ("integrate", "true") for note in notes if note.code is Code.RATE)
 
 
+# Channels of one unit -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names", ["Ch1,V\tCh2,V", "Left probe (V)\tRight probe (V)"])
+def test_an_output_of_few_steps_is_no_command(names: str, tmp_path: Path) -> None:
+    """A triangle at a tester whose second channel has 50 steps: the noise of both is that of the converter."""
+    drive = np.interp(np.arange(100), [0, 50, 99], [0.0, -3.0, 0.0]) + 2e-4 * NOISE[0, :100]
+    charge = np.round((0.015 * loop(drive, 0.5, 2.0) + 2e-4 * NOISE[1, :100]) / 3e-4) * 3e-4
+    table = f"R,Ohm\tC,pF\n0000\t0100\n{names}\tTime,s\n"
+    record = one(tmp_path, table + rows("\t", np.round(drive, 4), np.round(charge, 4), 1e-3 * np.arange(100)))
+    assert np.ptp(record.u) == pytest.approx(3.0, rel=0.01)
+    named = [note.text for note in record.notes if note.code is Code.COLUMN_CHOICE]
+    question = next(text for text in named if "drives the device" in text)
+    assert f"input='{record.y_name}' and output='{record.u_name}'" in question
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_values_that_are_set_again_on_each_branch_drive(both_ways: bool, tmp_path: Path) -> None:
+    """A table written by hand at uneven values, with the reading first and without names."""
+    levels = np.array([0, 0.1, 0.2, 0.3, 0.5, 0.7, 1, 1.4, 2, 3, 4, 5, 6, 8, 10.0])
+    path = np.concatenate([levels, levels[::-1]])
+    path = np.concatenate([path, -path[1:], levels[1:]]) if both_ways else path
+    response = np.round(loop(path, 1.5, 2.5) + 0.004 * NOISE[0, : path.size], 3)
+    np.testing.assert_array_equal(one(tmp_path, rows("\t", response, path)).u, path)
+    np.testing.assert_array_equal(one(tmp_path, rows("\t", path, response)).u, path)
+
+
+def test_columns_that_all_run_one_way_hold_no_time(tmp_path: Path) -> None:
+    """The currents of a transistor at both terminals, and the voltage of its gate."""
+    gate = np.linspace(-0.3, 0.6, 19)
+    current = 1e-5 * np.log1p(np.exp(gate / 0.05)) ** 2
+    with pytest.raises(DataError, match=r"--input"):
+        one(tmp_path, rows(" ", np.full(19, 0.65), current, -(1 + 0.02 * gate) * current, gate))
+
+
 # Oscilloscopes ------------------------------------------------------------------------------------------------------------------
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,12 +71,25 @@ def check(
 
 
 def _next_command(loops: Sequence[str], reading: Reading, remarks: Iterable[Note], report: QualityReport) -> str:
-    """The command that follows, with the reading options that the notes propose."""
-    reading_options = dict(note.option for note in remarks if note.option is not None)
+    """The command that follows, and that which reads the file in the other way that its notes propose."""
     changed = dict(note.option for note in report.findings if note.option is not None)
-    options = {name: True if value == "true" else value for name, value in (reading_options | changed).items()}
-    window = options.pop("window", None)  # an option of a fit
-    command = command_words(loops, dataclasses.replace(reading, **options))
+    apart = dict(note.option for note in remarks if note.option is not None)  # the advice is for the records as read
+    following = _following(loops, reading, report, changed)
+    if not apart:
+        return following
+    command = command_words(loops, dataclasses.replace(reading, **_values(changed | apart)))
+    return f"{following}\nor check the parts as records of their own\nhystfit check {command}"
+
+
+def _values(options: Mapping[str, str]) -> dict[str, str | bool]:
+    """Options of reading by name, those that are switched on as True."""
+    return {name: True if value == "true" else value for name, value in options.items() if name != "window"}
+
+
+def _following(loops: Sequence[str], reading: Reading, report: QualityReport, changed: Mapping[str, str]) -> str:
+    """The command that follows, with the options that the findings propose."""
+    window = changed.get("window")  # an option of a fit
+    command = command_words(loops, dataclasses.replace(reading, **_values(changed)))
     if window is not None:
         return f"\n\nNext: fit the stretch at one level\nhystfit fit {command} --window={window}"
     if report.advice is None and not changed and (part := _sound_part(report)) is not None:

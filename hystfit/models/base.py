@@ -256,13 +256,6 @@ class AbstractHysteresis(AbstractDynamics):
             return self.design_matrix(*checked_drive(self, u, dt)).output(self)
         return super().free_run(u, dt)
 
-    def filtered(self, signals: np.ndarray, dt: np.ndarray) -> np.ndarray | None:
-        """Outputs of a filter that is linear in its input for each column of signals, shape (T, p), from rest at its first row.
-
-        They follow without a program; None where this needs one.
-        """
-        return None
-
     @property
     def has_rest(self) -> bool:
         """Whether the model can rest before the record on its `level` or on the record's "first" input (see `with_rest`)."""

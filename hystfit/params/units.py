@@ -302,6 +302,7 @@ def size_in(unit: str, *targets: str) -> tuple[str, float] | None:
     return next(alike, None)
 
 
+OF_BRIDGES = ("mV/V", "µV/V", "μV/V")  # signals of strain gauges, over the voltage that feeds their bridge: no strains
 _ENERGIES = ("J", "J/m2", "J/m3", "J/kg", "J/m")
 MU0 = 4e-7 * math.pi  # [T m/A]; a field times a moment is an energy after multiplication by it
 
@@ -314,7 +315,7 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
     first, second = parse_unit(one), parse_unit(other)
     alike = symbol_of(one) == symbol_of(other) and one.isalpha()
     plain = "" if not (one and other) else f"{symbol_of(one)}^2" if alike else f"{symbol_of(other)} {symbol_of(one)}"
-    if first is None or second is None:
+    if first is None or second is None or {one, other}.intersection(OF_BRIDGES):
         return plain, 1.0
     powers = dict(first.powers)
     for base, power in second.powers:

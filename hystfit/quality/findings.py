@@ -42,7 +42,7 @@ def findings(records: Sequence[RecordQuality]) -> tuple[Note, ...]:
             _noise(record, span),
             scale_notes(record.u.decades, record.y.decades),
             _response(record),
-            _loops(record),
+            _loops(record, alone=len(records) == 1),
             _changes(record),
         )
         for record in records
@@ -164,11 +164,17 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         yield rate_note(record.units, certain=record.is_rate)
 
 
-def _loops(record: RecordQuality) -> Iterator[Note]:
-    """Whether there are loops, and of which shape."""
+def _loops(record: RecordQuality, *, alone: bool) -> Iterator[Note]:
+    """Whether there are loops, and of which shape.
+
+    Args:
+        alone: whether there is no other record.
+    """
     shape = record.shape
     if record.motion.monotonic:
         text = "the input is monotonic, so there is no loop"
+        if alone:
+            text += "; if this is one branch of a loop, give the files of all branches together (hystfit check RISING.csv FALLING.csv)"
         if quantity(record.units["u"]) in ("", "time"):
             text += "; if it is a time, read both signals from their files as INPUT.csv+OUTPUT.csv"
         yield warn(Code.NO_LOOP, text)

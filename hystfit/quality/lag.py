@@ -24,6 +24,9 @@ NEAR = 0.12, 0.2, 0.35
 # How far the output goes on after a turn within the lag, over how far it came within a lag before: a lag gives a third behind a sine and 1
 # behind a triangle, a play or a valve that sticks 0. Half of the least.
 _GOES_ON = 1 / 6
+# Error of the method, as the polynomials follow a branch but nearly: samples of coarse cycles, and part of a half cycle of fine ones, which
+# is what plays of 15 to 60 widths had as a lag in 2000 to 30 000 samples a cycle.
+_OF_SAMPLES, _OF_HALF_CYCLE = 0.1, 3e-4
 # Change of the input by smoothing at its turns, in rms of its noise, that noise alone makes at most: 1.5 at the turns of sines.
 _NOISE_OF_TURNS = 2
 
@@ -35,7 +38,7 @@ class Lag:
     Attributes:
         samples: delay in samples; negative where the output turns first (as a velocity-dependent force does).
         stderr: its standard error [samples], from the scatter over the turns, upper against lower turns, two ranges of the fit,
-            and 0.1 samples for the method.
+            and the error of the method.
         seconds: delay in the unit of time; None without time.
         turns: number of turning points used.
     """
@@ -172,6 +175,7 @@ def estimate_lag(
     best, stderr, count = estimates[0]
     if len(estimates) > 1 and estimates[1] is not None:
         stderr = float(np.hypot(stderr, 0.5 * (estimates[1][0] - best)))
+    stderr = float(np.hypot(stderr, _OF_HALF_CYCLE * np.median(np.diff(reversals))))
     if stderr > max(2.0, 0.5 * abs(best)) or _rests(turns, y, best):
         return None
     return Lag(best, stderr, None if interval is None else best * interval, count)
@@ -206,4 +210,4 @@ def _over_turns(
     sides = [_lowest(delays, misfit[side].sum(axis=0)) for side in (upper, ~upper) if side.any()]
     both = len(sides) == 2 and None not in sides
     gap = 0.5 * abs(sides[0] - sides[1]) if both else 0.5  # type: ignore[operator]
-    return best, float(np.sqrt(scatter**2 + gap**2 + 0.1**2)), len(turns)
+    return best, float(np.sqrt(scatter**2 + gap**2 + _OF_SAMPLES**2)), len(turns)

@@ -109,6 +109,10 @@ class AbstractDynamics(eqx.Module):
             check_one_device(self)
             raise
 
+    def filtered(self, signals: np.ndarray, dt: np.ndarray) -> np.ndarray | None:
+        """Outputs of a linear filter for each column of signals, (T, p), from rest at its first row; None where they need a program."""
+        return None
+
     @property
     def causal(self) -> bool:
         """Whether the output depends on no later sample, so that `step` works and a simulation can be resumed."""

@@ -44,7 +44,8 @@ def joined(records: Sequence[Record], *, counted: bool) -> Record:
             clock = t[-1][-1] + float(np.median(np.diff(record.t)))
     join = lambda parts: np.concatenate(parts) if len(parts) == len(records) else None
     names = [record.name for record in records]
-    text = f"{' and '.join(names)} are parts of one loop: read as one record, each from where the one before ends"
+    shown = f"{', '.join(names[:-1])} and {names[-1]}"
+    text = f"{shown} are parts of one loop: read as one record, each from where the one before ends"
     return first.replace(
         u=join(u),
         y=join(y),

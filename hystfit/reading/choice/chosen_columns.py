@@ -206,13 +206,17 @@ def _guess_pair(
         apart = [one for one in equal if not proportional(table.columns[one.input], table.columns[one.output])]
         raise _undecided(table, *_clearest(table, apart if len(apart) > 1 else equal)[:2])
     nameless = not (table.named or given or (kinds[best.input] and kinds[best.output]))
+    told = any(column_role(table.names[k]) for k in pair) or kinds[best.input] != kinds[best.output]
+    one_kind = table.named and not (given or told)
     for role, position in (("input", best.input), ("output", best.output)):
         if role not in given:
             given[role] = position
-            notes.append(_choice_note(table, role, position, kinds))
-    if nameless:  # nothing but signals and the order of the columns tells which drives the other
-        swapped = f"if column {best.output} drives the device, set input='{best.output}' and output='{best.input}'"
+            notes.append(_choice_note(table, role, position, kinds, one_kind=one_kind))
+    if nameless or one_kind:  # nothing but signals and the order of the columns tells which drives the other
+        i, o = (_key(table, k) for k in pair)
+        swapped = f"if column {_as_option(table, best.output)} drives the device, set input='{o}' and output='{i}'"
         notes[-1] = dataclasses.replace(notes[-1], text=f"{notes[-1].text}; {swapped}")
+    if nameless:
         driven = table.columns[best.input]
         if _runs_both_ways(driven) and circulation(driven, table.columns[best.output]) < -OPEN:
             text = f"the loop runs clockwise, as that of a force: are the columns exchanged? {swapped}"
@@ -321,10 +325,15 @@ def _undecided(table: Table, *equal: Reading) -> DataError:
     )
 
 
-def _as_option(table: Table, position: int) -> str:
-    """A column as it is named at the shell: by its name, where only it has that, else by its number."""
+def _key(table: Table, position: int) -> str:
+    """A column by its name, where only it has that and it needs no escapes, else by its number."""
     name = table.names[position]
-    return shlex.quote(name) if table.named and name and table.names.count(name) == 1 else str(position)
+    return name if table.named and name and table.names.count(name) == 1 and "'" not in name else str(position)
+
+
+def _as_option(table: Table, position: int) -> str:
+    """A column as it is named at the shell."""
+    return shlex.quote(_key(table, position))
 
 
 def _without_extremes(table: Table, free: list[int], notes: list[Note]) -> list[int]:
@@ -379,7 +388,10 @@ def _repeats(one: np.ndarray, other: np.ndarray) -> bool:
     return bool(moves.any() and max(np.mean(one[moves] == sign * other[moves]) for sign in (1, -1)) > 0.5)
 
 
-def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str]) -> Note:
+def _choice_note(table: Table, role: str, position: int, kinds: dict[int, str], *, one_kind: bool) -> Note:
     meaning = kinds[position] or (column_role(table.names[position]) if table.named else "")
     reason = f"by its name or unit ({meaning})" if meaning else "by its position"
+    if one_kind:
+        both = f", as both are of one quantity ({meaning})" if meaning else ""
+        reason = f"by its signal and position{both}"
     return Note(Code.COLUMN_CHOICE, f"{role}: column {position}, {table.names[position]!r}, chosen {reason}")

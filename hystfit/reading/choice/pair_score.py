@@ -26,8 +26,10 @@ from hystfit.reading.table.signal_evidence import (
     moves_at_rest,
     proportional,
     repeats,
+    resolution,
     rises_evenly,
     sample,
+    set_again,
 )
 
 # Points of a column whose name states its role ("input", "response"), in that role and in the other one: less than those of a pair of
@@ -81,6 +83,9 @@ _LOOP = 0.5  # of an output that has a loop, where another one without it would 
 _LATER = -0.25  # of each further column of the same quantity, and of an input after its output
 # Points of a commanded column beside a measured one, whose noise is that many times larger: a D/A converter beside a sensor.
 _COMMANDED, _NOISIER = 1.0, 10.0
+# Points of an input that has most of its very values in both directions, of which the output has few: those of a table, or that were set
+# by hand. They outweigh both of a wave, as the steps of a table are no noise.
+_AGAIN, _MOSTLY, _SELDOM_AGAIN = 2.5, 0.9, 0.5
 # Points of an input that was set: it goes up and down by equal steps or holds, and the output does not. They outweigh the quantities (a
 # displacement that was set and the voltage of its sensor, a load and the displacement under it) but for a field and its induction.
 _SET_BY_STEPS = 8.0
@@ -154,11 +159,14 @@ class _Evidence:
         points += _RAW_VOLTS * self.facts.is_raw_beside(i, o)
         names = self.facts.table.names
         told = {i, o} <= self.facts.equal or self.facts.roles[i] or self.facts.roles[o] or has_terminals(names)
+        if kinds[i] == kinds[o] == "" and not told:
+            points += _AGAIN * (self._again[i] > _MOSTLY and self._again[o] < _SELDOM_AGAIN)
         if self.facts.table.rows >= _WAVE and _either_drives(kinds[i], kinds[o]) and not told:
             wave = self.facts.overtones
             plainer = lambda one, other: wave[one] <= _PURE and wave[other] > _PLAINER * wave[one]
             points += _CLEAN * plainer(i, o)
-            points += _COMMANDED * (self.facts.roughness[o] > _NOISIER * self.facts.roughness[i])
+            hidden = resolution(self.facts.table.columns[i])  # noise of the input that its digits may hide
+            points += _COMMANDED * (self.facts.roughness[o] > max(_NOISIER * self.facts.roughness[i], hidden))
             points += _INDUCED * (kinds[i] != kinds[o] and self._is_induced(i, o))
         return Reading(i, o, points)
 
@@ -257,6 +265,11 @@ class _Evidence:
     def _in_turn(self) -> ByColumn:
         """Whether a column is set to levels in turn while others are measured."""
         return ByColumn(lambda k: bool(levels_in_turn(self.facts.table.columns[k])))
+
+    @functools.cached_property
+    def _again(self) -> ByColumn:
+        """See `signal_evidence.set_again`."""
+        return ByColumn(lambda k: set_again(self.facts.table.columns[k]))
 
     def _is_induced(self, i: int, o: int) -> bool:
         """Whether an output is the rate of its input, as the current of a capacitor and the voltage of a coil are."""

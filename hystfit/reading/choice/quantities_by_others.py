@@ -20,8 +20,10 @@ from hystfit.reading.table.signal_evidence import is_even, is_near_median, propo
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
-_INCIDENCE = frozenset({"alpha", "aoa", "incidence", "pitch"})  # angles of a wing, and coefficients of its loads
-_COEFFICIENT = re.compile(r"[Cc]_?[LDMNTldmnt]")
+_INCIDENCE = frozenset(
+    {"alpha", "alfa", "aoa", "incidence", "pitch"}
+)  # angles of a wing, and coefficients of its loads
+_COEFFICIENT = re.compile(r"c_?[ldmnt]p?", re.IGNORECASE)  # Cdp: the part of the pressure
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
 # Suction of a soil and its water, as a part of its volume or mass.
 _RETENTION = (("h", "theta"), ("psi", "theta"), ("s", "w"))
@@ -76,7 +78,8 @@ def tell_by_others(table: Table, free: Sequence[int], kinds: dict[int, str], *, 
         kinds.update({k: "current" for k in free if bases[k] in ("ID", "IS")})
     if among("capacitance"):  # D beside C is a loss, and Q its inverse
         kinds.update({k: "phase" for k in free if bases[k] in ("D", "Q")})
-    if any(parts_of(table.names[k]) & _INCIDENCE for k in free if kinds[k] == "displacement"):  # of a wing
+    angles = [k for k in free if kinds[k] == "displacement"]
+    if any(({bases[k].lower()} | parts_of(table.names[k])) & _INCIDENCE for k in angles):  # of a wing
         kinds.update({k: "force" for k in free if _COEFFICIENT.fullmatch(bases[k])})
     if any(parts_of(table.names[k]) & _CHAMBERS for k in free if kinds[k] == "volume"):
         kinds.update({k: "stress" for k in free if kinds[k] == "pressure"})

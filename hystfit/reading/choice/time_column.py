@@ -51,7 +51,7 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
         if not (steps > 0).all() and ((steps < 0).any() or CoarseClock.of(table.columns[k]) is None):
             return None
         uneven = not named and np.ptp(steps) > np.median(steps)
-        if uneven and all((np.diff(table.columns[other]) > 0).all() for other in free):
+        if uneven and all(_runs_one_way(table.columns[other]) for other in free):
             return None  # of several curves over each other, none is that of time
         if not table.counts(k):
             reason = "always increases" if (steps > 0).all() else "never decreases"
@@ -61,6 +61,10 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
         notes.append(Note(Code.LEFT_OUT, text))
         kinds[k] = "index"
     return None
+
+
+def _runs_one_way(values: np.ndarray) -> bool:
+    return abs(int(np.sign(np.diff(values)).sum())) == values.size - 1
 
 
 def _is_since_1970(table: Table, k: int) -> bool:

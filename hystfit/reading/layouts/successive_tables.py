@@ -205,9 +205,12 @@ def _lines_above(text: TextFile, piece: _Piece) -> list[str]:
 
 
 def _with_names(parts: Sequence[Part], above: Sequence[Sequence[str]]) -> list[Part]:
-    """The parts with a name each: their titles where these differ, else the settings of each in the same line above, else their numbers."""
+    """The parts with a name each: their titles where these differ, else the settings of each in the same line above, else their numbers.
+
+    What was set has fewer digits than what was measured then: "Bm = 0.1 T" before "Pcv = 8.360 kW/m3".
+    """
     titles = [part.name for part in parts]
-    settings = zip(*(reversed(lines) for lines in above), strict=False)
+    settings = sorted(zip(*(reversed(lines) for lines in above), strict=False), key=lambda names: max(map(len, names)))
     for names in (titles, *settings):
         if len({*names, ""}) == len(parts) + 1:
             return [dataclasses.replace(part, name=name) for part, name in zip(parts, names, strict=True)]

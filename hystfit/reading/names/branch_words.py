@@ -9,16 +9,16 @@ RISING = frozenset(
     "adsorption adsorbed adsorp sorption ads drying drainage "
     "forward fwd positive pos extend ext ex approach press trace advancing intrusion inflation inspiration compression "
     "cw clockwise "
-    "auf aufwärts hin belastung ladung aufheizen erwärmung chauffage chauffe calentamiento "
-    "aller montée montee ida subida carga 加载 升程 正行程 升温 上り 上昇 負荷".split()
+    "auf aufwärts steigend aufsteigend zunehmend hin belastung ladung aufheizen erwärmung chauffage chauffe calentamiento "
+    "aller montée montee ida subida carga creciente crescente croissant croissante 加载 升程 正行程 升温 上り 上昇 負荷".split()
 )
 FALLING = frozenset(
     "down falling fall fal descending desc decreasing dec unloading unload cooling cool downward downscale discharging discharge "
     "desorption desorbed desorp des wetting imbibition "
     "backward bwd reverse rev return negative neg retract ret rt withdraw release retrace receding extrusion deflation "
     "expiration rebound ccw acw counterclockwise anticlockwise "
-    "ab abwärts rück zurück entlastung entladung abkühlen abkühlung refroidissement enfriamiento "
-    "retour descente vuelta bajada descarga 卸载 回程 反行程 降温 下り 下降 除荷".split()
+    "ab abwärts fallend absteigend abnehmend rück zurück entlastung entladung abkühlen abkühlung refroidissement enfriamiento "
+    "retour descente vuelta bajada descarga decreciente decrescente décroissant décroissante 卸载 回程 反行程 降温 下り 下降 除荷".split()
 )
 BRANCHES = RISING | FALLING
 

@@ -6,7 +6,7 @@ import functools
 import re
 from collections.abc import Iterable
 
-from hystfit.params.units import quantity, symbol_of
+from hystfit.params.units import OF_BRIDGES, quantity, symbol_of
 from hystfit.reading.names.branch_words import words_of
 from hystfit.reading.names.names_with_units import RATIO, split_unit
 from hystfit.reading.names.unit_case import in_case
@@ -41,7 +41,6 @@ _TAG = re.compile(r"[A-Z]{2,5}[-_ ]?\d+\w?[./_ :](?:(OUT|OP|CO|MV)|PV|SP)")
 # Entities of home automation by their kind, switch.heater and sensor.room_temperature: those that act, and those that measure.
 _ENTITY = re.compile(r"(?:(switch|number|light|fan|cover|valve|climate|input_\w+)|(?:binary_)?sensor)\.\w+")
 RELATIVE_PRESSURE = re.compile(r"(?<!\w)p_?e?q? ?/ ?p_?[0os₀]?(?!\w)", re.IGNORECASE)
-_OF_BRIDGES = ("mV/V", "µV/V", "μV/V")  # signals of strain gauges, over the voltage that feeds their bridge
 _RATIOS = ("%", "‰", "ppm")
 _FIELD_SYMBOL = re.compile(r"([HBMJ])(?:meas|field|exp|data)")
 
@@ -151,7 +150,7 @@ def column_role(name: str) -> str:
     if tag := _TAG.fullmatch(name):
         return "input" if tag[1] else "output" if name.endswith("PV") else ""
     base = _field(split_unit(name)[0].strip())
-    if _EXCHANGE.fullmatch(base) or split_unit(name)[1] in _OF_BRIDGES:
+    if _EXCHANGE.fullmatch(base) or split_unit(name)[1] in OF_BRIDGES:
         return "output"
     if base in _LETTERS:
         return ""  # U is the symbol of a voltage, and u of an input

@@ -260,6 +260,12 @@ def roughness(values: np.ndarray) -> float:
     return 0.0 if whole and third <= _CUT_OFF * least * (1 + _SAME_DIGIT) else third / float(np.ptp(values))
 
 
+def resolution(values: np.ndarray) -> float:
+    """The smallest step between two values over the range: noise below it is not seen."""
+    values = values[np.isfinite(values)]
+    return _digit(values) / float(np.ptp(values)) if values.size and np.ptp(values) > 0 else np.inf
+
+
 def smoothness(values: np.ndarray) -> float:
     """Correlation of neighboring samples: 0 of white noise, near 1 of a column that is sampled often; 1 of few samples."""
     values = values[np.isfinite(values)]
@@ -275,6 +281,13 @@ def overtones(values: np.ndarray) -> float:
     power = np.abs(np.fft.rfft((values - values.mean()) * np.hanning(values.size))[1:]) ** 2
     peak, total = int(np.argmax(power)), float(power.sum())
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
+
+
+def set_again(values: np.ndarray) -> float:
+    """Part of the samples whose very value a column takes while it rises and while it falls, as one that was set does."""
+    finite = values[np.isfinite(values)]
+    rises = np.gradient(finite) > 0 if finite.size > 1 else np.zeros(finite.size, dtype=bool)
+    return float(np.isin(finite, np.intersect1d(finite[rises], finite[~rises])).mean()) if finite.size else 0.0
 
 
 def meet(parts: Sequence[np.ndarray]) -> bool:

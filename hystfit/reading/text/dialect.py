@@ -160,6 +160,7 @@ def sniff(lines: Sequence[str], source: str, delimiter: str | None, decimal: str
             and best.delimiter in _NEVER_DECIMAL
             and best.rows > MAJORITY * len(filled)
             and best.numbers > 1
+            and not (best.delimiter == "\t" and _has_rows_of_blanks(filled, best))
         ):
             break  # blanks within its cells part words
         rows = [split(line, mark) for line in filled]
@@ -189,6 +190,13 @@ def _text_size(rows: Sequence[Sequence[str]], dialect: Dialect) -> int:
     """Number of characters in the columns of text."""
     positions = [k for k, kind in enumerate(dialect.kinds) if kind == cells.TEXT]
     return sum(len(row[k].strip()) for row in rows if len(row) == dialect.width for k in positions) if positions else 0
+
+
+def _has_rows_of_blanks(filled: Sequence[str], dialect: Dialect) -> bool:
+    """Whether blanks part the numbers of some rows, as tabs do those of the others."""
+    rows = (line.split() for line in filled if len(split(line, dialect.delimiter)) != dialect.width)
+    number = lambda cell: cells.kind(cell, dialect.decimal) == cells.NUMBER
+    return any(len(row) == dialect.width and all(map(number, row)) for row in rows)
 
 
 def _is_plain(dialect: Dialect, filled: Sequence[str]) -> bool:

@@ -20,7 +20,7 @@ _SAMPLE = re.compile(  # "Temperature in" has a unit
     r"|specimen|demagnet|temperature|preload|humidity|质量|厚度|面积|試料|样品|尺寸)",
     re.IGNORECASE,
 )
-_NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "yes", "-", "--", "unknown"})
+_NO_VALUE = frozenset({"", "n/a", "na", "none", "no", "yes", "-", "--", "unknown", "not specified"})
 _SETTINGS = (
     re.compile(r"(?:INFO)\s*,\s*(?P<value>.*),\s*(?P<key>[A-Za-z][A-Za-z0-9_ ]*)"),  # Quantum Design
     re.compile(r"\"(?P<key>[^\"]{2,40})\"\s*[,;\t]\s*(?P<value>\S.{0,99}?)[,;\s]*"),
@@ -40,6 +40,7 @@ NAME_CELL = re.compile(
 UNIT_CELL = re.compile(r"(?:units?|einheit(?:en)?|unités?|単位|单位)\s*(?:[(\[](?P<unit>[^)\]]*)[)\]])?", re.IGNORECASE)
 _VALUE = re.compile(r"\S+\s*=\s*[^\s,;]+")  # of a setting in the name of a column
 _COMMENT = r"(?:[#%!*]+|//|--)"
+_IN = " in "  # between a name of one word and its unit, where blanks part the columns too
 _BEGUN = re.compile(r"\d{1,3}:\d\d")  # the only cell of a row: the time at which a report begins
 _COUNTED = re.compile(rf"{_COMMENT}\s*\d+")  # how many rows follow
 _FORMAT = re.compile(r"\d{1,3}[sdn]")  # of a column of an RDB table: 14 characters of a number, 20 of a date
@@ -74,7 +75,7 @@ def sample_properties(lines: Sequence[str], names: Sequence[str]) -> dict[str, s
 def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
     """Split a header line into `width` cells, by the delimiter of the data or by another one; None if none does."""
     for text in (line, re.sub(rf"^\s*{_COMMENT}\s*", "", line), _LABEL.sub("", line)):
-        for mark in (delimiter, "  ", ",", ";", "\t", "|", None):
+        for mark in (delimiter, "  ", ",", ";", "\t", "|", None, _IN):
             parts = cut_cells(text, mark)
             while len(parts) > width and not parts[-1]:
                 parts.pop()
@@ -86,11 +87,18 @@ def _fields(line: str, width: int, delimiter: str | None) -> list[str] | None:
 
 
 def cut_cells(text: str, mark: str | None) -> list[str]:
-    """Clean cells of a line of a header, between marks; "  " is two blanks or a tab, None any white space before no bracket."""
+    """Clean cells of a line of a header, between marks.
+
+    "  " is two blanks or a tab, None any white space before no bracket, and " in " that after each unit of "B in mT I in A".
+    """
     if mark is None:  # a bracketed unit belongs to the word before it
         text = re.sub(r"(?<!\s)\s++(?=[\[(])", "", text.strip())
         parts = re.findall(r"(?:\"[^\"]*\"[^\s\"]*)+|\{[^}]*\}|[^\s\[(]*+[\[(][^\])]{0,40}[\])]\S*|\S+", text)
         parts = [part[1:-1] if part.startswith("{") and part.endswith("}") else part for part in parts]
+    elif mark == _IN:
+        words = text.split()
+        whole = len(words) % 3 == 0 and {*words[1::3]} == {"in"} and all(map(is_unit, words[2::3]))
+        parts = [" ".join(words[k : k + 3]) for k in range(0, len(words), 3)] if whole else [text]
     elif mark == "  ":
         parts = re.split(r"\s{2,}|\t", text.strip())
     else:

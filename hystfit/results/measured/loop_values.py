@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,11 +49,11 @@ from hystfit.results.measured.magnetic_values import REMANENT_PART, magnetic_val
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.polarization_values import offset_of, polarization_values
 from hystfit.results.measured.quantities import area_label
+from hystfit.results.measured.saturation_law import saturation
 from hystfit.results.measured.steady_branches import at_one_pace, labeled, without_first_loading
 from hystfit.results.measured.stiffness_values import stiffness_values
 
 MEASURED = "Quantities read off the measured loops, without the model"
-_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,7 +200,11 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return tuple(butterfly_values(branches, sigma, record)), (), (_LOBED,)
     if not is_open(pairs or cycles, known):
         return (), (), (_NO_AREA,)
-    found = [*_levels(branches, cycles, sigma, kind, record), *(_loss(cycles, sigma, kind, record) if cycles else ())]
+    levels = [*_levels(branches, cycles, sigma, kind, record)]
+    if magnetic is not None and (law := saturation(branches)) is not None and law.on_substrate:
+        film = [Branch(b.u, b.y - law.slope * b.u) for b in branches]
+        levels = _of_film(levels, _levels(film, cycles, sigma, kind, record))
+    found = [*levels, *(_loss(cycles, sigma, kind, record) if cycles else ())]
     found = [*labeled(found, record, pairs, duration, sigma)]
     if kind is LoopKind.FERROELECTRIC:
         found.extend(polarization_values(record, found, sigma, branches))
@@ -289,10 +293,8 @@ def _with_data_sheet(
     if magnetic.branches and not any(row.name == "Js" for row in sheet):
         text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
         notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
-    law = magnetic.saturation
-    falls = law is not None and law.settled and -law.slope * np.abs(magnetic.h).max() > _SUBSTRATE * law.value
-    if falls and "slope" not in correct:
-        text = "the output falls at large fields, as on a diamagnetic substrate: --correct slope removes this slope"
+    if (law := magnetic.saturation) is not None and law.on_substrate and "slope" not in correct:
+        text = "the output falls at large fields, as on a diamagnetic substrate: hystfit quantities --correct slope removes this slope"
         notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 
@@ -330,6 +332,12 @@ def _levels(
         yield from _ends(branches, sigma, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from stiffness_values(branches, cycles, sigma, record)
+
+
+def _of_film(levels: Sequence[LoopValue], film: Iterable[LoopValue]) -> list[LoopValue]:
+    """The values with the coercivity of the film alone: with its substrate, the output passes zero at other fields."""
+    alone = {one.name: dataclasses.replace(one, label=f"{one.label}, without the slope") for one in film}
+    return [alone.get(one.name, one) if one.name.startswith("coercive_input") else one for one in levels]
 
 
 def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:

@@ -126,6 +126,11 @@ _ROWS = (
     _Row("knee_ratio", "Hk/HcJ", "", _knee_ratio, hard=True),
     _Row("switching_distribution", "SFD: width of dJ/dH over HcJ", "", switching_distribution, absolute=False),
 )
+_OF_ZERO = (
+    "HcJ",
+    "HcB",
+    "switching_distribution",
+)  # what a substrate changes, as the output passes zero at other fields
 
 
 def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
@@ -146,8 +151,10 @@ def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
     rows, sigma = [], loop.sigma
     middle = _about_middle(falling, mirrored, loop.noise)
     magnet = loop.absolute and not any(_is_superconducting(b) for b in falling)
+    sloped = any(one.name == "slope" and one.applied for one in loop.corrections)
+    on_substrate = loop.saturation is not None and loop.saturation.on_substrate and not sloped
     for row in _ROWS:
-        if (row.hard and not hard) or (row.absolute and not magnet):
+        if (row.hard and not hard) or (row.absolute and not magnet) or (on_substrate and row.name in _OF_ZERO):
             continue
         of = middle if row.name == "switching_distribution" else falling
         found = [(side, row.of_branch(b, sigma)) for side, b in zip(mirrored, of, strict=True)]
@@ -206,10 +213,12 @@ def _saturation(loop: MagneticLoop, falling: list[Branch]) -> Iterator[LoopValue
     if law is None or not law.settled:
         return
     yield LoopValue("Js", "saturation Js (law of approach)", law.value, law.stderr, loop.unit, spread=law.spread)
-    remanent = [at for b in falling if np.isfinite(at := _remanence(b, loop.noise)[0])]
+    remanent = [one for b in falling if np.isfinite((one := _remanence(b, loop.sigma))[0])]
     if remanent:
-        ratio = float(np.mean(remanent)) / law.value
-        error = abs(ratio) * law.stderr / law.value
+        values, errors = np.array(remanent).T
+        ratio = float(np.mean(values)) / law.value
+        scatter = float(np.sqrt(np.mean(np.nan_to_num(errors) ** 2) / errors.size)) / law.value
+        error = float(np.hypot(scatter, ratio * law.stderr / law.value))
         spread = abs(ratio) * law.spread / law.value
         yield LoopValue("squareness", "squareness Jr/Js", ratio, error, "", len(remanent), spread=spread)
 

@@ -9,9 +9,12 @@ import numpy as np
 from hystfit.data.circulation import FEWEST
 from hystfit.results.measured.loop_branches import Branch
 
-_WINDOWS = (0.3, 0.5, 0.7)  # of the largest field, from which the law is fitted
+# Of the largest field, from which the law is fitted, and least samples of a half-branch from there on: where fields are set in equal
+# ratios, as of a superconducting magnet, a window begins at a smaller field, but at no smaller part of the largest one than the last.
+_WINDOWS, _SAMPLES, _LOWEST = (0.3, 0.5, 0.7), (FEWEST + 4, FEWEST + 2, FEWEST), 0.05
 # Of the value: half range over the windows from which the field does not reach the approach to saturation.
 _UNSETTLED = 0.1
+_SUBSTRATE = 0.1  # of Js, by which the output falls over the field, from which the slope of a substrate is named
 _BEYOND = 1.3  # ratio to the largest output, from which the value is an extrapolation without a measurement near it
 
 # Columns beside the constant, of the field over its largest value: the law J = Js - a/H + chi H, and those that lack one of its terms.
@@ -31,9 +34,10 @@ class Saturation:
     Attributes:
         value: Js by J = Js - a/H + chi H, median over windows and half-branches.
         stderr: half the range over these.
-        spread: half the range over the laws; chi H, a/H and a/H2 alone are the others.
+        spread: half the range over the laws; chi H, a/H and a/H2 alone are the others, and chi H where the output falls at large fields.
         slope, slope_stderr: chi in output over input, and half its range over windows and half-branches.
         settled: whether the field reaches the approach to saturation.
+        on_substrate: whether the output falls at the largest fields by a visible part of Js, as on a diamagnetic substrate.
     """
 
     value: float
@@ -42,6 +46,7 @@ class Saturation:
     slope: float
     slope_stderr: float
     settled: bool
+    on_substrate: bool
 
 
 def saturation(branches: list[Branch]) -> Saturation | None:
@@ -56,20 +61,24 @@ def saturation(branches: list[Branch]) -> Saturation | None:
     fitted = found[_LAW]
     value, slope = (float(np.median(column)) for column in fitted.T)
     half = lambda values: 0.5 * float(np.ptp(values))
-    medians = [float(np.median(of_law[:, 0])) for of_law in found.values() if of_law.size]
     error = half(fitted[:, 0])
+    falls = bool((found["chi H"][-2:, 1] < 0).all())  # on a substrate, of whose slope the other laws have no term
+    compared = [of_law for name, of_law in found.items() if "chi H" in name or not falls]
+    medians = [float(np.median(of_law[:, 0])) for of_law in compared if of_law.size]
     settled = 0 < value <= _BEYOND * top and error <= _UNSETTLED * value
-    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled)
+    beside = settled and falls and -slope > _SUBSTRATE * value
+    return Saturation(value, error, half(medians), slope / largest, half(fitted[:, 1]) / largest, settled, beside)
 
 
 def _of_law(branches: list[Branch], largest: float, name: str) -> np.ndarray:
     """Constant and last coefficient for each window and each direction of the field, means over both signs of it, shape (n, 2)."""
     rows = []
-    for start in _WINDOWS:
+    for window, samples in zip(_WINDOWS, _SAMPLES, strict=True):
         sides: dict[tuple[bool, float], list[np.ndarray]] = {}
         for branch in branches:
             for sign in (1.0, -1.0):
                 field = sign * branch.u / largest
+                start = max(min(window, float(np.sort(field)[-samples:][0])), _LOWEST)
                 kept = field >= start
                 if kept.sum() >= FEWEST and np.ptp(field[kept]) > 0.5 * (1 - start):
                     columns = np.column_stack([np.ones(kept.sum()), *(column(field[kept]) for column in _LAWS[name])])
