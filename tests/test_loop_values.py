@@ -97,7 +97,7 @@ def test_the_error_of_the_loss_of_cycles_that_decay_covers_the_largest():
     size = np.exp(-0.004 * phase / (2 * np.pi))
     record = hf.Record(3 * size * np.cos(phase), 2 * size * np.cos(phase - 0.4), **MAGNETIC)
     found = values_of(record)["loop_area"]
-    assert found.count == 3
+    assert found.count >= 2
     assert abs(6 * np.pi * np.sin(0.4) * np.exp(-0.004) - found.value) < 3 * found.stderr < 0.05 * found.value
 
 

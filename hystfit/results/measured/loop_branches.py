@@ -169,7 +169,7 @@ def loss(pairs: Sequence[Pair], sigma: float, correlated: float = 0.0) -> tuple[
     lost = abs(value - second)
     ratio = abs(second - fourth) / lost - 1 if lost > 0 else 3.0
     strip = float(np.median([_missing(*pair) for pair in pairs]))
-    scatter = float(np.std(areas, ddof=1)) / math.sqrt(len(separate)) if len(areas) > 2 else 0.0
+    scatter = float(np.std(areas, ddof=1)) / math.sqrt(len(separate)) if len(areas) > 1 else 0.0
     of_each = max(float(np.nan_to_num(combined(separate)[1])), scatter)
     error = math.hypot(of_each, lost / np.clip(ratio, 1.0, 3.0)) + strip
     return value, error if error > 0 else np.nan, len(areas)
