@@ -626,6 +626,8 @@ def test_of_several_rates_in_a_record_the_cycles_of_one_count(counts: dict[float
     assert found["coercive_input"].value == pytest.approx(75 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
     assert found["remanence"].value == pytest.approx(8 * np.sin(2 * np.pi * 20 * 0.006), rel=0.01)
     assert ("20 Hz" in found["coercive_input"].label) == (len(counts) > 1)
+    slow = values_of(hf.Record(u, y, t=np.arange(u.size) * 1.0, u_unit="V", y_unit="um"))
+    assert ("cycles of 100 s" in slow["coercive_input"].label) == (len(counts) > 1)
 
 
 @pytest.mark.parametrize("zero", [0.0, 4.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -14,7 +15,7 @@ from hystfit.outcome import Code
 from hystfit.outcome.note import has
 from hystfit.results.exchange import smoothed_weights
 from hystfit.sampling.posterior import Posterior
-from hystfit.sampling.sensitivity import Sensitivity, record_densities
+from hystfit.sampling.sensitivity import Sensitivity, record_densities, sensitivity
 
 RECORDS, SIGMA = 4, 0.05
 SDS = np.array([0.08, 0.2, *3 * [0.4]])  # of the priors of the weight, and of the offsets
@@ -132,3 +133,12 @@ def test_smoothed_weights_of_normal_tails_have_the_moments_of_the_target() -> No
     weights, shapes = smoothed_weights(np.stack([0.3 * x, 0 * x + 1e-9 * x]))
     np.testing.assert_allclose(weights @ x, [0.3, 0.0], atol=0.03)
     assert (shapes < 0.5).all()
+
+
+def test_a_weight_that_stays_at_its_bound_has_no_shift(posterior: Posterior, found: Sensitivity) -> None:
+    """It tells of nothing, and those beside it are as they were."""
+    draws = posterior.draws.copy()
+    draws[..., 1] = 0.0
+    still = sensitivity(dataclasses.replace(posterior, draws=draws))
+    assert np.isnan(still.prior_shift[1])
+    np.testing.assert_allclose(still.prior_shift[2], found.prior_shift[2], rtol=1e-6)

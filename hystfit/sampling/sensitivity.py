@@ -150,12 +150,13 @@ def sensitivity(posterior: Posterior) -> Sensitivity:
     values = np.column_stack([flat[at], *derived.values()])
     names = (*posterior.names, *derived)
     values = np.where(np.isfinite(values), values, np.nan)
-    spread = np.nanstd(values, axis=0, ddof=1)
-    scaled = (values - np.nanmean(values, axis=0)) / np.where(spread > 0, spread, np.nan)
+    away = values - _mean(values)
+    spread = np.sqrt(_mean(away**2) * len(away) / (len(away) - 1))
+    scaled = away / np.where(spread > 0, spread, np.nan)  # unknown of a weight that is at its bound in every draw
     by_record = record_densities(posterior, flat[at])
     prior = posterior.stats["log_prior"].reshape(-1)[at]
     data = posterior.log_density.reshape(-1)[at] if by_record is None else by_record[0].sum(axis=1)
-    shift = lambda log: np.log(2) * np.nanmean(scaled * (log - log.mean())[:, None], axis=0)
+    shift = lambda log: np.log(2) * _mean(scaled * (log - log.mean())[:, None])
     pareto, influence = _influence(None if by_record is None else by_record[1], scaled)
     contraction = np.full(len(names), np.nan)
     for k, name in enumerate(posterior.names):
@@ -167,6 +168,12 @@ def sensitivity(posterior: Posterior) -> Sensitivity:
         checks, (),
     )  # fmt: skip
     return dataclasses.replace(found, notes=_notes(found, posterior, independent=by_record is not None))
+
+
+def _mean(rows: Float[np.ndarray, "N q"]) -> Float[np.ndarray, " q"]:
+    """Mean of what is known in each column; NaN where nothing is."""
+    known = np.isfinite(rows)
+    return np.where(known, rows, 0.0).sum(axis=0) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
 
 
 def _contraction(draws: np.ndarray, lower: float, upper: float) -> float:

@@ -22,6 +22,7 @@ from hystfit.results.measured.measured_value import LoopValue
 OF_HEIGHT = 0.25
 # Largest ratio of durations of cycles at one pace: frequencies of a sweep differ by a third of an octave or more.
 SAME_PACE = 1.25
+_SLOW = 10.0  # s: cycles that take longer have a duration, and no frequency
 # Values that change with the pace, and what begins with these; the last does not change with the first cycle.
 _NAMED = ("coercive_input", "remanence", "loop_area", "stroke")
 
@@ -72,12 +73,17 @@ def starts_from_rest(one: Branch, other: Branch, sigma: float) -> bool:
     return gap > max(OF_HEIGHT * height, CLEAR * np.sqrt(2) * float(np.nan_to_num(sigma)))
 
 
+def pace_words(seconds: float) -> str:
+    """What tells the pace of cycles that take this long, behind the name of a quantity."""
+    return f", at {1 / seconds:.3g} Hz" if seconds < _SLOW else f", in cycles of {seconds:.3g} s"
+
+
 def labeled(
     rows: Iterable[LoopValue], record: Record, pairs: Sequence[Pair], duration: float | None, sigma: float
 ) -> Iterator[LoopValue]:
     """Rows that name the frequency of the cycles where others are left out, and the first cycle where it is the only one."""
     second = conversion(record.t_unit, "s")
-    words = f", at {1 / (second * duration):.3g} Hz" if duration and second else ""
+    words = pace_words(second * duration) if duration and second else ""
     if len(pairs) == 1 and starts_from_rest(*pairs[0], sigma):
         words += " (first cycle, from rest)"
     changed = _NAMED if duration else _NAMED[:-1]

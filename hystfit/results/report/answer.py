@@ -25,6 +25,7 @@ from hystfit.results.accuracy import Limits, two_digits
 from hystfit.results.measured.loop_kinds import REMANENT, STRUCTURAL, LoopKind, turns_light
 from hystfit.results.measured.measured_value import LoopValue
 from hystfit.results.measured.quantities import QUANTITIES, QuantityEstimate, Unknown
+from hystfit.results.measured.steady_branches import pace_words
 from hystfit.results.measured.steady_loops import Excitation
 from hystfit.results.result import FitResult
 from hystfit.results.saving.user_code import checksums
@@ -154,13 +155,13 @@ def _numbers(result: FitResult) -> list[tuple[str, str]]:
 
 
 def _pace(result: FitResult) -> str:
-    """The frequency of the loops to which the quantities belong, of records at several paces and a model that depends on time."""
+    """The pace of the loops to which the quantities belong, of records at several paces and a model that depends on time."""
     first = result.data[0]
     second = conversion(first.t_unit, "s")
     if result.model.rate_independent or first.t is None or not second or paces(result.data) < 2:
         return ""
     loop = Excitation.of(result.data)
-    return f", at {1 / (second * loop.points * loop.interval):.3g} Hz"
+    return pace_words(second * loop.points * loop.interval)
 
 
 def _tells(q: QuantityEstimate, measured: Mapping[str, LoopValue], *, no_energy: bool) -> bool:
