@@ -953,6 +953,13 @@ def test_check_never_fails_on_records_of_any_kind(kind, output, scale):
         assert [note.severity for note in few] == [Severity.ERROR]
 
 
+def test_too_few_samples_for_any_model_have_no_advice():
+    u = np.concatenate([np.arange(0.0, 6.0), np.arange(4.0, -1.0, -1.0)])
+    report = check(Record(u, np.maximum.accumulate(u) * 0.3 + u))
+    assert any(note.code is Code.TOO_FEW_SAMPLES for note in report.findings)
+    assert report.advice is None
+
+
 @settings(max_examples=30)
 @given(kinds_of_records((17, 60, 260), (1e-3, 0.1)), st.sampled_from([-9, -3, 2, 6]), st.sampled_from([-6, 3, 9]))
 def test_units_and_origins_change_no_finding(kind, u_power, y_power):

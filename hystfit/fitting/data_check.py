@@ -16,7 +16,7 @@ from hystfit.fitting.comparison.traits import traits
 from hystfit.fitting.fit_setup import without_faults
 from hystfit.fitting.solvers.thinning import coarse
 from hystfit.models.registry import judged, judged_as
-from hystfit.outcome import Code, Note, Status
+from hystfit.outcome import Code, Note, Severity, Status
 from hystfit.outcome.note import has, warn
 from hystfit.quality.baselines import Baselines
 from hystfit.quality.check import Advice, QualityReport, Trait, examine
@@ -51,9 +51,10 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
 
 
 def is_settled(report: QualityReport) -> bool:
-    """Whether no model can add to a report: there is no loop, no one loop, or the output is to be integrated first."""
+    """Whether no model can add to a report: there is no loop, no one loop, too few samples, or the output is to be integrated first."""
     charge = any(note.option == INTEGRATED for note in report.findings)
-    return charge or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
+    few = any(note.code is Code.TOO_FEW_SAMPLES and note.severity is Severity.ERROR for note in report.findings)
+    return charge or few or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
 
 
 def with_models(report: QualityReport, records: Dataset, found: Comparison | None) -> QualityReport:
