@@ -79,16 +79,27 @@ def _of_time_alone(fitted: Fitted) -> Note | None:
 
 def _drift(fitted: Fitted) -> Note | None:
     """A warning of a drift that the residuals show, or those of plays where a model without time follows it by a state that fades."""
-    found = drift_note(fitted.rows, fitted.data, fitted.baselines.span)
-    if found is not None or not fitted.thorough:
+    span = fitted.baselines.span
+    found = drift_note(fitted.rows, fitted.data, span)
+    if not fitted.thorough or (found is not None and not fitted.model.creeps):
         return found
     if fitted.model.creeps:
-        return _followed_drift(fitted)
+        # Slow terms have followed a part of the drift that the residuals of plays have whole.
+        known = found is not None and fitted.baselines.plays is not None
+        whole = drift_note(plays_residuals(fitted.data), fitted.data, span, _FOLLOWED) if known else None
+        return whole or found or _followed_drift(fitted)
     if not fitted.model.rate_independent or fitted.baselines.plays is None:
         return None
     if any(len(one) < 2 or np.any(np.sign(np.diff(one)) != np.sign(one[-1] - one[0])) for one in _means(fitted.data)):
         return None
-    return drift_note(plays_residuals(fitted.data), fitted.data, fitted.baselines.span)
+    return drift_note(plays_residuals(fitted.data), fitted.data, span)
+
+
+_SUBTRACT = "no model includes a steady drift, so subtract it before the fit"
+_FOLLOWED = (
+    "slow terms of the model follow it in part or whole: if this is sensor drift, subtract it before the fit; if it is creep, a longer "
+    "record determines it better"
+)
 
 
 def _followed_drift(fitted: Fitted) -> Note | None:
@@ -99,8 +110,7 @@ def _followed_drift(fitted: Fitted) -> Note | None:
             size = f"{drift.total:.3g} {record.y_unit}".rstrip()
             return warn(
                 Code.DRIFT,
-                f"the mean of the cycles of {record.name!r} drifts steadily by {size}, and slow terms of the model follow it: if this "
-                "is sensor drift, subtract it before the fit; if it is creep, a longer record determines it better",
+                f"the mean of the cycles of {record.name!r} drifts steadily by {size}: {_FOLLOWED}",
             )
     return None
 
@@ -202,10 +212,10 @@ def _chattering(fitted: Fitted) -> Note | None:
     return dataclasses.replace(note, option=("smooth", str(worst.smoothing))) if worst.smoothing else note
 
 
-def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note | None:
+def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float, advice: str = _SUBTRACT) -> Note | None:
     """A warning where the error of a record has a slope in time, or in the order of its samples, that is no chance.
 
-    No model includes it. Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
+    Errors, the `rows` of each record [y], count once for the samples over which they are correlated.
     """
     for row, record in zip(rows, data, strict=True):
         if clear_reversals(record.u).size < 2 * SEVERAL - 1:  # else a drift is a loop that does not close
@@ -224,7 +234,7 @@ def drift_note(rows: Sequence[np.ndarray], data: Dataset, span: float) -> Note |
         return warn(
             Code.DRIFT,
             f"the output of {record.name!r} drifts by {size} over the record ({100 * abs(change) / span:.2g} % of the range), apart from "
-            "its loops: no model includes a steady drift, so subtract it before the fit",
+            f"its loops: {advice}",
         )
     return None
 
