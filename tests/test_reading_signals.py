@@ -64,10 +64,12 @@ def test_values_that_are_set_again_on_each_branch_drive(both_ways: bool, tmp_pat
     np.testing.assert_array_equal(one(tmp_path, rows("\t", path, response)).u, path)
 
 
-def test_columns_that_all_run_one_way_hold_no_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("lost", [False, True], ids=["whole", "a value is missing"])
+def test_columns_that_all_run_one_way_hold_no_time(tmp_path: Path, lost: bool) -> None:
     """The currents of a transistor at both terminals, and the voltage of its gate."""
     gate = np.linspace(-0.3, 0.6, 19)
     current = 1e-5 * np.log1p(np.exp(gate / 0.05)) ** 2
+    gate[7] = np.nan if lost else gate[7]
     with pytest.raises(DataError, match=r"--input"):
         one(tmp_path, rows(" ", np.full(19, 0.65), current, -(1 + 0.02 * gate) * current, gate))
 

@@ -64,7 +64,8 @@ def guess_time(table: Table, free: list[int], kinds: dict[int, str], given: int,
 
 
 def _runs_one_way(values: np.ndarray) -> bool:
-    return abs(int(np.sign(np.diff(values)).sum())) == values.size - 1
+    steps = np.diff(values[np.isfinite(values)])
+    return steps.size > 0 and bool((steps > 0).all() or (steps < 0).all())
 
 
 def _is_since_1970(table: Table, k: int) -> bool:
