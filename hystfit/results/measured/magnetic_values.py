@@ -126,11 +126,8 @@ _ROWS = (
     _Row("knee_ratio", "Hk/HcJ", "", _knee_ratio, hard=True),
     _Row("switching_distribution", "SFD: width of dJ/dH over HcJ", "", switching_distribution, absolute=False),
 )
-_OF_ZERO = (
-    "HcJ",
-    "HcB",
-    "switching_distribution",
-)  # what a substrate changes, as the output passes zero at other fields
+# What a substrate changes, as the output passes zero at other fields.
+_OF_ZERO = ("HcJ", "HcB", "switching_distribution")
 
 
 def magnetic_values(loop: MagneticLoop) -> tuple[LoopValue, ...]:
