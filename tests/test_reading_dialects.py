@@ -186,6 +186,15 @@ def test_negative_numbers_of_accounts(form: str, digits: str, tmp_path: Path) ->
     _check(_read(tmp_path, text), y=8 * np.array(Y))
 
 
+@pytest.mark.parametrize("separator", [" ", "\t", ","])
+def test_a_negative_number_of_accounts_at_the_start_is_no_row_in_brackets(separator: str, tmp_path: Path) -> None:
+    written = lambda v: f"({-v:.3e})" if v < 0 else f"{v:.3e}"
+    u, y = -np.array(U[1:], float), 8 * np.array(Y[1:], float)
+    record = _read(tmp_path, _rows(separator, [written(v) for v in u], [written(v) for v in y]))
+    np.testing.assert_allclose(record.u, u)
+    np.testing.assert_allclose(record.y, y)
+
+
 @pytest.mark.parametrize(
     "word",
     [

@@ -74,6 +74,15 @@ def test_columns_that_all_run_one_way_hold_no_time(tmp_path: Path, lost: bool) -
         one(tmp_path, rows(" ", np.full(19, 0.65), current, -(1 + 0.02 * gate) * current, gate))
 
 
+def test_an_output_of_few_digits_is_not_set_again(tmp_path: Path) -> None:
+    """It takes the same values while it rises and while it falls, as a table of settings does, but rests at them."""
+    time = np.arange(0.0, 32.0, 2.0)
+    u = np.array([-0.4, 15.6, 35.7, 50.4, 63.3, 72.5, 76.9, 81.5, 76.4, 71.1, 57.0, 46.6, 29.1, 11.2, -7.3, -23.9])
+    y = np.array([-0.1, 0.0, 0.0, 0.1, 0.1, 0.2, 0.2, 0.2, 0.3, 0.3, 0.2, 0.2, 0.2, 0.1, 0.1, 0.0])
+    record = one(tmp_path, rows("\t", time, u, y))
+    np.testing.assert_array_equal(record.u, u)
+
+
 # Oscilloscopes ------------------------------------------------------------------------------------------------------------------
 
 

@@ -12,12 +12,13 @@ from hystfit.reading.text.plain_text import plain_text
 
 _ROWS = re.compile(r"\s*[\[({]\s*[\[({]?[\[\](){}\d\s,;.eE+*^-]*")
 _BETWEEN = re.compile(r"[\])}]\s*[,;]?\s*[\[({]")
+_ALONE = re.compile(r"\(\s*\d*\.?\d*(?:e[+-]?\d+)?\s*\)", re.IGNORECASE)  # a negative number, as accounts write it
 _POWER = re.compile(r"\*\^\s*")  # 1.5*^-9 of Mathematica
 
 
 def read_bracketed(text: TextFile) -> Table | None:
     """Rows of numbers in brackets, (1, 2) or [1 2] or {1, 2}, as programs print them; None for other text and for lists of JSON."""
-    if text.content.lstrip()[:1] not in "[({" or _ROWS.fullmatch(text.content) is None:
+    if text.content.lstrip()[:1] not in "[({" or _ROWS.fullmatch(text.content) is None or _ALONE.search(text.content):
         return None
     try:
         json.loads(text.content)

@@ -283,11 +283,19 @@ def overtones(values: np.ndarray) -> float:
     return 1.0 - float(power[max(peak - 3, 0) : peak + 4].sum()) / total if total > 0 else 1.0
 
 
+_RESTS = 0.1  # of the steps of a column that is set step by step, at most: those at its turns
+
+
 def set_again(values: np.ndarray) -> float:
-    """Part of the samples whose very value a column takes while it rises and while it falls, as one that was set does."""
+    """Part of the samples whose very value a column takes while it rises and while it falls, as one that was set does.
+
+    0 where many steps are zero: few digits of a measured column have the same values in both directions too.
+    """
     finite = values[np.isfinite(values)]
-    rises = np.gradient(finite) > 0 if finite.size > 1 else np.zeros(finite.size, dtype=bool)
-    return float(np.isin(finite, np.intersect1d(finite[rises], finite[~rises])).mean()) if finite.size else 0.0
+    if finite.size < 2 or np.mean(np.diff(finite) == 0) > _RESTS:
+        return 0.0
+    rises = np.gradient(finite) > 0
+    return float(np.isin(finite, np.intersect1d(finite[rises], finite[~rises])).mean())
 
 
 def meet(parts: Sequence[np.ndarray]) -> bool:
