@@ -335,6 +335,22 @@ def test_a_relaxation_behind_plays_wins_the_comparison() -> None:
     assert best.score < 1.1 * 100 * 0.002 / comparison.winner.baselines.span
 
 
+def test_a_lag_before_plays_does_not_depend_on_its_starting_value() -> None:
+    """The ridge that cross-validation chose at the start decided where the search ended."""
+    rng, k, tau, dt = np.random.default_rng(0), np.arange(700), 0.08, 0.01
+    u = np.linspace(1.0, 0.4, 700) * np.sin(2 * np.pi * k / 140)
+    behind, state = np.empty(700), u[0]
+    for sample, value in enumerate(u):
+        state += -np.expm1(-dt / tau) * (value - state)
+        behind[sample] = state
+    y = plays_by_hand(behind, np.array([0.05, 0.17, 0.33])) @ np.array([0.5, 0.3, 0.4]) + 0.3 * np.tanh(2 * behind)
+    record = hf.Record(u=u, y=y + 0.03 * rng.normal(size=700), t=dt * k)
+    starts = (0.005, 0.03, 0.08, 0.3)
+    found = [hf.fit("lag+prandtl-ishlinskii", record, start={"tau": start}).values["tau"] for start in starts]
+    assert np.ptp(found) < 2e-4 * tau
+    assert found[0] == pytest.approx(tau, rel=0.01)
+
+
 def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float, steps: int = 40) -> Searched:
     """A search over the time constant of a lag."""
     u = np.sin(np.arange(100) / 5)

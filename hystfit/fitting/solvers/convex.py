@@ -26,7 +26,7 @@ class Convex(AbstractEstimator):
     For plays, relays and creep weights: dozens of unknowns, of which many end on zero. With nonlinear parameters free (a lag, a
     bend) those move to lower the cost at the strength found at the start, and the strength is found again at the end. At a wrong lag
     cross-validation chooses a strong ridge, with which the cost has its minimum at another wrong lag. If the ridge is strong, the
-    search is therefore repeated with a weak one.
+    search is therefore repeated with a weak one, and in any case with that which cross-validation chooses where the better one ends.
 
     Attributes:
         strengths: of the ridge, among which held-out groups choose.
@@ -77,15 +77,20 @@ class Convex(AbstractEstimator):
         )
 
     def _search(self, problem: Problem, z: np.ndarray, others: np.ndarray) -> Searched:
-        """Where the nonlinear parameters end: with the ridge of the start or, if that is strong, with a weak one, by left-out error."""
+        """Where the nonlinear parameters end: with the ridge of the start or, if that is strong, a weak one, then with that of the end."""
 
-        def search(strength: float) -> Searched:
+        def search(strength: float, z: np.ndarray) -> Searched:
             left = lambda x: projected(LinearSystem.of(problem, x), strength)
             return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
 
-        first = float(fit_ridge(LinearSystem.of(problem, problem.space.physical(z)), self.strengths).strength)
+        chosen = lambda x: fit_ridge(LinearSystem.of(problem, x), self.strengths)
+        first = float(chosen(problem.space.physical(z)).strength)
         weak = min(self.strengths, key=lambda strength: abs(np.log(strength / 1e-6)))  # moves no lag
-        ended = [search(strength) for strength in dict.fromkeys((first, min(first, weak)))]
-        score = lambda one: float(fit_ridge(LinearSystem.of(problem, one.x), self.strengths).score)
-        best = min(ended, key=score) if ended[1:] else ended[0]
-        return best._replace(evaluations=sum(one.evaluations for one in ended))
+        tried = [*dict.fromkeys((first, min(first, weak)))]
+        ended = [search(strength, z) for strength in tried]
+        fits = [chosen(one.x) for one in ended]
+        best = int(np.argmin([fit.score for fit in fits]))
+        if (strength := float(fits[best].strength)) != tried[best]:  # else the end would depend on the start
+            ended.append(search(strength, problem.space.unconstrained(problem.space.clip(ended[best].x))))
+            best = len(ended) - 1
+        return ended[best]._replace(evaluations=sum(one.evaluations for one in ended))
