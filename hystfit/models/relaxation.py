@@ -18,7 +18,7 @@ from hystfit.models.shared.simulation import checked_drive
 from hystfit.models.shared.starting import sampling_interval
 from hystfit.models.shared.step_inverse import AbstractStepInverse, LinearStep
 from hystfit.params.param import param
-from hystfit.quality.host_operators import relaxed_columns
+from hystfit.quality.host_operators import recursion
 
 
 class Relaxation(AbstractHysteresis):
@@ -63,10 +63,12 @@ class Relaxation(AbstractHysteresis):
         return self.filtered(u[:, None], dt)[:, 0]
 
     def filtered(self, signals: np.ndarray, dt: np.ndarray) -> np.ndarray:
-        """By matrix products over some samples at a time."""
-        out = signals + float(np.sum(self.a)) * (signals[0] - signals)
+        """A recursion for each time constant."""
+        moved = signals - signals[0]
+        out = signals - float(np.sum(self.a)) * moved
         for a, tau in zip(np.asarray(self.a), np.asarray(self.tau), strict=True):
-            out += a * (relaxed_columns(signals, dt / tau) - signals[0])
+            kept = np.exp(-dt / tau)
+            out += recursion((1.0, -np.append(kept[1:], 0.0)), (a * (1.0 - kept))[:, None] * moved)
         return out
 
     def start(self, records: Sequence[Record]) -> Relaxation:

@@ -25,22 +25,6 @@ def recursion(taps: Sequence[float | np.ndarray], columns: np.ndarray) -> np.nda
     return dtbtrs(band, columns, uplo="L")[0]
 
 
-_BLOCK = 32  # rows that one matrix product takes: 2 ms for 400 rows of 500 columns, which the recursion takes 16 ms for
-
-
-def relaxed_columns(columns: np.ndarray, passed: np.ndarray) -> np.ndarray:
-    """Columns z of tau dz/dt = x - z for columns x of steps, shape (T, K), from rest; `passed` are the time steps over tau, shape (T,)."""
-    out = np.empty_like(columns)
-    last = columns[0]
-    for begin in range(0, len(columns), _BLOCK):
-        rows = slice(begin, begin + _BLOCK)
-        age = np.cumsum(passed[rows])
-        kept = np.tril(np.exp(np.minimum(age - age[:, None], 0.0))) * -np.expm1(-passed[rows])
-        out[rows] = kept @ columns[rows] + np.exp(-age)[:, None] * last
-        last = out[rows][-1]
-    return out
-
-
 def play_positions(
     u: np.ndarray, radii: np.ndarray, first: np.ndarray | None = None, out: np.ndarray | None = None
 ) -> np.ndarray:

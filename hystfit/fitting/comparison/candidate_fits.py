@@ -168,9 +168,10 @@ class CandidateFits:
             return None, None
         if (ready := sizes.setup(chosen)) is not None and ready.problem.equations is not None:
             self._equations = ready.problem, ready.problem.equations
-        started = chosen.start(list(self.data))
-        if ready is None and (told := self._told(started)) is not started:
-            ready = set_up_fit(chosen, self.data, self.options, started=(told,))
+        if ready is None:
+            started = chosen.start(list(self.data))
+            if (told := self._told(started)) is not started:
+                ready = set_up_fit(chosen, self.data, self.options, started=(told,))
         return chosen, ready
 
     def _told(self, model: AbstractHysteresis) -> AbstractHysteresis:

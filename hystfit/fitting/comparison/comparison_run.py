@@ -56,7 +56,7 @@ class ComparisonRun:
         shown: ShownProgress,
         workers: Workers,
     ):
-        self.data, self.left_out, self._options, self._named = data, left_out, options, named
+        self.data, self.left_out = data, left_out
         self.standings = Standings(data, purpose, all_validated=bool(named))
         self.errors: list[Exception] = []
         self.candidate_fits = CandidateFits(data, left_out, options, named, self.standings)
@@ -66,15 +66,13 @@ class ComparisonRun:
 
     def on(self, data: Dataset) -> ComparisonRun:
         """A comparison with the same options on other records."""
-        purpose = self.standings.purpose
-        return ComparisonRun(data, self.left_out, purpose, self._options, self._named, self._shown, self._workers)
+        fits, purpose = self.candidate_fits, self.standings.purpose
+        return ComparisonRun(data, self.left_out, purpose, fits.options, fits.named, self._shown, self._workers)
 
     def refit(self, name: str, screened: FitResult) -> None:
         """Fit and validate a candidate from its fit to some of the records; it stops once it cannot win."""
         one = Candidate(name, screened=screened)
-        self._each(self.candidate_fits.fit, [one])
-        one.row = one.row or self.candidate_fits.beaten(one)
-        self._each(self.candidate_fits.validate, [one] if one.row is None else [])
+        self._complete(one)
         self._keep_finished([one])
 
     def run(self, names: Sequence[str]) -> None:
@@ -131,10 +129,14 @@ class ComparisonRun:
             one.row = self.candidate_fits.excluded(one)
         ahead = leader([one for one in waiting if one.row is None], self.standings.equal)
         if ahead is not None:
-            self._each(self.candidate_fits.fit, [ahead])
-            ahead.row = ahead.row or self.candidate_fits.beaten(ahead)
-            self._each(self.candidate_fits.validate, [ahead] if ahead.row is None else [])
+            self._complete(ahead)
         return self._keep_finished(waiting)
+
+    def _complete(self, one: Candidate) -> None:
+        """Fit a candidate, and validate it if it may win."""
+        self._each(self.candidate_fits.fit, [one])
+        one.row = one.row or self.candidate_fits.beaten(one)
+        self._each(self.candidate_fits.validate, [one] if one.row is None else [])
 
     def skip(self, names: Sequence[str], reason: str) -> None:
         """Add a row for each candidate that is not tried."""

@@ -39,7 +39,8 @@ def search_screened(run: ComparisonRun, few: Dataset, chosen: Candidates) -> Non
     fits = screen.standings.fits
     # The first of those that few records do not tell apart is the plainest.
     best = min(rows, key=lambda row: row.score)
-    ahead = [row for row in (rows[0], best)[: 1 + (best is not rows[0])] if row.asked in fits]
+    plainest = rows[:1]
+    ahead = [row for row in (plainest if best in plainest else [*plainest, best]) if row.asked in fits]
     run.errors += screen.errors
     for row in ahead:
         run.refit(row.asked, fits[row.asked])

@@ -16,7 +16,5 @@ def suggested(standings: Standings) -> list[str]:
     if standings.all_validated or best is None or best.leaves_noise:
         return []
     kinds = {type(part) for part in getattr(standings.fits[best.asked].model, "parts", ())}
-    plays, relays = "prandtl-ishlinskii", "preisach"
-    return (
-        [best.asked.replace(plays, relays)] if {PrandtlIshlinskii, Relaxation} <= kinds and plays in best.asked else []
-    )
+    relays = best.asked.replace("prandtl-ishlinskii", "preisach")
+    return [relays] if {PrandtlIshlinskii, Relaxation} <= kinds and relays != best.asked else []

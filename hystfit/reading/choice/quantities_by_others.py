@@ -20,9 +20,8 @@ from hystfit.reading.table.signal_evidence import is_even, is_near_median, propo
 _FEW_UNKNOWN = 8  # columns of unknown quantity that are compared with each other
 _SWEPT = ("field", "induction", "temperature", "electric field")  # beside which X and Y are components of a signal
 _POLAR = frozenset({"deg", "phi", "theta", "r"})  # names of the same signal by its size and angle
-_INCIDENCE = frozenset(
-    {"alpha", "alfa", "aoa", "incidence", "pitch"}
-)  # angles of a wing, and coefficients of its loads
+# Angles of a wing, and coefficients of its loads.
+_INCIDENCE = frozenset({"alpha", "alfa", "aoa", "incidence", "pitch"})
 _COEFFICIENT = re.compile(r"c_?[ldmnt]p?", re.IGNORECASE)  # Cdp: the part of the pressure
 _CHAMBERS = frozenset({"lv", "rv", "ventricle", "ventricular", "cylinder", "chamber"})  # that work against a pressure
 # Suction of a soil and its water, as a part of its volume or mass.
