@@ -19,7 +19,7 @@ from hystfit.fitting.comparison.standings import Standings
 from hystfit.fitting.fit_options import FitOptions
 from hystfit.fitting.solvers.convex import Convex
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, solve_normal
-from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
+from hystfit.fitting.solvers.variable_projection import Eliminated, Searched, search_nonlinear
 from hystfit.fitting.structure.structure_search import search_structure
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
@@ -356,7 +356,12 @@ def _searched(residuals: Callable[[np.ndarray], np.ndarray], start: float, steps
     u = np.sin(np.arange(100) / 5)
     problem = Problem(make_model("lag+linear"), hf.Dataset.of(hf.Record(u=u, y=u, t=0.1 * np.arange(100))))
     z = problem.space.unconstrained(np.array([start, 1.0]))
-    return search_nonlinear(problem, lambda x: residuals(x[0]), z, np.array([0]), steps=steps, gain=1e-8)
+
+    def eliminated(x: np.ndarray) -> Eliminated:
+        left = residuals(x[0])
+        return Eliminated(left, lambda: ((residuals(x[0] * np.exp(1e-6)) - left) / 1e-6)[:, None])
+
+    return search_nonlinear(problem, eliminated, z, np.array([0]), steps=steps, gain=1e-8)
 
 
 def test_a_search_ends_where_a_parameter_has_no_effect() -> None:

@@ -15,7 +15,7 @@ from hystfit.errors import ParameterError
 from hystfit.inference.blocks import parts
 from hystfit.models.preisach.model import Preisach
 from hystfit.models.preisach.smooth_system import Layout, SmoothSystem
-from hystfit.models.shared.design import DesignMatrix
+from hystfit.models.shared.design import DesignMatrix, Factored
 from hystfit.params.space import ParameterSpace
 from hystfit.quality.held_out import HeldOut
 
@@ -132,6 +132,26 @@ def weighted_columns(
             solved *= root[:, None]
         target.append((record.y[used] - rest) * root)
     return columns[0] if len(columns) == 1 else np.concatenate(columns), np.concatenate(target)
+
+
+def column_products(
+    space: ParameterSpace, records: Sequence[Record], x: np.ndarray, sides: Float[np.ndarray, "n q"]
+) -> Float[np.ndarray, "w q"]:
+    """Products of the columns of all weights with samples of the records that count, both times roots of the weights of the samples."""
+    designs = _designs(space, records, x)
+    layout = Layout.of(first := next(designs), len(records))
+    total, end = np.zeros((layout.starts[-1], sides.shape[1])), 0
+    for number, (record, design) in enumerate(zip(records, itertools.chain([first], designs), strict=True)):
+        used = record.used
+        begin, end = end, end + int(np.count_nonzero(used))
+        states = np.zeros((design.rest.size, sides.shape[1]))
+        np.add.at(states, design.index[used], np.sqrt(record.weight[used])[:, None] * sides[begin:end])
+        for position, block in enumerate(design.blocks):
+            start = layout.first(position, number)
+            columns = block.columns
+            product = columns.transposed_product(states) if isinstance(columns, Factored) else columns.T @ states
+            total[start : start + len(product)] += product
+    return total
 
 
 def _fixed(space: ParameterSpace, layout: Layout, x: np.ndarray | None = None) -> np.ndarray:

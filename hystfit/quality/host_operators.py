@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 from scipy.linalg.lapack import dtbtrs
+
+# Columns from which matrices of blocks take less time than a banded system, which adds one number at a time: of 803 samples of 506 columns
+# 0.24 of it with blocks of 16 samples.
+_WIDE = 64
+_BLOCK = 16
 
 
 def lagged(columns: np.ndarray, time: float) -> np.ndarray:
@@ -19,10 +25,31 @@ def recursion(taps: Sequence[float | np.ndarray], columns: np.ndarray) -> np.nda
 
     A tap that varies has a value for each sample y that it multiplies. As by `scipy.signal.lfilter`, whose import takes as long as a fit.
     """
+    if len(taps) == 2 and np.ndim(taps[0]) == 0 and columns.shape[1] >= _WIDE:
+        return _first_order(-np.resize(taps[1], len(columns)) / taps[0], columns / taps[0])
     band = np.empty((len(taps), len(columns)), order="F")
     for diagonal, tap in zip(band, taps, strict=True):
         diagonal[:] = tap
     return dtbtrs(band, columns, uplo="L")[0]
+
+
+def _first_order(kept: np.ndarray, columns: Float[np.ndarray, "T p"]) -> Float[np.ndarray, "T p"]:
+    """Columns y with y[k + 1] = kept[k] y[k] + columns[k + 1], from rest, by products of matrices for blocks of samples."""
+    count, width = columns.shape
+    blocks = -(-count // _BLOCK)
+    padded = np.zeros((blocks * _BLOCK, width))
+    padded[:count] = columns
+    factors = np.zeros((blocks, _BLOCK))
+    factors.reshape(-1)[1:count] = kept[: count - 1]
+    response = np.zeros((blocks, _BLOCK, _BLOCK))  # of each sample of a block to those before it in the block
+    for k in range(_BLOCK):
+        response[:, k] = factors[:, k, None] * response[:, k - 1]
+        response[:, k, k] = 1.0
+    out = response @ padded.reshape(blocks, _BLOCK, width)
+    passed = np.cumprod(factors, axis=1)  # part of the last sample before a block
+    for before, (block, part) in zip(out, zip(out[1:], passed[1:], strict=True), strict=False):
+        block += np.multiply.outer(part, before[-1])
+    return out.reshape(-1, width)[:count]
 
 
 def play_positions(

@@ -10,7 +10,7 @@ import numpy as np
 
 from hystfit.errors import ModelError, ParameterError
 from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.solvers.ridge import STRENGTHS, LinearSystem, RidgeFit, fit_ridge, linear_positions, projected
+from hystfit.fitting.solvers.ridge import STRENGTHS, LinearSystem, RidgeFit, eliminated, fit_ridge, linear_positions
 from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
 from hystfit.inference.problem import Problem
 from hystfit.outcome import Code, Note
@@ -80,8 +80,8 @@ class Convex(AbstractEstimator):
         """Where the nonlinear parameters end: with the ridge of the start or, if that is strong, a weak one, then with that of the end."""
 
         def search(strength: float, z: np.ndarray) -> Searched:
-            left = lambda x: projected(LinearSystem.of(problem, x), strength)
-            return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
+            at = lambda x: eliminated(problem, x, others, strength)
+            return search_nonlinear(problem, at, z, others, steps=self.steps, gain=_GAIN)
 
         chosen = lambda x: fit_ridge(LinearSystem.of(problem, x), self.strengths)
         first = float(chosen(problem.space.physical(z)).strength)

@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.errors import ModelError
+from hystfit.fitting.solvers.variable_projection import Eliminated, output_slopes
 from hystfit.inference.blocks import NUMBERS, parts, spread
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
 from hystfit.models.shared.design import FAR, effective_number, with_own_offsets
-from hystfit.models.shared.nonnegative import solve_nonnegative, solve_several
+from hystfit.models.shared.nonnegative import solve_nonnegative, solve_several, submatrix
 
 # Half decades where ridges of plays and dampers lie: at a whole decade the best error can be 3 % larger, and the residuals 4 % above the
 # noise; of a damper whose best ridge lies at 10^-1.5, 10 and 21 %.
@@ -211,11 +212,22 @@ def _left_out(system: LinearSystem, normal: Normal, held: np.ndarray, strengths:
     return out
 
 
-def projected(system: LinearSystem, strength: float) -> Float[np.ndarray, " n1"]:
-    """Residuals that the weights leave at a given strength, then the roots of what the ridge adds, for `search_nonlinear`."""
+def eliminated(problem: Problem, x: np.ndarray, others: np.ndarray, strength: float) -> Eliminated:
+    """What the weights leave at physical x with a ridge of given strength, beside the nonlinear parameters at the positions `others`."""
+    system = LinearSystem.of(problem, x)
     normal = system.normal()
     total, b = normal.A.sum(axis=0), normal.b.sum(axis=1)
     ridge = (system.ridged | normal.dead) * strength * normal.counts.sum() + normal.dead
-    w = solve_normal(total, b, system.free, ridge[None])[0][0]
-    weights = np.where(normal.dead, 0.0, w / normal.scale) + normal.origins[0]
-    return np.concatenate([system.columns @ weights - system.target, np.sqrt(ridge) * w])
+    (w,), (positive,) = solve_normal(total, b, system.free, ridge[None])
+    full = x.copy()
+    full[linear_positions(problem)] = weights = np.where(normal.dead, 0.0, w / normal.scale) + normal.origins[0]
+
+    def slopes() -> np.ndarray:
+        direct = output_slopes(problem, full, others)
+        on = np.flatnonzero(positive & ~normal.dead)
+        columns = system.columns[:, on] / normal.scale[on]
+        follow = np.zeros((w.size, others.size))
+        follow[on] = -np.linalg.solve(_ridged(submatrix(total, on), ridge[on]), columns.T @ direct)
+        return np.concatenate([direct + columns @ follow[on], np.sqrt(ridge)[:, None] * follow])
+
+    return Eliminated(np.concatenate([system.columns @ weights - system.target, np.sqrt(ridge) * w]), slopes)

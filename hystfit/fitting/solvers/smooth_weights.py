@@ -11,9 +11,15 @@ import numpy as np
 
 from hystfit.errors import ModelError
 from hystfit.fitting.solvers.estimate import AbstractEstimator, Estimate
-from hystfit.fitting.solvers.variable_projection import Searched, search_nonlinear
+from hystfit.fitting.solvers.variable_projection import (
+    Eliminated,
+    Searched,
+    counted,
+    output_slopes,
+    search_nonlinear,
+)
 from hystfit.inference.problem import Problem
-from hystfit.inference.weights import Split
+from hystfit.inference.weights import Split, column_products
 from hystfit.models.preisach.smooth import (
     SMOOTHNESS,
     LeftOutErrors,
@@ -114,17 +120,32 @@ class SmoothWeights(AbstractEstimator):
             )
         strength = fit_smooth(first.system, self.smoothness, fixed=first.fixed).smoothness
 
-        at = np.flatnonzero(first.place >= 0)
-
-        def left(x: np.ndarray) -> np.ndarray:
-            now = split(x)
-            fit = fit_smooth(now.system, (strength,), fixed=now.fixed)
-            x = x.copy()
-            x[at] = fit.weights[now.place[at]]
-            return np.append(problem.misfit(x), np.sqrt(max(fit.cost - fit.rss, 0.0)) / problem.scales.y)
-
+        eliminated = lambda x: eliminated_smooth(problem, x, others, split(x), strength)
         # The gain is small compared with the standard errors: the cost of n samples rises by 1 / n over one of them.
-        return search_nonlinear(problem, left, z, others, steps=self.steps, gain=_GAIN)
+        return search_nonlinear(problem, eliminated, z, others, steps=self.steps, gain=_GAIN)
+
+
+def eliminated_smooth(problem: Problem, x: np.ndarray, others: np.ndarray, split: Split, strength: float) -> Eliminated:
+    """What smooth weights leave at physical x, beside the nonlinear parameters at the positions `others`."""
+    fit = fit_smooth(split.system, (strength,), fixed=split.fixed)
+    at = np.flatnonzero(split.place >= 0)
+    full, own = x.copy(), split.place[at]
+    full[at] = fit.weights[own]
+    output, rough = counted(problem, problem.predict(full)), float(np.sqrt(max(fit.cost - fit.rss, 0.0)))
+
+    def slopes() -> np.ndarray:
+        direct = output_slopes(problem, full, others)
+        products = column_products(problem.space, list(problem.data), full, direct)
+        changes = fit.following(split.system, products)
+        moved = np.tile(full, (others.size, 1))
+        moved[:, at] += changes[own].T
+        # The output is linear in the weights.
+        followed = np.stack([counted(problem, problem.predict(one)) - output for one in moved], axis=1)
+        weights = np.where(np.isnan(split.fixed), fit.weights, 0.0)
+        bending = weights @ fit.penalty @ changes / max(rough, 1e-300)
+        return np.vstack([direct + followed, bending])
+
+    return Eliminated(np.append(output - counted(problem, [record.y for record in problem.data]), rough), slopes)
 
 
 def left_out_scores(

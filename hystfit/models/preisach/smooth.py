@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used
+from jaxtyping import Float
 
 from hystfit.models.preisach.smooth_system import SmoothSystem
 from hystfit.models.shared.design import effective_number, with_own_offsets
@@ -36,6 +37,16 @@ class SmoothFit:
     # what the penalty adds to the normal matrix, in units of outputs / weights, shape (p, p)
     penalty: np.ndarray
     size: float  # of the output, as in the system
+    moving: np.ndarray  # positions of the weights that are neither fixed nor held at zero
+
+    def following(self, system: SmoothSystem, products: Float[np.ndarray, "p q"]) -> Float[np.ndarray, "p q"]:
+        """How the weights follow changes of the residuals, given as products with the columns, while the same ones are at zero."""
+        at = self.moving
+        A = submatrix(system.grams.sum(axis=0)[:-1, :-1] + self.penalty, at)
+        A[np.diag_indices_from(A)] += 1e-12 * np.trace(A) / max(at.size, 1)
+        changes = np.zeros(products.shape)
+        changes[at] = -scipy.linalg.solve(A, products[at], assume_a="pos")
+        return changes
 
 
 def fit_smooth(
@@ -67,13 +78,14 @@ def fit_smooth(
 
 def _fit(system: SmoothSystem, trials: _Trials, fixed: np.ndarray, smoothness: float) -> SmoothFit:
     """The solution with a penalty of some strength, without errors on held-out groups."""
-    v, _, rss = trials.solved(smoothness)
+    v, positive, rss = trials.solved(smoothness)
     strength, size = smoothness * trials.n, system.size
     cost = (rss + strength * float(v @ trials.rough @ v)) * size**2
     weights = fixed.copy()
     weights[trials.free] = (v + system.origin[trials.free]) * size
     penalty = strength * system.roughness
-    return SmoothFit(weights, smoothness, np.array([]), None, rss * size**2, cost, None, penalty, size)
+    moving = trials.free[positive]
+    return SmoothFit(weights, smoothness, np.array([]), None, rss * size**2, cost, None, penalty, size, moving)
 
 
 class LeftOutErrors(NamedTuple):

@@ -69,6 +69,10 @@ class Factored:
     def __getitem__(self, which: np.ndarray | slice) -> Factored:
         return Factored(self.rows[which], self.basis)
 
+    def transposed_product(self, sides: Float[np.ndarray, "S k"]) -> Float[np.ndarray, "p k"]:
+        """columns.T @ sides."""
+        return self.basis.spread(self.rows.T @ sides)
+
 
 Columns = np.ndarray | Factored
 
