@@ -266,7 +266,7 @@ class Problem:
 
     def _simulated(self, x: Any) -> list[np.ndarray]:
         if self.model.has_fast_run:
-            models = self.space.of_records(x, len(self.data))
+            models = self.space.of_records(x, len(self.data), np.asarray)
             return [np.asarray(model.free_run(r.u, r.dt)) for model, r in zip(models, self.data, strict=True)]
         rows = predicted(self.objective, x, np.array([len(record) for record in self.data]))
         return [row[: len(record)] for row, record in zip(rows, self.data, strict=True)]
